@@ -1,0 +1,219 @@
+"""Protocols: what varies, what is measured and what is asked for (Table IV, design of the task)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from suspnet.dynamics.vehicle import PARAMETERS
+from suspnet.features.extraction import PeakFeatures
+
+RESPONSES = ("G_p", "G_s")
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One group of one protocol: everything that defines a learning problem.
+
+    Attributes
+    ----------
+    protocol, group : str
+    varied : tuple of str
+        Parameters that vary; the others stay healthy.
+    outputs : tuple of str
+        Parameters that are asked for.
+    responses : tuple of str
+        From ``RESPONSES``: the curves that may be used.
+    extractor : PeakFeatures
+    sampling : {"grid", "sobol"}
+    lower, upper : float
+        Range of every ratio, [-].
+    step, mass_step : float
+        Grid steps of the suspension's parameters and of the mass, [-].
+    mass_known : bool
+        Whether the measured car-body mass ratio is one more input.
+    """
+
+    protocol: str
+    group: str
+    varied: tuple[str, ...]
+    outputs: tuple[str, ...]
+    responses: tuple[str, ...]
+    extractor: PeakFeatures
+    sampling: Literal["grid", "sobol"]
+    lower: float
+    upper: float
+    step: float
+    mass_step: float
+    mass_known: bool
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Name of each input of the model."""
+        return self.extractor.names + (("M_s",) if self.mass_known else ())
+
+    @property
+    def output_indices(self) -> list[int]:
+        """Columns of the outputs in arrays ordered as ``PARAMETERS``."""
+        return [PARAMETERS.index(name) for name in self.outputs]
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Varied parameters that have to be estimated along with the outputs."""
+        known = ("M_s",) if self.mass_known else ()
+        return tuple(name for name in self.varied if name not in known)
+
+    def levels(self, name: str) -> FloatArray:
+        """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
+        step = self.mass_step if name == "M_s" else self.step
+        n_steps = round((self.upper - self.lower) / step)
+        return np.asarray(np.round(self.lower + step * np.arange(n_steps + 1), 10))
+
+    @property
+    def grid_size(self) -> int:
+        """Number of curves of the whole grid."""
+        return math.prod(len(self.levels(name)) for name in self.varied)
+
+    def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return parameter ratios of training (stream 0) or test (stream 1) curves.
+
+        A grid is shuffled by the seed; training curves are taken from its front and test curves
+        from its end, so the two share no vehicle unless they ask for more than the grid holds.
+        Sobol points are scrambled with a seed of their own for each stream.
+
+        Parameters
+        ----------
+        n_curves : int or None
+            None is the whole grid, in its natural order.
+
+        Returns
+        -------
+        array of shape (n_curves, 5), [-]
+
+        Raises
+        ------
+        ValueError
+            If more curves are asked for than the grid has, or the whole of a Sobol sequence.
+        """
+        ratios = self._sobol(n_curves, seed, stream) if self.sampling == "sobol" else None
+        if ratios is None:
+            ratios = self._grid(n_curves, seed, stream)
+        full = np.ones((len(ratios), len(PARAMETERS)))
+        full[:, [PARAMETERS.index(name) for name in self.varied]] = ratios
+        return full
+
+    def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        levels = [self.levels(name) for name in self.varied]
+        total = self.grid_size
+        if n_curves is None:
+            chosen = np.arange(total)
+        elif n_curves > total:
+            raise ValueError(
+                f"the grid of group {self.group!r} holds {total} curves, {n_curves} were asked for"
+            )
+        else:
+            shuffled = np.random.default_rng(seed).permutation(total)
+            chosen = shuffled[::-1][:n_curves] if stream else shuffled[:n_curves]
+        index = np.unravel_index(chosen, [len(level) for level in levels])
+        return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
+
+    def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        if n_curves is None:
+            raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
+        rng = np.random.default_rng([seed, stream])
+        sampler = qmc.Sobol(len(self.varied), rng=rng)
+        points = sampler.random_base2(max(1, math.ceil(math.log2(n_curves))))[:n_curves]
+        return np.asarray(self.lower + (self.upper - self.lower) * points)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A way of posing the problem; `task` gives the learning problem of one of its groups.
+
+    Parameters
+    ----------
+    name : str
+    groups : mapping from group name to a mapping
+        Keys `outputs`, `responses` and `peaks`: names from ``PARAMETERS``, ``RESPONSES`` and
+        ``PEAK_NAMES``.
+    sampling : {"grid", "sobol"}
+        Table IV's grid, or Sobol points in all five parameters.
+    lower, upper, step, mass_step : float
+        Range and grid steps of the ratios to healthy, [-].
+    mass_known : bool
+        Give the model the measured car-body mass ratio as one more input.
+    estimate_mass : bool
+        Ask for the car-body mass ratio as one more output.
+    features : mapping, optional
+        Further arguments of ``PeakFeatures``.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or a setting is out of range.
+    """
+
+    name: str
+    groups: Mapping[str, Mapping[str, Sequence[str]]]
+    sampling: Literal["grid", "sobol"] = "grid"
+    lower: float = 0.5
+    upper: float = 2.0
+    step: float = 0.01
+    mass_step: float = 0.1
+    mass_known: bool = False
+    estimate_mass: bool = False
+    features: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.sampling not in ("grid", "sobol"):
+            raise ValueError(f"`sampling` must be 'grid' or 'sobol', got {self.sampling!r}")
+        if not 0 < self.lower < 1 < self.upper:
+            raise ValueError(f"need 0 < lower < 1 < upper, got {self.lower} and {self.upper}")
+        if not (self.step > 0 and self.mass_step > 0):
+            raise ValueError(f"steps must be > 0, got {self.step} and {self.mass_step}")
+        if self.mass_known and self.estimate_mass:
+            raise ValueError("the car-body mass is either known or estimated, not both")
+        for group in self.groups:
+            self.task(group)
+
+    def task(self, group: str) -> Task:
+        """Return the learning problem of a group.
+
+        Raises
+        ------
+        ValueError
+            If the protocol has no such group.
+        """
+        if group not in self.groups:
+            raise ValueError(
+                f"protocol {self.name!r} has no group {group!r}; choose from {sorted(self.groups)}"
+            )
+        entry = self.groups[group]
+        outputs = tuple(_known(entry["outputs"], PARAMETERS[:4], "outputs"))
+        return Task(
+            protocol=self.name,
+            group=group,
+            varied=(*outputs, "M_s"),
+            outputs=(*outputs, "M_s") if self.estimate_mass else outputs,
+            responses=tuple(_known(entry["responses"], RESPONSES, "responses")),
+            extractor=PeakFeatures(peaks=tuple(entry["peaks"]), **self.features),
+            sampling=self.sampling,
+            lower=self.lower,
+            upper=self.upper,
+            step=self.step,
+            mass_step=self.mass_step,
+            mass_known=self.mass_known,
+        )
+
+
+def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
+    if not names or any(name not in allowed for name in names):
+        raise ValueError(f"`{what}` must be chosen from {tuple(allowed)}, got {list(names)}")
+    return names

@@ -1,0 +1,7 @@
+"""Module 1 of the paper: vehicle dynamics and frequency responses."""
+
+from suspnet.dynamics.generator import ResponseGenerator
+from suspnet.dynamics.quarter_car import QuarterCar
+from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
+
+__all__ = ["PARAMETERS", "QuarterCar", "ResponseGenerator", "Vehicle"]

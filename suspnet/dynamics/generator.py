@@ -1,0 +1,41 @@
+"""What any source of training curves must offer: two frequency responses for degraded vehicles."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+
+@runtime_checkable
+class ResponseGenerator(Protocol):
+    """Frequency responses of degraded vehicles: axle box to bogie (G_p), bogie to body (G_s)."""
+
+    def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
+        """Return complex G_p and G_s.
+
+        Parameters
+        ----------
+        ratios : tensor of shape (n_vehicles, 5)
+            k_p, c_p, k_s, c_s, M_s relative to healthy, [-].
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+        Returns
+        -------
+        tuple of complex tensors of shape (n_vehicles, n_freq), [-]
+        """
+        ...
+
+    def magnitudes(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
+        ...
+
+
+def check_ratios(ratios: Tensor, n_parameters: int) -> None:
+    """Raise ValueError unless `ratios` is a positive, finite (n_vehicles, n_parameters) tensor."""
+    if ratios.ndim != 2 or ratios.shape[1] != n_parameters:
+        shape = tuple(ratios.shape)
+        raise ValueError(f"`ratios` must have shape (n_vehicles, {n_parameters}), got {shape}")
+    if not bool((torch.isfinite(ratios) & (ratios > 0)).all()):
+        raise ValueError("`ratios` must be positive and finite; 1 is healthy")

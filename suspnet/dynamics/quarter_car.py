@@ -1,0 +1,180 @@
+"""The quarter-car model of section II-A: transfer functions, natural modes, state space.
+
+With w, z_p, z_s the vertical displacements of wheel, bogie and car body::
+
+    M_p z_p'' + (c_p + c_s) z_p' - c_s z_s' + (k_p + k_s) z_p - k_s z_s = c_p w' + k_p w    (1)
+    M_s z_s'' - c_s (z_p' - z_s') - k_s (z_p - z_s) = 0                                     (2)
+
+The paper prints the last term of (1) as k_p w' and swaps the names of z_p and z_s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+from torch import Tensor
+
+from suspnet.dynamics.generator import check_ratios
+from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class QuarterCar:
+    """Frequency responses of a vehicle's quarter-car model, batched over parameter ratios.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The healthy vehicle.
+    device : str
+        Torch device of the tensors that come back.
+
+    Examples
+    --------
+    >>> am96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
+    >>> curves = QuarterCar(am96).magnitudes(torch.ones(1, 5), torch.tensor([0.001]))
+    >>> [round(gain, 3) for gain in curves.flatten().tolist()]
+    [1.0, 1.0]
+    """
+
+    vehicle: Vehicle
+    device: str = "cpu"
+
+    def parameters(self, ratios: Tensor) -> Tensor:
+        """Return (k_p, c_p, k_s, c_s, M_s) in SI units, shape (5, n_vehicles, 1).
+
+        Raises
+        ------
+        ValueError
+            If `ratios` is not a positive, finite tensor of shape (n_vehicles, 5).
+        """
+        check_ratios(ratios, len(PARAMETERS))
+        healthy = torch.tensor(self.vehicle.healthy_values(), dtype=torch.float64)
+        return (ratios.to(self.device, torch.float64) * healthy.to(self.device)).T.unsqueeze(-1)
+
+    def transfer_coefficients(self, ratios: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return numerator and denominator of G_P and of G_S, ascending powers of s.
+
+        G_P = num_p / den_p (Eq. 3 cleared of its inner fraction), G_S = num_s / den_s (Eq. 4).
+
+        Returns
+        -------
+        num_p, den_p, num_s, den_s : tensors of shape (n_vehicles, 4), (.., 5), (.., 2), (.., 3)
+        """
+        k_p, c_p, k_s, c_s, m_s = self.parameters(ratios)
+        m_p = self.vehicle.bogie_mass_kg
+        num_s = torch.cat([k_s, c_s], dim=1)
+        den_s = torch.cat([k_s, c_s, m_s], dim=1)
+        num_p = torch.cat([k_p * k_s, k_p * c_s + c_p * k_s, k_p * m_s + c_p * c_s, c_p * m_s], 1)
+        den_p = torch.cat(
+            [
+                k_p * k_s,
+                k_p * c_s + c_p * k_s,
+                m_p * k_s + m_s * (k_p + k_s) + c_p * c_s,
+                m_p * c_s + m_s * (c_p + c_s),
+                m_p * m_s,
+            ],
+            dim=1,
+        )
+        return num_p, den_p, num_s, den_s
+
+    def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
+        """Return complex G_p and G_s at s = 2 pi j f, Eqs. (3) and (4).
+
+        Parameters
+        ----------
+        ratios : tensor of shape (n_vehicles, 5), [-]
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+        Returns
+        -------
+        G_p, G_s : complex128 tensors of shape (n_vehicles, n_freq), [-]
+        """
+        s = 2j * math.pi * frequencies_hz.to(self.device, torch.float64)
+        num_p, den_p, num_s, den_s = (
+            _powers(s, c.shape[1], c.to(torch.complex128))
+            for c in self.transfer_coefficients(ratios)
+        )
+        return num_p / den_p, num_s / den_s
+
+    def magnitudes(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return abs(G_p) and abs(G_s) from ratios of real polynomials in omega^2.
+
+        For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
+        coefficients: no complex arithmetic is needed on the grid.
+
+        Returns
+        -------
+        tensor of shape (n_vehicles, 2, n_freq), float64, [-]
+        """
+        x = (2 * math.pi * frequencies_hz.to(self.device, torch.float64)) ** 2
+        num_p, den_p, num_s, den_s = (
+            _powers(x, c.shape[1], _squared_magnitude(c))
+            for c in self.transfer_coefficients(ratios)
+        )
+        return torch.stack([num_p / den_p, num_s / den_s], dim=1).sqrt()
+
+    def natural_modes(self) -> tuple[FloatArray, FloatArray]:
+        """Return natural frequencies [Hz], ascending, and mode shapes of the undamped vehicle.
+
+        Solves K v = omega^2 M v for (z_p, z_s).
+
+        Returns
+        -------
+        frequencies_hz : array of shape (2,), [Hz]
+        shapes : array of shape (2, 2)
+            Column j is mode j, mass-normalised.
+        """
+        mass, _, stiffness = self.matrices()
+        eigenvalues, shapes = eigh(stiffness, mass)
+        return np.sqrt(eigenvalues) / (2 * math.pi), shapes
+
+    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return mass [kg], damping [N s/m] and stiffness [N/m] matrices for (z_p, z_s), (2, 2)."""
+        k_p, c_p, k_s, c_s, m_s = self.vehicle.healthy_values()
+        mass = np.diag([self.vehicle.bogie_mass_kg, m_s])
+        damping = np.array([[c_p + c_s, -c_s], [-c_s, c_s]])
+        stiffness = np.array([[k_p + k_s, -k_s], [-k_s, k_s]])
+        return mass, damping, stiffness
+
+    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C, D with input w and outputs (z_p, z_s), all displacements [m].
+
+        The input enters through its derivative too (c_p w'); the state
+        x = (z_p, z_s, z_p' - c_p w / M_p, z_s') absorbs it, so no derivative of w is needed.
+        """
+        mass, damping, stiffness = self.matrices()
+        inverse = np.linalg.inv(mass)
+        a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
+        k_p, c_p = self.vehicle.healthy_values()[:2]
+        jump = inverse @ np.array([c_p, 0.0])
+        force = inverse @ np.array([k_p, 0.0])
+        b = np.concatenate([jump, force - inverse @ damping @ jump])[:, None]
+        return a, b, np.eye(2, 4), np.zeros((2, 1))
+
+
+def _powers(x: Tensor, n_terms: int, coefficients: Tensor) -> Tensor:
+    """Evaluate polynomials of ascending `coefficients` (n, n_terms) at x, as one product."""
+    return coefficients @ torch.stack([x**power for power in range(n_terms)])
+
+
+def _squared_magnitude(coefficients: Tensor) -> Tensor:
+    """Return the coefficients in x = omega^2 of abs(sum_k a_k (j omega)^k)^2, same shape.
+
+    The even powers give the real part, the odd ones the imaginary part; the coefficient of x^m
+    is sum over i + j = 2 m of (-1)^((i - j) / 2) a_i a_j.
+    """
+    n_terms = coefficients.shape[1]
+    squared = torch.zeros_like(coefficients)
+    for i in range(n_terms):
+        for j in range(i % 2, n_terms, 2):
+            sign = -1.0 if (i - j) // 2 % 2 else 1.0
+            squared[:, (i + j) // 2] += sign * coefficients[:, i] * coefficients[:, j]
+    return squared

@@ -1,0 +1,150 @@
+"""The numbers of a vehicle: six parameters of the quarter-car model, in SI units, checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
+"""What may vary, in the order of every array of parameter ratios (1 = healthy)."""
+
+FREQUENCY_RANGE_HZ = (0.2, 50.0)
+DAMPING_RATIO_RANGE = (1e-3, 10.0)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Six parameters of one wheel's share of a vehicle, in SI units (Table III of the paper).
+
+    On a road vehicle the tyre takes the place of the primary suspension.
+
+    Parameters
+    ----------
+    name : str
+        What the vehicle is called in files and plots.
+    bogie_mass_kg, body_mass_kg : float, [kg]
+        M_p and M_s, a quarter of the bogie frame's and of the car body's share.
+    primary_stiffness_n_per_m, secondary_stiffness_n_per_m : float, [N/m]
+        k_p between wheel and bogie, k_s between bogie and car body.
+    primary_damping_ns_per_m, secondary_damping_ns_per_m : float, [N s/m]
+        c_p and c_s.
+    source : str
+        Where the numbers come from.
+
+    Raises
+    ------
+    TypeError
+        If a parameter is not a number.
+    ValueError
+        If a parameter is not positive and finite, or if an uncoupled natural frequency or damping
+        ratio is so far off that a unit must be wrong; the message names the likely slip.
+
+    Examples
+    --------
+    >>> am96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
+    >>> round(am96.secondary_frequency_hz, 2)
+    1.67
+    """
+
+    name: str
+    bogie_mass_kg: float
+    body_mass_kg: float
+    primary_stiffness_n_per_m: float
+    primary_damping_ns_per_m: float
+    secondary_stiffness_n_per_m: float
+    secondary_damping_ns_per_m: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if field.name not in ("name", "source"):
+                _check_positive(field.name, getattr(self, field.name))
+        _check_frequency(self, "primary", self.primary_frequency_hz)
+        _check_frequency(self, "secondary", self.secondary_frequency_hz)
+        _check_damping(self, "primary", self.primary_damping_ratio)
+        _check_damping(self, "secondary", self.secondary_damping_ratio)
+
+    @property
+    def primary_frequency_hz(self) -> float:
+        """Uncoupled natural frequency of the bogie, sqrt((k_p + k_s) / M_p) / (2 pi), [Hz]."""
+        stiffness = self.primary_stiffness_n_per_m + self.secondary_stiffness_n_per_m
+        return math.sqrt(stiffness / self.bogie_mass_kg) / (2 * math.pi)
+
+    @property
+    def secondary_frequency_hz(self) -> float:
+        """Uncoupled natural frequency of the car body, sqrt(k_s / M_s) / (2 pi), [Hz]."""
+        return math.sqrt(self.secondary_stiffness_n_per_m / self.body_mass_kg) / (2 * math.pi)
+
+    @property
+    def primary_damping_ratio(self) -> float:
+        """Uncoupled damping ratio c_p / (2 sqrt(k_p M_p)), [-]."""
+        critical = 2 * math.sqrt(self.primary_stiffness_n_per_m * self.bogie_mass_kg)
+        return self.primary_damping_ns_per_m / critical
+
+    @property
+    def secondary_damping_ratio(self) -> float:
+        """Uncoupled damping ratio c_s / (2 sqrt(k_s M_s)), [-]."""
+        critical = 2 * math.sqrt(self.secondary_stiffness_n_per_m * self.body_mass_kg)
+        return self.secondary_damping_ns_per_m / critical
+
+    def degraded(self, **ratios: float) -> Vehicle:
+        """Return the vehicle with parameters multiplied by ratios, e.g. ``degraded(k_p=0.5)``.
+
+        Raises
+        ------
+        ValueError
+            If a name is not one of ``PARAMETERS``.
+        """
+        unknown = sorted(set(ratios) - set(PARAMETERS))
+        if unknown:
+            raise ValueError(f"`ratios` must be named as in {PARAMETERS}, got {unknown}")
+        changed = {_FIELD[name]: getattr(self, _FIELD[name]) * ratios[name] for name in ratios}
+        return replace(self, **changed)
+
+    def healthy_values(self) -> tuple[float, ...]:
+        """Return (k_p, c_p, k_s, c_s, M_s) of the healthy vehicle, SI units."""
+        return tuple(float(getattr(self, _FIELD[name])) for name in PARAMETERS)
+
+
+_FIELD = {
+    "k_p": "primary_stiffness_n_per_m",
+    "c_p": "primary_damping_ns_per_m",
+    "k_s": "secondary_stiffness_n_per_m",
+    "c_s": "secondary_damping_ns_per_m",
+    "M_s": "body_mass_kg",
+}
+
+
+def _check_positive(name: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"vehicle parameter `{name}` must be a number, got {value!r}")
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"vehicle parameter `{name}` must be positive and finite, got {value}")
+
+
+def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:
+    low, high = FREQUENCY_RANGE_HZ
+    if low <= frequency_hz <= high:
+        return
+    if frequency_hz < low:
+        slip = "is the stiffness in kN/m (multiply by 1e3), or a mass in grams?"
+    else:
+        slip = (
+            "is the stiffness 1e3 too large (the paper's Tables III and IV print kN/m "
+            "where N/m is meant), or a mass in tonnes?"
+        )
+    raise ValueError(
+        f"vehicle {vehicle.name!r}: the uncoupled {suspension} natural frequency is "
+        f"{frequency_hz:.3g} Hz, outside {low}-{high} Hz; {slip} Give N/m, N s/m and kg"
+    )
+
+
+def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
+    low, high = DAMPING_RATIO_RANGE
+    if low <= ratio <= high:
+        return
+    slip = "in kN s/m (multiply by 1e3)" if ratio < low else "1e3 too large (kN s/m for N s/m)"
+    raise ValueError(
+        f"vehicle {vehicle.name!r}: the {suspension} damping ratio is {ratio:.3g}, outside "
+        f"{low}-{high}; is the damping coefficient {slip}? Give N s/m"
+    )

@@ -1,0 +1,142 @@
+"""Feature sets: which peaks of which response, and where to look for them.
+
+"The largest peak" of abs(G_p) jumps from the first to the second resonance as k_p grows, so the
+two primary peaks are defined by their place, below and above the peak of abs(G_s): its position
+is the car body's frequency, near which abs(G_p) dips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from suspnet.features.peaks import PeakFit, PeakReason, Peaks, findpeaks
+
+PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
+MEASURES = ("position", "height", "width")
+LOWER_PEAK_ENDS = 1.2
+"""The lower primary peak lies below this multiple of the position of the secondary peak ..."""
+UPPER_PEAK_BEGINS = 1.6
+"""... and the upper one above this multiple."""
+UPPER_PEAK_TILT = 1.5
+_WINDOWS = {
+    "secondary": (0.4, 0.4),
+    "primary_lower": (0.4, 0.25),
+    "primary_upper": (0.25, 1.0),
+    "primary_largest": (0.3, 0.3),
+}
+
+
+@dataclass(frozen=True)
+class FeatureTable:
+    """Features of a batch of curves.
+
+    Attributes
+    ----------
+    values : tensor of shape (n_curves, 3 n_peaks)
+        Position [Hz], height [-] and width [Hz] of each peak; NaN where a peak is missing.
+    reasons : int64 tensor of shape (n_curves, n_peaks)
+        A ``PeakReason`` for each peak.
+    """
+
+    values: Tensor
+    reasons: Tensor
+
+
+@dataclass(frozen=True)
+class PeakFeatures:
+    """Position, height and width of chosen peaks of both responses.
+
+    Parameters
+    ----------
+    peaks : sequence of str
+        From ``PEAK_NAMES``. `secondary` is the peak of abs(G_s); `primary_lower` and
+        `primary_upper` those of abs(G_p) below and above it; `primary_largest` the paper's.
+    shape : {"lorentzian", "gaussian"}
+        Shape fitted to the top of each peak.
+    smoothing_hz : float, [Hz]
+        Length of the moving average.
+    low_hz, high_hz : float, [Hz]
+        Band in which peaks are searched.
+
+    Raises
+    ------
+    ValueError
+        If a peak is unknown or the band is empty.
+    """
+
+    peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
+    shape: Literal["lorentzian", "gaussian"] = "lorentzian"
+    smoothing_hz: float = 0.3
+    low_hz: float = 0.2
+    high_hz: float = 15.0
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.peaks if name not in PEAK_NAMES]
+        if unknown or not self.peaks:
+            raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
+        if not 0 < self.low_hz < self.high_hz:
+            raise ValueError(f"need 0 < low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature, in the order of the columns of `extract`."""
+        return tuple(f"{peak}_{measure}" for peak in self.peaks for measure in MEASURES)
+
+    def extract(self, magnitudes: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+        """Return the features of curves.
+
+        Parameters
+        ----------
+        magnitudes : tensor of shape (n_curves, 2, n_freq), [-]
+            abs(G_p) and abs(G_s).
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+        Returns
+        -------
+        FeatureTable
+        """
+        inside = (frequencies_hz >= self.low_hz) & (frequencies_hz <= self.high_hz)
+        frequencies = frequencies_hz[inside]
+        primary, secondary = magnitudes[:, :, inside].unbind(1)
+        found: dict[str, Peaks] = {}
+        if set(self.peaks) - {"primary_largest"}:
+            found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))
+        for name in self.peaks:
+            if name not in found:
+                place = None if name == "primary_largest" else found["secondary"]
+                found[name] = self._primary_peak(name, primary, frequencies, place)
+        chosen = [found[name] for name in self.peaks]
+        columns = [c for p in chosen for c in (p.position_hz, p.height, p.width_hz)]
+        return FeatureTable(
+            torch.stack(columns, dim=1), torch.stack([p.reason for p in chosen], dim=1)
+        )
+
+    def _primary_peak(
+        self, name: str, primary: Tensor, frequencies_hz: Tensor, secondary: Peaks | None
+    ) -> Peaks:
+        fit = self._fit(name)
+        if secondary is None:
+            return findpeaks(primary, frequencies_hz, fit=fit)
+        body = torch.nan_to_num(secondary.position_hz, nan=1.0)
+        if name == "primary_lower":
+            band = {"high_hz": LOWER_PEAK_ENDS * body}
+        else:
+            band = {"low_hz": UPPER_PEAK_BEGINS * body}
+        peak = findpeaks(primary, frequencies_hz, fit=fit, **band)
+        nan = torch.full_like(body, torch.nan)
+        measures = (peak.position_hz, peak.height, peak.width_hz)
+        unplaced = torch.full_like(peak.reason, PeakReason.PLACE_UNKNOWN)
+        return Peaks(
+            *(torch.where(secondary.valid, m, nan) for m in measures),
+            torch.where(secondary.valid, peak.reason, unplaced),
+        )
+
+    def _fit(self, name: str) -> PeakFit:
+        below, above = _WINDOWS[name]
+        tilt = UPPER_PEAK_TILT if name == "primary_upper" else 0.0
+        return PeakFit(self.shape, self.smoothing_hz, below, above, tilt)
