@@ -227,7 +227,7 @@ class CurveSource:
 
         name = f"{self.task.protocol}/{self.task.group} {'test' if stream else 'training'} curves"
         bar = tqdm(total=len(ratios), desc=name, unit="curve", disable=not self.progress)
-        with bar, _single_threaded_torch(self.threads), ThreadPoolExecutor(self.threads) as pool:
+        with bar, _single_threaded_torch(self.threads), _pool(self.threads) as pool:
             for _ in pool.map(make, range(self.n_blocks(len(ratios)))):
                 bar.update(min(BLOCK, len(ratios) - bar.n))
         mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
@@ -326,3 +326,13 @@ def _single_threaded_torch(workers: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Yield a pool that drops what is still waiting when it is left by an error or Ctrl-C."""
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -67,7 +67,7 @@ def read_json(path: Path) -> Any:
 
 def dump_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return arrays in the safetensors format."""
-    return save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    return save({name: np.array(array, order="C") for name, array in arrays.items()})
 
 
 def read_arrays(path: Path, sha256: str | None = None) -> dict[str, NDArray[Any]]:

@@ -200,7 +200,7 @@ def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
 
 
 def _pairs(n_components: int) -> int:
-    return n_components // 2
+    return (n_components + 1) // 2
 
 
 def _generator(seed: int) -> torch.Generator:

@@ -1,0 +1,236 @@
+"""Trained models as two files, model.safetensors and model.json; no pickle, checked when loaded."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import suspnet
+from suspnet.data.protocols import Task
+from suspnet.data.storage import (
+    DamagedFileError,
+    content_hash,
+    dump_arrays,
+    read_arrays,
+    read_json,
+    write_atomically,
+    write_json,
+)
+from suspnet.dynamics import Vehicle
+from suspnet.features import PeakFeatures
+from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
+
+SCHEMA_VERSION = 1
+ESTIMATORS: dict[str, Any] = {
+    "msvr": MSVR,
+    "svr": SVR,
+    "mvgpr": MVGPR,
+    "linear": LinearRegression,
+    "curve_fit": CurveFit,
+}
+"""Every method by the name of its file in configs/model/."""
+UNITS = {
+    "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
+    "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
+    "healthy_features": "position and width in Hz, height dimensionless",
+    "vehicle": "kg, N/m, N s/m",
+}
+FloatArray = NDArray[np.float64]
+
+
+class ModelFileError(ValueError):
+    """A model file is damaged, foreign or of another kind than needed."""
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A fitted method with all that is needed to use it.
+
+    Attributes
+    ----------
+    name : str
+        A key of ``ESTIMATORS``.
+    estimator : object
+        The fitted method; works on scaled inputs and outputs.
+    task : Task
+    vehicle : Vehicle
+    curve_settings : dict
+        Frequency bins and signal-to-noise ratio it was trained on.
+    healthy_features : array of shape (n_features,)
+        Features of the healthy vehicle, which the inputs are relative to.
+    input_scaling, output_scaling : Scaling or None
+        None for methods that fit curves directly.
+    training : dict
+        How the training went.
+    """
+
+    name: str
+    estimator: Any
+    task: Task
+    vehicle: Vehicle
+    curve_settings: dict[str, Any]
+    healthy_features: FloatArray
+    input_scaling: Scaling | None = None
+    output_scaling: Scaling | None = None
+    training: dict[str, Any] = field(default_factory=dict)
+
+    def predict(self, inputs: FloatArray) -> FloatArray:
+        """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
+
+        Parameters
+        ----------
+        inputs : array of shape (n_curves, n_inputs), [-]
+            Features relative to the healthy vehicle's, named as ``task.inputs``.
+
+        Raises
+        ------
+        ValueError
+            If the inputs do not fit the model, or it fits curves and has no inputs.
+        """
+        if self.input_scaling is None or self.output_scaling is None:
+            raise ValueError(f"{self.name} works on curves, not on features")
+        if inputs.ndim != 2 or inputs.shape[1] != len(self.task.inputs):
+            raise ValueError(
+                f"`inputs` must have shape (n_curves, {len(self.task.inputs)}) with columns "
+                f"{self.task.inputs}, got {inputs.shape}"
+            )
+        if not (np.isfinite(inputs) & (inputs > 0)).all():
+            raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
+        scaled = self.estimator.predict(self.input_scaling.apply(inputs))
+        return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
+
+
+def save_model(folder: Path, model: TrainedModel) -> None:
+    """Write model.safetensors, then model.json, each atomically.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    has_arrays = not isinstance(model.estimator, CurveFit)
+    arrays = model.estimator.state() if has_arrays else {}
+    content = dump_arrays(arrays)
+    description = {
+        "schema_version": SCHEMA_VERSION,
+        "suspnet_version": suspnet.__version__,
+        "model": model.name,
+        "parameters": _parameters(model.estimator),
+        "inputs": _scaling_json(model.task.inputs, model.input_scaling),
+        "outputs": _scaling_json(model.task.outputs, model.output_scaling),
+        "units": UNITS,
+        "healthy_features": model.healthy_features.tolist(),
+        "vehicle": asdict(model.vehicle),
+        "task": asdict(model.task),
+        "curve_settings": model.curve_settings,
+        "training": model.training,
+        "arrays_sha256": hashlib.sha256(content).hexdigest(),
+    }
+    description = _plain(description)
+    description["description_sha256"] = content_hash(description)
+    write_atomically(folder / "model.safetensors", content)
+    write_json(folder / "model.json", description)
+
+
+def load_model(folder: Path, device: str = "cpu") -> TrainedModel:
+    """Return the model that `save_model` wrote to a folder.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no model in the folder.
+    ModelFileError
+        If a file is damaged, foreign or of another schema version.
+    """
+    path = folder / "model.json"
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no model.json; is it the folder of a run?")
+    try:
+        content = read_json(path)
+        _check_description(path, content)
+        arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
+        return _build(content, arrays, device)
+    except DamagedFileError as error:
+        raise ModelFileError(f"{error}; train again or copy the run again") from error
+    except FileNotFoundError as error:
+        raise ModelFileError(f"{folder} holds model.json but no model.safetensors") from error
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ModelFileError(f"{path} is not a suspnet model: {error!r}") from error
+
+
+def _check_description(path: Path, content: Any) -> None:
+    if not isinstance(content, dict) or "schema_version" not in content:
+        raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
+    if content["schema_version"] != SCHEMA_VERSION:
+        raise ModelFileError(
+            f"{path} has schema version {content['schema_version']}, this suspnet reads "
+            f"{SCHEMA_VERSION}; train again"
+        )
+    claimed = content.pop("description_sha256", None)
+    if claimed != content_hash(content):
+        raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
+    if content["model"] not in ESTIMATORS:
+        raise ModelFileError(f"{path}: unknown model {content['model']!r}")
+
+
+def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+    estimator_type = ESTIMATORS[content["model"]]
+    parameters = dict(content["parameters"])
+    if "device" in parameters:
+        parameters["device"] = device
+    estimator = estimator_type(**parameters)
+    if arrays:
+        try:
+            estimator.restore(arrays)
+        except ValueError as error:
+            raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
+    task = dict(content["task"])
+    extractor = task.pop("extractor")
+    extractor["peaks"] = tuple(extractor["peaks"])
+    task = {key: tuple(v) if isinstance(v, list) else v for key, v in task.items()}
+    return TrainedModel(
+        name=content["model"],
+        estimator=estimator,
+        task=Task(**task, extractor=PeakFeatures(**extractor)),
+        vehicle=Vehicle(**content["vehicle"]),
+        curve_settings=content["curve_settings"],
+        healthy_features=np.array(content["healthy_features"]),
+        input_scaling=_scaling(content["inputs"]),
+        output_scaling=_scaling(content["outputs"]),
+        training=content["training"],
+    )
+
+
+def _parameters(estimator: Any) -> dict[str, Any]:
+    if isinstance(estimator, CurveFit):
+        return dict(vars(estimator))
+    return {k: v for k, v in estimator.get_params().items() if k != "callback"}
+
+
+def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:
+    if scaling is None:
+        return {"names": list(names)}
+    arrays = {f.name: getattr(scaling, f.name) for f in fields(scaling)}
+    return {"names": list(names), **_plain(arrays)}
+
+
+def _scaling(content: dict[str, Any]) -> Scaling | None:
+    if "mean" not in content:
+        return None
+    return Scaling(np.array(content["mean"]), np.array(content["scale"]), content["log"])
+
+
+def _plain(value: Any) -> Any:
+    """Return a JSON-able copy; floats survive the round trip exactly."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,111 @@
+"""What train.py and evaluate.py share: one clear line for a user's mistake, trusted targets."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from sklearn.exceptions import ConvergenceWarning
+
+from suspnet.data.storage import write_atomically
+
+DEBUG = "HYDRA_FULL_ERROR"
+MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
+_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
+
+
+def run(main: Callable[[], Any]) -> None:
+    """Run a Hydra program; end with one line and exit code 1 on a mistake, 130 on Ctrl-C.
+
+    HYDRA_FULL_ERROR=1 shows the traceback instead.
+    """
+    os.environ[DEBUG] = "1"
+    try:
+        main()
+    except KeyboardInterrupt:
+        print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
+        sys.exit(130)
+    except MISTAKES as error:
+        if _debugging:
+            raise
+        sys.exit(one_line(error))
+
+
+def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
+    """Wrap a Hydra task function: check its targets, end with one line on a mistake."""
+
+    @functools.wraps(function)
+    def wrapped(config: DictConfig) -> Any:
+        warnings.simplefilter("always", ConvergenceWarning)
+        try:
+            check_targets(config)
+            return function(config)
+        except MISTAKES as error:
+            if _debugging:
+                raise
+            raise SystemExit(one_line(error)) from None
+
+    return wrapped
+
+
+def one_line(error: BaseException) -> str:
+    """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
+    while isinstance(error, HydraException) and isinstance(error.__cause__, MISTAKES):
+        error = error.__cause__
+    words = str(error).split("Config search path")[0].split("full_key:")[0]
+    if isinstance(error, OSError) and error.strerror:
+        words = f"{error.filename}: {error.strerror}"
+    return "error: " + " ".join(words.split())
+
+
+def check_targets(config: DictConfig) -> None:
+    """Raise ValueError if a `_target_` lies outside suspnet."""
+    stack: list[Any] = [OmegaConf.to_container(config, resolve=False)]
+    while stack:
+        node = stack.pop()
+        if isinstance(node, dict):
+            target = node.get("_target_", "suspnet.")
+            if not str(target).startswith("suspnet."):
+                raise ValueError(f"`_target_` must lie in suspnet, got {target!r}")
+            stack.extend(node.values())
+        elif isinstance(node, list):
+            stack.extend(node)
+
+
+def run_folder() -> Path:
+    """Return the folder that Hydra made for this run."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def n_threads(wanted: int | None) -> int:
+    """Set torch's threads to `wanted`, or leave them; return their number.
+
+    Raises
+    ------
+    ValueError
+        If `wanted` is not a positive whole number or null.
+    """
+    if wanted is None:
+        return torch.get_num_threads()
+    if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
+        raise ValueError(f"`threads` must be a positive whole number or null, got {wanted!r}")
+    torch.set_num_threads(wanted)
+    return wanted
+
+
+def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:
+    """Write the resolved configuration to config.yaml and return it as plain values."""
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(config, resolve=True))
+    plain = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(plain, dict)
+    return {str(key): value for key, value in plain.items()}

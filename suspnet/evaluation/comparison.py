@@ -1,0 +1,178 @@
+"""Table VI: the paper's published figures beside ours, as records, Markdown and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tabulate import tabulate
+
+from suspnet.evaluation.metrics import METRICS
+
+MODEL_TITLES = {
+    "msvr": "MSVR",
+    "svr": "SVR",
+    "mvgpr": "MV-GPR",
+    "linear": "MV-LR",
+    "curve_fit": "curve fit",
+}
+GROUP_OF_OUTPUT = {
+    "k_p": "primary",
+    "c_p": "primary",
+    "k_s": "secondary",
+    "c_s": "secondary",
+    "M_s": "mass",
+}
+PUBLISHED = {
+    ("k_p", "mape_percent"): {"msvr": 5.89, "svr": 7.34, "mvgpr": 14.76, "linear": 19.69},
+    ("k_p", "rmse"): {"msvr": 0.0579, "svr": 0.0721, "mvgpr": 0.1438, "linear": 0.1953},
+    ("c_p", "mape_percent"): {"msvr": 8.97, "svr": 10.29, "mvgpr": 17.26, "linear": 21.71},
+    ("c_p", "rmse"): {"msvr": 0.0871, "svr": 0.1013, "mvgpr": 0.1703, "linear": 0.2151},
+    ("k_s", "mape_percent"): {"msvr": 4.37, "svr": 6.96, "mvgpr": 13.27, "linear": 18.06},
+    ("k_s", "rmse"): {"msvr": 0.0426, "svr": 0.0673, "mvgpr": 0.1311, "linear": 0.1791},
+    ("c_s", "mape_percent"): {"msvr": 7.53, "svr": 9.92, "mvgpr": 16.43, "linear": 20.84},
+    ("c_s", "rmse"): {"msvr": 0.0739, "svr": 0.0972, "mvgpr": 0.1632, "linear": 0.2073},
+}
+"""What the paper prints in its Table VI; for comparison only."""
+
+Record = dict[str, Any]
+
+
+def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
+    """Return one record for each output and metric of each run.
+
+    Parameters
+    ----------
+    runs : sequence of mappings
+        The metrics.json of each run: protocol, model, scores, limit, n_train, snr_db, seed,
+        seconds.
+
+    Returns
+    -------
+    list of dict
+        Keys protocol, group, output, metric, model, published, measured, limit, n_train, snr_db,
+        seed, seconds; `published` is None where the paper has no figure. Ordered as Table VI.
+    """
+    records = [
+        {
+            "protocol": run["protocol"],
+            "group": GROUP_OF_OUTPUT[output],
+            "output": output,
+            "metric": metric,
+            "model": run["model"],
+            "published": PUBLISHED.get((output, metric), {}).get(run["model"]),
+            "measured": scores[metric],
+            "limit": run["limit"][output][metric],
+            "n_train": run["n_train"],
+            "snr_db": run["snr_db"],
+            "seed": run["seed"],
+            "seconds": run["seconds"],
+        }
+        for run in runs
+        for output, scores in run["scores"].items()
+        for metric in METRICS
+    ]
+    outputs, models = list(GROUP_OF_OUTPUT), list(MODEL_TITLES)
+    return sorted(
+        records,
+        key=lambda r: (
+            r["protocol"],
+            outputs.index(r["output"]),
+            METRICS.index(r["metric"]),
+            models.index(r["model"]),
+        ),
+    )
+
+
+def table6_markdown(records: Sequence[Record]) -> str:
+    """Return Table VI as Markdown: for each model the published and the measured figure."""
+    models = [name for name in MODEL_TITLES if any(r["model"] == name for r in records)]
+    header = ["group", "output", "metric"]
+    header += [f"{MODEL_TITLES[m]} {what}" for m in models for what in ("paper", "ours")]
+    cells: dict[tuple[str, str, str], dict[str, Record]] = {}
+    for r in records:
+        cells.setdefault((r["group"], r["output"], r["metric"]), {})[r["model"]] = r
+    rows = []
+    for key, by_model in cells.items():
+        row: list[str] = [*key[:2], "MAPE %" if key[2] == "mape_percent" else "RMSE"]
+        for model in models:
+            record = by_model.get(model, {})
+            row += [_number(record.get("published")), _number(record.get("measured"))]
+        rows.append([*row, _number(next(iter(by_model.values()))["limit"])])
+    return tabulate(rows, [*header, "limit"], tablefmt="github", disable_numparse=True)
+
+
+def table6_caption(records: Sequence[Record]) -> str:
+    """Return one line that says how the measured figures came about."""
+    first = records[0]
+    seconds: dict[str, float] = {}
+    for run in {(r["model"], r["seconds"]) for r in records}:
+        seconds[run[0]] = seconds.get(run[0], 0.0) + run[1]
+    times = ", ".join(
+        f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds
+    )
+    return (
+        f"protocol {first['protocol']}, {first['n_train']} training curves, "
+        f"{first['snr_db']:g} dB, seed {first['seed']}; fitting and predicting took {times}"
+    )
+
+
+def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
+    """Return one record for each output of each run: MAPE, and its limit, against the noise.
+
+    The sensor precision is the noise's rms relative to the signal's, 100 * 10^(-SNR/20) percent.
+    """
+    records = [
+        {
+            "protocol": run["protocol"],
+            "model": run["model"],
+            "output": output,
+            "snr_db": run["snr_db"],
+            "precision_percent": 100 * 10 ** (-run["snr_db"] / 20),
+            "mape_percent": scores["mape_percent"],
+            "limit": run["limit"][output]["mape_percent"],
+            "n_train": run["n_train"],
+            "seed": run["seed"],
+        }
+        for run in runs
+        for output, scores in run["scores"].items()
+    ]
+    outputs = list(GROUP_OF_OUTPUT)
+    return sorted(records, key=lambda r: (r["model"], outputs.index(r["output"]), r["snr_db"]))
+
+
+def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return records as CSV with a header line."""
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, fieldnames=list(records[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    return stream.getvalue()
+
+
+def scores_table(
+    scores: Mapping[str, Mapping[str, float]], limit: Mapping[str, Mapping[str, float]]
+) -> str:
+    """Return the scores of one run beside the information limit, as Markdown."""
+    rows = [
+        [
+            output,
+            _number(values["mape_percent"]),
+            _number(limit[output]["mape_percent"]),
+            _number(values["rmse"]),
+            _number(limit[output]["rmse"]),
+        ]
+        for output, values in scores.items()
+    ]
+    header = ["output", "MAPE %", "limit", "RMSE", "limit"]
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    if value >= 100:
+        return f"{value:.0f}"
+    return f"{value:.2f}" if value >= 1 else f"{value:.3g}"

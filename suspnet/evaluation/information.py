@@ -1,0 +1,155 @@
+"""What can be known at best: Cramer-Rao bounds, and the limit where the mass cannot be told apart.
+
+The noise is that of `suspnet.data.curves`: independent over bins, of known rms. An unbiased
+estimator of theta has at least the covariance I^-1 with I = J^T J / rms^2, J the derivative of the
+curves; a Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from suspnet.data.curves import noise_rms
+from suspnet.data.protocols import RESPONSES, Task
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+
+ROWS = 256
+FloatArray = NDArray[np.float64]
+
+
+def fisher_information(
+    generator: ResponseGenerator,
+    ratios: FloatArray,
+    frequencies_hz: Tensor,
+    snr_db: float,
+    parameters: Sequence[str] = PARAMETERS,
+    responses: Sequence[str] = RESPONSES,
+) -> FloatArray:
+    """Return the information of noisy curves on some parameters, the others being known.
+
+    I = sum over curves of J^T J / rms^2, J by forward-mode differentiation.
+
+    Parameters
+    ----------
+    generator : ResponseGenerator
+    ratios : array of shape (n_vehicles, 5), [-]
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    snr_db : float, [dB]
+    parameters, responses : sequences of str
+        From ``PARAMETERS`` and ``RESPONSES``.
+
+    Returns
+    -------
+    array of shape (n_vehicles, n_parameters, n_parameters)
+        With respect to ratios to healthy.
+    """
+    columns = [PARAMETERS.index(name) for name in parameters]
+    used = [RESPONSES.index(name) for name in responses]
+    blocks = []
+    for rows in torch.as_tensor(ratios).split(ROWS):
+        curves = generator.magnitudes(rows, frequencies_hz)[:, used]
+        rms = noise_rms(curves, snr_db)
+        derivatives = []
+        for column in columns:
+            tangent = torch.zeros_like(rows)
+            tangent[:, column] = 1
+            _, derivative = torch.func.jvp(
+                lambda r: generator.magnitudes(r, frequencies_hz)[:, used], (rows,), (tangent,)
+            )
+            derivatives.append((derivative / rms).flatten(1))
+        jacobian = torch.stack(derivatives, dim=1)
+        blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
+    return np.concatenate(blocks)
+
+
+def cramer_rao(information: FloatArray) -> FloatArray:
+    """Return the least standard deviations, shape (n, n_parameters); inf where unidentifiable.
+
+    A matrix whose scaled form has a condition number above 1e12 has no usable inverse.
+    """
+    scale = np.sqrt(np.einsum("nii->ni", information))
+    bounds = np.full(scale.shape, np.inf)
+    scaled = information / (scale[:, :, None] * scale[:, None, :])
+    usable = np.linalg.cond(scaled) < 1e12
+    inverse = np.linalg.inv(scaled[usable])
+    bounds[usable] = np.sqrt(np.einsum("nii->ni", inverse)) / scale[usable]
+    return bounds
+
+
+def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
+    """Return the best possible MAPE and RMSE from abs(G_s) alone with the mass unknown.
+
+    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m
+    of the mass is possible where k_s = (k_s / M_s) m and c_s stay in range, with probability
+    proportional to m^2 (the density of k_s, c_s uniform in their range, seen through the ratios).
+    The mean over the levels has the least RMSE, the median weighted by 1/k_s the least MAPE.
+
+    Parameters
+    ----------
+    task : Task
+    ratios : array of shape (n_vehicles, 5), [-]
+        Over which the errors are averaged.
+    """
+    levels = task.levels("M_s")
+    mass = ratios[:, PARAMETERS.index("M_s")]
+    stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
+    candidates = levels[:, None]
+    low, high = task.lower - 1e-9, task.upper + 1e-9
+    possible = np.ones((len(levels), len(ratios)), dtype=bool)
+    for ratio in (stiffness, damping):
+        possible &= (ratio * candidates >= low) & (ratio * candidates <= high)
+    probability = possible * candidates**2
+    probability = probability / probability.sum(axis=0)
+    mean_mass = (probability * candidates).sum(axis=0)
+    median_mass = _weighted_median(levels, probability / candidates)
+    mape = float(100 * np.mean(np.abs(median_mass / mass - 1)))
+    return {
+        name: {
+            "mape_percent": mape,
+            "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
+        }
+        for name, ratio in (("k_s", stiffness), ("c_s", damping))
+    }
+
+
+def best_possible(
+    task: Task,
+    generator: ResponseGenerator,
+    ratios: FloatArray,
+    frequencies_hz: Tensor,
+    snr_db: float,
+) -> dict[str, dict[str, float]]:
+    """Return {output: {"mape_percent": ..., "rmse": ...}}: the information limit of a task.
+
+    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be told from the
+    suspension (abs(G_s) alone), the limit set by that ambiguity.
+    """
+    ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
+    if ambiguous and task.sampling == "grid":
+        return {k: v for k, v in scale_ambiguity_limit(task, ratios).items() if k in task.outputs}
+    information = fisher_information(
+        generator, ratios, frequencies_hz, snr_db, task.unknown, task.responses
+    )
+    bounds = cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
+    relative = bounds / ratios[:, task.output_indices]
+    mape = 100 * math.sqrt(2 / math.pi) * relative.mean(axis=0)
+    rmse = np.sqrt(np.mean(bounds**2, axis=0))
+    return {
+        name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
+        for j, name in enumerate(task.outputs)
+    }
+
+
+def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return for each column of `weights` (n_levels, n) the median of ascending `levels`."""
+    cumulative = np.cumsum(weights, axis=0)
+    index = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
+    return np.asarray(levels[index])
+
+

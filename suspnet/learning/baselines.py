@@ -1,0 +1,172 @@
+"""The methods MSVR is compared with: one SVR for each output, and linear regression."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import ArrayLike, NDArray
+from sklearn import linear_model, svm
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.metrics.pairwise import rbf_kernel
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from suspnet.learning.msvr import check_number
+
+PREDICT_ROWS = 1024
+FloatArray = NDArray[np.float64]
+
+
+class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """One epsilon-insensitive support vector regression for each output (scikit-learn's libsvm).
+
+    Kernel exp(-|x - z|^2 / sigma^2) as in `MSVR`. The loss is linear outside the tube.
+
+    Parameters
+    ----------
+    C : float, default=10.0
+        Penalty, > 0.
+    sigma : float, default=3.0
+        Kernel width, > 0.
+    epsilon : float, default=1e-3
+        Half width of the tube, >= 0.
+    tol : float, default=1e-3
+        libsvm's stopping tolerance.
+    cache_size_mb : float, default=400.0
+        libsvm's kernel cache for each output.
+    n_jobs : int or None, default=2
+        Outputs fitted at the same time, in threads.
+    callback : callable, optional
+        Called with the number of outputs fitted so far.
+
+    Attributes
+    ----------
+    support_vectors_, dual_coef_ : list of arrays
+        For each output, shapes (n_support, n_inputs) and (n_support,).
+    intercept_ : array of shape (n_outputs,)
+    support_fraction_ : float
+        Mean fraction of the samples that are support vectors.
+    converged_ : bool
+
+    Raises
+    ------
+    TypeError, ValueError
+        From `fit`, if a parameter or the data is out of range.
+    """
+
+    def __init__(
+        self,
+        C: float = 10.0,
+        sigma: float = 3.0,
+        epsilon: float = 1e-3,
+        tol: float = 1e-3,
+        cache_size_mb: float = 400.0,
+        n_jobs: int | None = 2,
+        callback: Callable[[int], None] | None = None,
+    ) -> None:
+        self.C = C
+        self.sigma = sigma
+        self.epsilon = epsilon
+        self.tol = tol
+        self.cache_size_mb = cache_size_mb
+        self.n_jobs = n_jobs
+        self.callback = callback
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Fit one machine for each column of `y`, (n_samples,) or (n_samples, n_outputs)."""
+        for name in ("C", "sigma", "tol"):
+            check_number(name, getattr(self, name), low=0, open_low=True)
+        check_number("epsilon", self.epsilon, low=0)
+        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+        targets = np.asarray(y, dtype=np.float64).reshape(len(X), -1)
+        self._single_output = np.ndim(y) == 1
+        machines = Parallel(self.n_jobs, prefer="threads", return_as="generator")(
+            delayed(self._fit_output)(X, column) for column in targets.T
+        )
+        fitted = []
+        for machine in machines:
+            fitted.append(machine)
+            if self.callback is not None:
+                self.callback(len(fitted))
+        self.support_vectors_ = [np.asarray(machine.support_vectors_) for machine in fitted]
+        self.dual_coef_ = [np.asarray(machine.dual_coef_[0]) for machine in fitted]
+        self.intercept_ = np.array([float(machine.intercept_[0]) for machine in fitted])
+        self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(X))
+        self.converged_ = all(machine.fit_status_ == 0 for machine in fitted)
+        return self
+
+    def predict(self, X: ArrayLike) -> FloatArray:
+        """Return predictions, shape (n_samples,) or (n_samples, n_outputs)."""
+        check_is_fitted(self)
+        X = validate_data(self, X, reset=False, dtype=np.float64)
+        predicted = np.empty((len(X), len(self.intercept_)))
+        for start in range(0, len(X), PREDICT_ROWS):
+            rows = slice(start, start + PREDICT_ROWS)
+            for j, (vectors, dual) in enumerate(
+                zip(self.support_vectors_, self.dual_coef_, strict=True)
+            ):
+                predicted[rows, j] = self._kernel(X[rows], vectors) @ dual
+        predicted += self.intercept_
+        return predicted[:, 0] if self._single_output else predicted
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays that, with the parameters, make up the fitted model."""
+        check_is_fitted(self)
+        arrays = {f"support_vectors.{j}": v for j, v in enumerate(self.support_vectors_)}
+        arrays |= {f"dual_coef.{j}": v for j, v in enumerate(self.dual_coef_)}
+        return arrays | {"intercept": self.intercept_}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> Self:
+        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        try:
+            self.intercept_ = state["intercept"]
+            outputs = range(len(self.intercept_))
+            self.support_vectors_ = [state[f"support_vectors.{j}"] for j in outputs]
+            self.dual_coef_ = [state[f"dual_coef.{j}"] for j in outputs]
+        except KeyError as error:
+            raise ValueError(f"the arrays are not those of an SVR model ({error})") from error
+        pairs = zip(self.support_vectors_, self.dual_coef_, strict=True)
+        if any(len(vectors) != len(dual) for vectors, dual in pairs):
+            raise ValueError("support vectors and dual coefficients differ in number")
+        self.n_features_in_ = self.support_vectors_[0].shape[1]
+        self._single_output = False
+        return self
+
+    def _fit_output(self, X: FloatArray, y: FloatArray) -> Any:
+        machine = svm.SVR(
+            kernel="rbf",
+            gamma=1 / self.sigma**2,
+            C=self.C,
+            epsilon=self.epsilon,
+            tol=self.tol,
+            cache_size=self.cache_size_mb,
+        )
+        return machine.fit(X, y)
+
+    def _kernel(self, X: FloatArray, vectors: FloatArray) -> FloatArray:
+        return np.asarray(rbf_kernel(X, vectors, gamma=1 / self.sigma**2))
+
+
+class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
+    """Ordinary least squares with an intercept (scikit-learn's), the paper's MV-LR."""
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays of the fitted model."""
+        check_is_fitted(self)
+        return {"coef": np.atleast_2d(self.coef_), "intercept": np.atleast_1d(self.intercept_)}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> Self:
+        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        try:
+            self.coef_, self.intercept_ = state["coef"], state["intercept"]
+        except KeyError as error:
+            raise ValueError(f"the arrays are not those of a linear model ({error})") from error
+        if self.coef_.ndim != 2 or len(self.coef_) != len(self.intercept_):
+            raise ValueError(f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}")
+        self.n_features_in_ = self.coef_.shape[1]
+        return self

@@ -1,0 +1,310 @@
+"""Multivariate Gaussian process regression (Chen, Wang and Gorban, 2020), the paper's MV-GPR."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Self
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted, validate_data
+from torch import Tensor
+
+from suspnet.learning.feature_maps import rbf_kernel
+from suspnet.learning.msvr import check_number
+
+START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
+BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
+PREDICT_ROWS = 1024
+FloatArray = NDArray[np.float64]
+
+
+def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the log density of Y ~ MN(0, K', Omega) at its best Omega, and that Omega.
+
+    log p = -n Q/2 log(2 pi) - Q/2 log|K'| - n/2 log|Omega| - tr(Omega^-1 Y^T K'^-1 Y) / 2,
+    greatest for Omega = Y^T K'^-1 Y / n, where the last term is -n Q / 2.
+
+    Parameters
+    ----------
+    Y : tensor of shape (n_samples, n_outputs)
+    factor : tensor of shape (n_samples, n_samples)
+        Lower Cholesky factor of K' = K + sigma_n^2 I.
+    """
+    n_samples, n_outputs = Y.shape
+    whitened = torch.linalg.solve_triangular(factor, Y, upper=False)
+    omega = whitened.T @ whitened / n_samples
+    log_det = 2 * factor.diagonal().log().sum()
+    constant = n_samples * n_outputs * (math.log(2 * math.pi) + 1)
+    return -0.5 * (constant + n_outputs * log_det + n_samples * torch.logdet(omega)), omega
+
+
+@dataclass(frozen=True)
+class LikelihoodEvaluation:
+    """What a callback is told after each evaluation of the likelihood."""
+
+    n_evaluations: int
+    log_likelihood: float
+    length_scale: float
+    noise_to_signal: float
+
+
+class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Gaussian process with the covariance Omega x (sigma_f^2 exp(-d^2/(2 l^2)) + sigma_n^2 I).
+
+    Omega (outputs) is profiled out of the marginal likelihood. Scaling sigma_f^2 and sigma_n^2 by
+    the same factor and dividing Omega by it changes nothing, so optimised values are reported with
+    the mean of Omega's diagonal equal to 1. The mean of the outputs is subtracted.
+
+    Parameters
+    ----------
+    length_scale, signal_variance, noise_variance : float
+        l, sigma_f^2 and sigma_n^2: the values used, or the first start of the optimiser.
+    optimizer : {"marginal_likelihood"} or None, default="marginal_likelihood"
+        None uses the three values as they are.
+    n_restarts : int, default=2
+        Further starts, drawn log-uniformly from Table V's ranges.
+    n_optimize : int, default=1000
+        Samples (drawn at random) on which the likelihood is maximised; the fit uses all.
+    max_iter : int, default=100
+        L-BFGS iterations of each start.
+    random_state : int, RandomState or None, default=0
+    device : str, default="cpu"
+    callback : callable, optional
+        Called with a ``LikelihoodEvaluation`` after each evaluation.
+
+    Attributes
+    ----------
+    length_scale_, signal_variance_, noise_variance_ : float
+    omega_ : array of shape (n_outputs, n_outputs)
+        Covariance of the outputs, up to the kernel's factor.
+    log_marginal_likelihood_ : float
+        Of all training samples.
+    n_iter_ : int
+    converged_ : bool
+        Of the optimiser's best start; 1 and True without an optimiser.
+
+    Raises
+    ------
+    TypeError, ValueError
+        From `fit`, if a parameter or the data is out of range, or if the kernel matrix is not
+        positive definite to working precision (the message says what to raise).
+
+    Warns
+    -----
+    ConvergenceWarning
+        If the optimiser of the best start did not converge.
+    """
+
+    def __init__(
+        self,
+        length_scale: float = 3.0,
+        signal_variance: float = 1.0,
+        noise_variance: float = 1e-3,
+        optimizer: Literal["marginal_likelihood"] | None = "marginal_likelihood",
+        n_restarts: int = 2,
+        n_optimize: int = 1000,
+        max_iter: int = 100,
+        random_state: Any = 0,
+        device: str = "cpu",
+        callback: Callable[[LikelihoodEvaluation], None] | None = None,
+    ) -> None:
+        self.length_scale = length_scale
+        self.signal_variance = signal_variance
+        self.noise_variance = noise_variance
+        self.optimizer = optimizer
+        self.n_restarts = n_restarts
+        self.n_optimize = n_optimize
+        self.max_iter = max_iter
+        self.random_state = random_state
+        self.device = device
+        self.callback = callback
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
+        self._check_parameters()
+        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+        targets = np.asarray(y, dtype=np.float64)
+        self._single_output = targets.ndim == 1
+        targets = targets.reshape(len(X), -1)
+        self.mean_ = targets.mean(axis=0)
+        samples = torch.tensor(X, dtype=torch.float64, device=self.device)
+        centred = torch.tensor(targets - self.mean_, dtype=torch.float64, device=self.device)
+        self.length_scale_ = float(self.length_scale)
+        self.signal_variance_ = float(self.signal_variance)
+        self.noise_variance_ = float(self.noise_variance)
+        self.converged_, self.n_iter_ = True, 1
+        if self.optimizer is not None and bool(torch.linalg.matrix_rank(centred) == centred.shape[1]):
+            self._optimize(samples, centred)
+        self._condition(samples, centred)
+        if not self.converged_:
+            warnings.warn(
+                f"MVGPR's likelihood did not converge in {self.max_iter} iterations; raise "
+                "max_iter or give a better start",
+                ConvergenceWarning,
+                stacklevel=2,
+            )
+        return self
+
+    def predict(
+        self, X: ArrayLike, return_std: bool = False, return_cov: bool = False
+    ) -> FloatArray | tuple[FloatArray, FloatArray]:
+        """Return the predictive mean, and the spread of a new noisy output if asked.
+
+        Parameters
+        ----------
+        X : array of shape (n_samples, n_inputs)
+        return_std : bool
+            Also return the standard deviations, shaped as the mean.
+        return_cov : bool
+            Also return the covariance between outputs, (n_samples, n_outputs, n_outputs).
+
+        Returns
+        -------
+        mean : array of shape (n_samples,) or (n_samples, n_outputs)
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, reset=False, dtype=np.float64)
+        samples = torch.tensor(X, dtype=torch.float64, device=self.device)
+        weights = torch.tensor(self.weights_, device=self.device)
+        spread = return_std or return_cov
+        means, variances = [], []
+        for rows in samples.split(PREDICT_ROWS):
+            cross = self._kernel(rows, self._samples)
+            means.append((cross @ weights).cpu().numpy())
+            if spread:
+                half = torch.linalg.solve_triangular(self._factor(), cross.T, upper=False)
+                explained = half.square().sum(dim=0).cpu().numpy()
+                variances.append(self.signal_variance_ + self.noise_variance_ - explained)
+        mean = np.concatenate(means) + self.mean_
+        mean = mean[:, 0] if self._single_output else mean
+        if not spread:
+            return mean
+        variance = np.maximum(np.concatenate(variances), 0.0)
+        if return_cov:
+            return mean, variance[:, None, None] * self.omega_
+        std = np.sqrt(variance[:, None] * self.omega_.diagonal())
+        return mean, std[:, 0] if self._single_output else std
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays that, with the parameters, make up the fitted model."""
+        check_is_fitted(self)
+        kernel = [self.length_scale_, self.signal_variance_, self.noise_variance_]
+        return {
+            "samples": self._samples.cpu().numpy(),
+            "weights": self.weights_,
+            "mean": self.mean_,
+            "omega": self.omega_,
+            "kernel": np.array(kernel),
+        }
+
+    def restore(self, state: Mapping[str, FloatArray]) -> Self:
+        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        try:
+            self._samples = torch.tensor(state["samples"], device=self.device)
+            self.weights_, self.mean_ = state["weights"], state["mean"]
+            self.omega_, kernel = state["omega"], state["kernel"]
+        except KeyError as error:
+            raise ValueError(f"the arrays are not those of an MVGPR model ({error})") from error
+        n_outputs = len(self.mean_)
+        if self.weights_.shape != (len(self._samples), n_outputs) or kernel.shape != (3,):
+            raise ValueError(f"weights have shape {self.weights_.shape}, mean {self.mean_.shape}")
+        self.length_scale_, self.signal_variance_, self.noise_variance_ = map(float, kernel)
+        self.n_features_in_ = self._samples.shape[1]
+        self._single_output = False
+        self._kept_factor = None
+        return self
+
+    def _check_parameters(self) -> None:
+        for name in ("length_scale", "signal_variance", "noise_variance"):
+            check_number(name, getattr(self, name), low=0, open_low=True)
+        check_number("n_restarts", self.n_restarts, low=0, whole=True)
+        check_number("n_optimize", self.n_optimize, low=2, whole=True)
+        check_number("max_iter", self.max_iter, low=1, whole=True)
+        if self.optimizer not in (None, "marginal_likelihood"):
+            raise ValueError(
+                f"`optimizer` must be 'marginal_likelihood' or None, got {self.optimizer!r}"
+            )
+
+    def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
+        return self.signal_variance_ * rbf_kernel(X, Z, math.sqrt(2) * self.length_scale_)
+
+    def _factor(self) -> Tensor:
+        """Return the Cholesky factor of K'; made again after loading, when first needed."""
+        if self._kept_factor is None:
+            kernel = self._kernel(self._samples, self._samples)
+            kernel.diagonal().add_(self.noise_variance_)
+            self._kept_factor = _cholesky(kernel)
+        return self._kept_factor
+
+    def _condition(self, samples: Tensor, centred: Tensor) -> None:
+        self._samples, self._kept_factor = samples, None
+        factor = self._factor()
+        value, omega = log_marginal_likelihood(centred, factor)
+        self.log_marginal_likelihood_ = float(value)
+        self.omega_ = omega.cpu().numpy()
+        self.weights_ = torch.cholesky_solve(centred, factor).cpu().numpy()
+
+    def _optimize(self, samples: Tensor, centred: Tensor) -> None:
+        random = check_random_state(self.random_state)
+        chosen = random.permutation(len(samples))[: self.n_optimize]
+        samples, centred = samples[chosen], centred[chosen]
+        squared = torch.cdist(samples, samples).square()
+        evaluations = 0
+
+        def negative(theta: FloatArray) -> tuple[float, FloatArray]:
+            nonlocal evaluations
+            logs = torch.tensor(theta, requires_grad=True, device=samples.device)
+            kernel = torch.exp(-0.5 * squared * torch.exp(-2 * logs[0]))
+            kernel = kernel + torch.exp(logs[1]) * torch.eye(len(samples)).to(samples)
+            value, _ = log_marginal_likelihood(centred, _cholesky(kernel))
+            value.backward()  # type: ignore[no-untyped-call]
+            evaluations += 1
+            if self.callback is not None:
+                length, noise = np.exp(theta)
+                told = LikelihoodEvaluation(evaluations, float(value), float(length), float(noise))
+                self.callback(told)
+            gradient = logs.grad if logs.grad is not None else torch.zeros_like(logs)
+            return -float(value), -gradient.cpu().numpy()
+
+        starts = [np.log([self.length_scale, self.noise_variance / self.signal_variance])]
+        lows, highs = np.log(list(START_RANGES.values())).T
+        starts += [random.uniform(lows, highs) for _ in range(self.n_restarts)]
+        bounds = np.log(list(BOUNDS.values()))
+        runs = [
+            minimize(
+                negative,
+                np.clip(start, bounds[:, 0], bounds[:, 1]),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxiter": self.max_iter},
+            )
+            for start in starts
+        ]
+        best = min(runs, key=lambda run: run.fun)
+        self.converged_, self.n_iter_ = bool(best.success), max(1, int(best.nit))
+        self.length_scale_, noise = map(float, np.exp(best.x))
+        kernel = torch.exp(-0.5 * squared / self.length_scale_**2)
+        kernel.diagonal().add_(noise)
+        _, omega = log_marginal_likelihood(centred, _cholesky(kernel))
+        self.signal_variance_ = float(omega.diagonal().mean())
+        self.noise_variance_ = noise * self.signal_variance_
+
+
+def _cholesky(kernel: Tensor) -> Tensor:
+    factor, info = torch.linalg.cholesky_ex(kernel)
+    if int(info):
+        raise ValueError(
+            f"the {len(kernel)} x {len(kernel)} kernel matrix is not positive definite to working "
+            "precision; raise noise_variance or lower length_scale"
+        )
+    return factor

@@ -1,0 +1,54 @@
+"""Logarithm and standardisation of inputs and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """z = (log v - mean) / scale, or without the logarithm, column by column.
+
+    Attributes
+    ----------
+    mean, scale : arrays of shape (n_columns,)
+    log : bool
+        Whether the logarithm is taken; values must then be positive.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    log: bool = True
+
+    @classmethod
+    def of(cls, values: FloatArray, log: bool = True) -> Scaling:
+        """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
+
+        Raises
+        ------
+        ValueError
+            If a column is constant, or not positive where its logarithm is taken.
+        """
+        if log and not (values > 0).all():
+            raise ValueError("values must be positive for a logarithmic scaling")
+        moved = np.log(values) if log else values
+        scale = moved.std(axis=0)
+        constant = np.flatnonzero(~(scale > 0))
+        if constant.size:
+            raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")
+        return cls(moved.mean(axis=0), scale, log)
+
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Return scaled values, same shape."""
+        moved = np.log(values) if self.log else values
+        return np.asarray((moved - self.mean) / self.scale)
+
+    def undo(self, scaled: FloatArray) -> FloatArray:
+        """Return values from scaled ones, same shape."""
+        moved = scaled * self.scale + self.mean
+        return np.exp(moved) if self.log else np.asarray(moved)

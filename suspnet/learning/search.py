@@ -1,0 +1,127 @@
+"""Hyperparameters by cross-validation over a grid: the least RMSE wins (Table V)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.metrics import make_scorer, root_mean_squared_error
+from sklearn.model_selection import KFold, ParameterGrid, cross_val_score
+
+from suspnet.learning.msvr import check_number
+from suspnet.learning.scaling import Scaling
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What a search found.
+
+    Attributes
+    ----------
+    settings : list of dict
+        Hyperparameters tried, in order.
+    rmse : list of float
+        Cross-validated RMSE of each, averaged over outputs and folds; inf where a fit failed.
+    """
+
+    settings: list[dict[str, Any]]
+    rmse: list[float]
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def best(self) -> dict[str, Any]:
+        """The hyperparameters with the least RMSE."""
+        return self.settings[int(np.argmin(self.rmse))]
+
+
+@dataclass(frozen=True)
+class GridSearch:
+    """Cross-validation over every combination of a grid.
+
+    Parameters
+    ----------
+    grids : mapping
+        From method name to a mapping from hyperparameter to the values to try.
+    n_folds : int, default=5
+    seed : int, default=0
+        Shuffles the samples before they are split.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there are fewer than 2 folds, or `run` is asked for a method without a grid.
+    """
+
+    grids: Mapping[str, Mapping[str, Sequence[Any]]]
+    n_folds: int = 5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_number("n_folds", self.n_folds, low=2, whole=True)
+
+    def n_settings(self, name: str) -> int:
+        """Return the number of settings in a method's grid."""
+        return len(ParameterGrid(dict(self._grid(name))))
+
+    def run(
+        self,
+        name: str,
+        estimator: Any,
+        X: FloatArray,
+        Y: FloatArray,
+        output_scaling: Scaling,
+        on_setting: Callable[[dict[str, Any], float], None] | None = None,
+    ) -> SearchResult:
+        """Return the RMSE of every setting, measured on unscaled outputs.
+
+        Parameters
+        ----------
+        name : str
+            Key of `grids`.
+        estimator : scikit-learn regressor
+        X, Y : arrays of shape (n_samples, n_inputs) and (n_samples, n_outputs)
+            Scaled inputs and outputs.
+        output_scaling : Scaling
+            Undone before the error is measured.
+        on_setting : callable, optional
+            Called with the hyperparameters and their RMSE.
+        """
+
+        def rmse(actual: FloatArray, predicted: FloatArray) -> float:
+            undone = [output_scaling.undo(v) for v in (actual, predicted)]
+            return float(root_mean_squared_error(*undone))
+
+        scorer = make_scorer(rmse, greater_is_better=False)
+        folds = KFold(self.n_folds, shuffle=True, random_state=self.seed)
+        result = SearchResult([], [])
+        for setting in ParameterGrid(dict(self._grid(name))):
+            candidate = clone(estimator).set_params(**setting)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", ConvergenceWarning)
+                    value = -float(np.mean(cross_val_score(candidate, X, Y, cv=folds, scoring=scorer)))
+            except ValueError as error:
+                value = np.inf
+                result.failures.append(f"{setting}: {error}")
+            if not np.isfinite(value):
+                value = float("inf")
+            result.settings.append(setting)
+            result.rmse.append(value)
+            if on_setting is not None:
+                on_setting(setting, value)
+        if not np.isfinite(result.rmse).any():
+            raise ValueError(f"no setting of the search could be fitted; first: {result.failures[0]}")
+        return result
+
+    def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
+        if name not in self.grids:
+            raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
+        return self.grids[name]

@@ -1,0 +1,109 @@
+"""What happens when the last job of a multirun has ended: tables, figures, override files."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from suspnet import plots
+from suspnet.data.storage import read_json, write_atomically, write_json
+from suspnet.evaluation.comparison import (
+    records_csv,
+    sensitivity_records,
+    table6_caption,
+    table6_markdown,
+    table6_records,
+)
+from suspnet.tracking import RunLog
+
+log = logging.getLogger(__name__)
+Run = Mapping[str, Any]
+
+
+class _Summary(Callback):
+    """Reads the metrics.json of every job, in order, and hands them to `summarise`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Summarise the jobs of the multirun that has just ended."""
+        folder = Path(config.hydra.sweep.dir)
+        runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
+        if runs:
+            self.summarise(runs, folder)
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write what the runs show together into `folder`."""
+
+
+class Table6(_Summary):
+    """Table VI: published and measured side by side, as JSON, CSV, Markdown and a figure."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write table6.json, .csv, .md and .png and print the table."""
+        write_table6(runs, folder)
+
+
+class Table5(_Summary):
+    """Table V: the best hyperparameters of each method and group, as an override file."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write experiment/best.yaml and table5.json and print the best settings."""
+        tuned: dict[str, dict[str, Any]] = {}
+        for run in runs:
+            if "search" in run:
+                tuned.setdefault(run["group"], {})[run["model"]] = run["search"]["best"]
+        best = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
+        path = write_atomically(
+            folder / "experiment" / "best.yaml",
+            f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
+            f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{best}",
+        )
+        write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
+        log.info(
+            "best hyperparameters (least cross-validated RMSE):\n%s-> %s\n"
+            "use them with: python train.py --config-dir %s experiment=best",
+            best,
+            path,
+            folder,
+        )
+
+
+class Sensitivity(_Summary):
+    """MAPE against sensor precision (Fig. 11)."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write sensitivity.json, .csv and .png."""
+        records = sensitivity_records(runs)
+        write_json(folder / "sensitivity.json", records)
+        write_atomically(folder / "sensitivity.csv", records_csv(records))
+        with RunLog(folder) as run_log:
+            run_log.figure("sensitivity", plots.sensitivity(runs), folder)
+        log.info("MAPE [%%] against signal-to-noise ratio:\n%s-> %s", records_csv(records), folder)
+
+
+def write_table6(runs: Sequence[Run], folder: Path) -> None:
+    """Write and print the comparison of runs with Table VI of the paper."""
+    records = table6_records(runs)
+    text = f"{table6_markdown(records)}\n\n{table6_caption(records)}\n"
+    write_json(folder / "table6.json", records)
+    write_atomically(folder / "table6.csv", records_csv(records))
+    write_atomically(folder / "table6.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text("table6", text)
+        run_log.figure("table6", plots.table6(records), folder)
+    log.info("Table VI, published beside measured\n\n%s\n-> %s/table6.*", text, folder)
+
+
+def _search_record(run: Run) -> dict[str, Any]:
+    search = run["search"]
+    keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
+    return {key: run[key] for key in keys} | {
+        "best": search["best"],
+        "cv_rmse": min(search["rmse"]),
+        "n_settings": len(search["rmse"]),
+    }

@@ -1,0 +1,31 @@
+"""Train one method on one problem, or many by a multirun: python train.py --help."""
+
+import hydra
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from suspnet import command_line
+from suspnet.experiment import Problem, train
+
+
+@hydra.main(version_base="1.3", config_path="configs", config_name="train")
+@command_line.task
+def main(config: DictConfig) -> None:
+    problem = Problem(
+        vehicle=instantiate(config.vehicle),
+        task=instantiate(config.protocol).task(config.group),
+        settings=instantiate(config.data),
+        seed=config.seed,
+        threads=command_line.n_threads(config.threads),
+        device=config.device,
+        progress=config.progress,
+    )
+    model = instantiate(config.model)
+    search = instantiate(config.search) if config.get("search") else None
+    folder = command_line.run_folder()
+    resolved = command_line.save_config(config, folder)
+    train(problem, model, folder, search=search, config=resolved)
+
+
+if __name__ == "__main__":
+    command_line.run(main)
