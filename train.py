@@ -5,7 +5,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from suspnet import command_line
-from suspnet.experiment import Problem, train
+from suspnet.experiment import train
+from suspnet.fitting import Problem
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="train")

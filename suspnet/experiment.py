@@ -7,104 +7,28 @@ import os
 import platform
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
-from tqdm import tqdm
 
 from suspnet import plots
-from suspnet.checkpoint import ESTIMATORS, ModelFileError, TrainedModel, load_model, save_model
-from suspnet.data import TEST, TRAIN, CurveSettings, CurveSource, FeatureData, Protocol, Task
-from suspnet.data.curves import BLOCK, used_responses
-from suspnet.data.storage import write_atomically, write_json
-from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.checkpoint import ModelFileError, TrainedModel, load_model, save_model
+from suspnet.data import TEST, CurveSettings, Protocol, Task
+from suspnet.data.storage import write_json
 from suspnet.evaluation.comparison import scores_table
 from suspnet.evaluation.information import best_possible
 from suspnet.evaluation.metrics import METRICS, score
-from suspnet.learning import CurveFit, Scaling
+from suspnet.fitting import Outcome, Problem, fit, method_name, predict_stream, tune
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
 
 log = logging.getLogger(__name__)
-FloatArray = NDArray[np.float64]
 Metrics = dict[str, Any]
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What is to be learnt, and with which means.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-    task : Task
-    settings : CurveSettings
-    seed : int
-    threads : int
-        Blocks of curves made at the same time, and threads of torch.
-    device : str
-    progress : bool
-    """
-
-    vehicle: Vehicle
-    task: Task
-    settings: CurveSettings
-    seed: int = 0
-    threads: int = 1
-    device: str = "cpu"
-    progress: bool = True
-
-    def __post_init__(self) -> None:
-        for name, low in (("seed", 0), ("threads", 1)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise ValueError(f"`{name}` must be a whole number >= {low}, got {value!r}")
-        try:
-            torch.empty(0, device=self.device)
-        except (RuntimeError, AssertionError) as error:
-            reason = str(error).splitlines()[0]
-            raise ValueError(f"`device`={self.device!r} cannot be used here: {reason}") from error
-
-    @property
-    def generator(self) -> ResponseGenerator:
-        """The source of frequency responses."""
-        return QuarterCar(self.vehicle, self.device)
-
-    @property
-    def source(self) -> CurveSource:
-        """The source of noisy curves and features."""
-        return CurveSource(
-            self.generator, self.task, self.settings, self.seed, self.threads, self.progress
-        )
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Predictions on one stream of curves.
-
-    Attributes
-    ----------
-    data : FeatureData
-        The curves on which every feature was found.
-    predicted : array of shape (n_curves, n_outputs), [-]
-    seconds : float
-    n_asked : int
-        Curves asked for, those with a missing feature included.
-    """
-
-    data: FeatureData
-    predicted: FloatArray
-    seconds: float
-    n_asked: int
 
 
 def train(
@@ -141,9 +65,10 @@ def train(
         run_log.config(config or {})
         found = None
         if search is not None:
-            found = _tune(problem, estimator, search, run_log)
+            found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
-        model, training = _fit(problem, estimator, run_log)
+        model = fit(problem, estimator, run_log)
+        training = model.training
         outcome = predict_stream(problem, model, TEST)
         metrics = {
             **_headline(problem, name),
@@ -257,34 +182,6 @@ def fitting_task(trained: Task, protocol: Protocol) -> Task:
     )
 
 
-def method_name(estimator: Any) -> str:
-    """Return the name of a method in ``ESTIMATORS``.
-
-    Raises
-    ------
-    TypeError
-        If it is none of them.
-    """
-    for name, kind in ESTIMATORS.items():
-        if type(estimator) is kind:
-            return name
-    raise TypeError(f"`model` must be one of {sorted(ESTIMATORS)}, got {type(estimator).__name__}")
-
-
-def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcome:
-    """Return a model's estimates for the training or test curves of a problem."""
-    data = problem.source.features(stream)
-    kept = data.complete()
-    if not len(kept.inputs):
-        raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
-    start = time.perf_counter()
-    if isinstance(model.estimator, CurveFit):
-        predicted = _fit_curves(problem, model.estimator, data, stream)[data.valid]
-    else:
-        predicted = model.predict(kept.inputs)
-    return Outcome(kept, predicted, time.perf_counter() - start, len(data.inputs))
-
-
 def environment() -> dict[str, Any]:
     """Return what the numbers depend on besides the configuration."""
     git = subprocess.run(
@@ -302,132 +199,6 @@ def environment() -> dict[str, Any]:
         "packages": {name: version(name) for name in PACKAGES},
         "commit": git.stdout.strip() or None,
     }
-
-
-def _tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
-    name = method_name(estimator)
-    data = problem.source.features(TRAIN).complete()
-    inputs, outputs = Scaling.of(data.inputs), Scaling.of(data.outputs)
-    n_settings = search.n_settings(name)
-    with tqdm(total=n_settings, desc=f"search {name}", disable=not problem.progress) as bar:
-
-        def told(setting: Mapping[str, Any], rmse: float) -> None:
-            run_log.scalars("search", {"rmse": rmse}, bar.n)
-            bar.update()
-
-        return search.run(
-            name,
-            estimator,
-            inputs.apply(data.inputs),
-            outputs.apply(data.outputs),
-            outputs,
-            told,
-        )
-
-
-def _fit(problem: Problem, estimator: Any, run_log: RunLog) -> tuple[TrainedModel, dict[str, Any]]:
-    source = problem.source
-    name = method_name(estimator)
-    settings = asdict(problem.settings)
-    del settings["cache_dir"]
-    model = TrainedModel(
-        name, estimator, problem.task, problem.vehicle, settings, source.healthy_features()
-    )
-    training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
-    if not isinstance(estimator, CurveFit):
-        data = source.features(TRAIN)
-        kept = data.complete()
-        if not len(kept.inputs):
-            raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
-        inputs, outputs = Scaling.of(kept.inputs), Scaling.of(kept.outputs)
-        model = replace(model, input_scaling=inputs, output_scaling=outputs)
-        start = time.perf_counter()
-        with _told(estimator, name, run_log, problem.progress):
-            estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
-        training["seconds"] = time.perf_counter() - start
-        training |= {"n_train": len(data.inputs), "n_train_complete": len(kept.inputs)}
-    training |= _summary(estimator)
-    return replace(model, training=training), training
-
-
-def _summary(estimator: Any) -> dict[str, Any]:
-    """Return the scalar fitted attributes of an estimator, and its parameters."""
-    fitted = {
-        key.removesuffix("_"): value
-        for key, value in vars(estimator).items()
-        if key.endswith("_") and isinstance(value, bool | int | float)
-    }
-    parameters = (
-        dict(vars(estimator)) if isinstance(estimator, CurveFit) else estimator.get_params()
-    )
-    parameters.pop("callback", None)
-    return {"fitted": fitted, "parameters": parameters}
-
-
-class _told:
-    """While fitting, show a progress bar and log what the estimator's callback is told."""
-
-    def __init__(self, estimator: Any, name: str, run_log: RunLog, progress: bool) -> None:
-        self._estimator, self._name, self._log = estimator, name, run_log
-        self._active = "callback" in estimator.get_params()
-        self._bar = tqdm(desc=f"fit {name}", unit="step", disable=not (progress and self._active))
-
-    def __enter__(self) -> None:
-        if self._active:
-            self._estimator.set_params(callback=self._tell)
-
-    def __exit__(self, *_: object) -> None:
-        if self._active:
-            self._estimator.set_params(callback=None)
-        self._bar.close()
-
-    def _tell(self, info: Any) -> None:
-        self._bar.update()
-        if is_dataclass(info) and not isinstance(info, type):
-            values = asdict(info)
-            step = int(values.pop(next(iter(values))))
-            self._log.scalars(self._name, values, step)
-            self._bar.set_postfix({k: f"{v:.3g}" for k, v in list(values.items())[:2]})
-
-
-def _fit_curves(problem: Problem, method: CurveFit, data: FeatureData, stream: int) -> FloatArray:
-    task, source = problem.task, problem.source
-    forward = curve_model(problem.generator, task, problem.settings.frequencies_hz())
-    known = torch.as_tensor(data.ratios[:, [PARAMETERS.index("M_s")]] if task.mass_known else data.ratios[:, :0])
-    used, unknown = used_responses(task), task.unknown
-    estimates = []
-    with tqdm(total=len(data.ratios), desc="curve fit", disable=not problem.progress) as bar:
-        for block in range(source.n_blocks(len(data.ratios))):
-            rows = slice(block * BLOCK, (block + 1) * BLOCK)
-            observed = source.curves(data.ratios, stream, block)[:, used]
-            solution = method.fit_curves(
-                forward,
-                observed,
-                known[rows].to(observed),
-                task.lower,
-                task.upper,
-                len(unknown),
-            )
-            estimates.append(solution.parameters.cpu().numpy())
-            bar.update(len(observed))
-    return np.concatenate(estimates)[:, [unknown.index(name) for name in task.outputs]]
-
-
-def curve_model(
-    generator: ResponseGenerator, task: Task, frequencies_hz: Tensor
-) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return curves (n, n_responses, n_freq) as a function of the unknown and the known ratios."""
-    used = used_responses(task)
-
-    def forward(unknown: Tensor, known: Tensor) -> Tensor:
-        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
-        if task.mass_known:
-            columns["M_s"] = known[:, 0]
-        healthy = torch.ones_like(unknown[:, 0])
-        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
-        return generator.magnitudes(ratios, frequencies_hz)[:, used]
-
-    return forward
 
 
 def _headline(problem: Problem, name: str) -> Metrics:
@@ -524,5 +295,3 @@ def _report(metrics: Metrics, folder: Path) -> None:
         scores_table(metrics["scores"], metrics["limit"]),
         folder,
     )
-
-

@@ -139,7 +139,7 @@ def convergence(objectives: Sequence[float]) -> Figure:
 
 
 def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
-    """Published and measured MAPE of each model and output, with the limit; log scale."""
+    """Draw published and measured MAPE of each model and output, with the limit; log scale."""
     shown = [r for r in records if r["metric"] == "mape_percent"]
     outputs = list(dict.fromkeys(r["output"] for r in shown))
     models = [name for name in MODEL_TITLES if any(r["model"] == name for r in shown)]
@@ -154,13 +154,15 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
                 axis.bar(x - 0.2, record["published"], 0.4, color=PAPER_COLOUR)
             axis.bar(x + 0.2, record["measured"], 0.4, color=OUR_COLOUR)
             label = f"{record['measured']:.2g}"
-            axis.annotate(label, (x + 0.2, record["measured"]), ha="center", va="bottom", fontsize=8)
+            axis.annotate(
+                label, (x + 0.2, record["measured"]), ha="center", va="bottom", fontsize=8
+            )
         limit = next(iter(by_model.values()))["limit"]
         axis.axhline(limit, color=LIMIT_COLOUR, ls="--", lw=1)
         axis.set(title=SYMBOLS[output], yscale="log")
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
     axes[0][0].set_ylabel("MAPE [%]")
-    handles = [
+    handles: list[Any] = [
         axes[0][0].bar(0, 0, color=PAPER_COLOUR),
         axes[0][0].bar(0, 0, color=OUR_COLOUR),
         axes[0][0].plot([], [], color=LIMIT_COLOUR, ls="--")[0],

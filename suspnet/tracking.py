@@ -55,7 +55,7 @@ class RunLog:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._writer = SummaryWriter(str(folder))  # type: ignore[no-untyped-call]
+        self._writer = SummaryWriter(str(folder))
 
     def __enter__(self) -> Self:
         return self
@@ -66,16 +66,16 @@ class RunLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._writer.close()  # type: ignore[no-untyped-call]
+        self._writer.close()
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
         """Write scalars named prefix/key."""
         for key, value in values.items():
-            self._writer.add_scalar(f"{prefix}/{key}", value, step)  # type: ignore[no-untyped-call]
+            self._writer.add_scalar(f"{prefix}/{key}", value, step)
 
     def text(self, name: str, content: str) -> None:
         """Write text, shown as Markdown."""
-        self._writer.add_text(name, content)  # type: ignore[no-untyped-call]
+        self._writer.add_text(name, content)
 
     def config(self, content: Mapping[str, Any]) -> None:
         """Write the resolved configuration as an indented block."""
@@ -87,7 +87,7 @@ class RunLog:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
-        self._writer.add_image(name, pixels, dataformats="HWC")  # type: ignore[no-untyped-call]
+        self._writer.add_image(name, pixels, dataformats="HWC")
         if folder is not None:
             stream = io.BytesIO()
             Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG")
@@ -103,8 +103,8 @@ class RunLog:
         """
         shown = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
         columns = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
-        experiment, _, end = hparams(dict(HYPERPARAMETERS), columns)  # type: ignore[no-untyped-call]
-        _, start, _ = hparams(shown, columns)  # type: ignore[no-untyped-call]
+        experiment, _, end = hparams(dict(HYPERPARAMETERS), columns)
+        _, start, _ = hparams(shown, columns)
         for summary in (experiment, start, end):
-            self._writer._get_file_writer().add_summary(summary)  # type: ignore[no-untyped-call]
+            self._writer._get_file_writer().add_summary(summary)
         self.scalars("final", metrics, 0)

@@ -313,7 +313,9 @@ def _read_cache(path: Path) -> FeatureData | None:
 
 def _code_hash() -> str:
     package = Path(suspnet.__file__).parent
-    files = sorted(f for part in ("dynamics", "features", "data") for f in (package / part).glob("*.py"))
+    files = sorted(
+        f for part in ("dynamics", "features", "data") for f in (package / part).glob("*.py")
+    )
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

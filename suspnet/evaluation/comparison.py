@@ -110,9 +110,7 @@ def table6_caption(records: Sequence[Record]) -> str:
     seconds: dict[str, float] = {}
     for run in {(r["model"], r["seconds"]) for r in records}:
         seconds[run[0]] = seconds.get(run[0], 0.0) + run[1]
-    times = ", ".join(
-        f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds
-    )
+    times = ", ".join(f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds)
     return (
         f"protocol {first['protocol']}, {first['n_train']} training curves, "
         f"{first['snr_db']:g} dB, seed {first['seed']}; fitting and predicting took {times}"

@@ -59,10 +59,10 @@ def fisher_information(
         for column in columns:
             tangent = torch.zeros_like(rows)
             tangent[:, column] = 1
-            _, derivative = torch.func.jvp(
+            pair = torch.func.jvp(
                 lambda r: generator.magnitudes(r, frequencies_hz)[:, used], (rows,), (tangent,)
             )
-            derivatives.append((derivative / rms).flatten(1))
+            derivatives.append((pair[1] / rms).flatten(1))
         jacobian = torch.stack(derivatives, dim=1)
         blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
     return np.concatenate(blocks)
@@ -151,5 +151,3 @@ def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:
     cumulative = np.cumsum(weights, axis=0)
     index = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
     return np.asarray(levels[index])
-
-

@@ -12,7 +12,9 @@ METRICS = ("mape_percent", "rmse")
 FloatArray = NDArray[np.float64]
 
 
-def score(actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]) -> dict[str, dict[str, float]]:
+def score(
+    actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]
+) -> dict[str, dict[str, float]]:
     """Return {output: {"mape_percent": ..., "rmse": ...}}.
 
     MAPE = 100/n sum |A - F| / A (Eq. 14) and RMSE = sqrt(1/n sum (A - F)^2) (Eq. 15) with A the

@@ -8,7 +8,7 @@ is the car body's frequency, near which abs(G_p) dips.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -128,13 +128,9 @@ class PeakFeatures:
         else:
             band = {"low_hz": UPPER_PEAK_BEGINS * body}
         peak = findpeaks(primary, frequencies_hz, fit=fit, **band)
-        nan = torch.full_like(body, torch.nan)
-        measures = (peak.position_hz, peak.height, peak.width_hz)
         unplaced = torch.full_like(peak.reason, PeakReason.PLACE_UNKNOWN)
-        return Peaks(
-            *(torch.where(secondary.valid, m, nan) for m in measures),
-            torch.where(secondary.valid, peak.reason, unplaced),
-        )
+        reason = torch.where(secondary.valid, peak.reason, unplaced)
+        return replace(peak, reason=reason).blanked()
 
     def _fit(self, name: str) -> PeakFit:
         below, above = _WINDOWS[name]

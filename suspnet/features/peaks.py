@@ -99,6 +99,14 @@ class Peaks:
         """True where a peak was found, shape (n_curves,)."""
         return self.reason == PeakReason.FOUND
 
+    def blanked(self) -> Peaks:
+        """Return the same with NaN for whatever is not valid."""
+        position, height, width = (
+            torch.where(self.valid, measure, math.nan)
+            for measure in (self.position_hz, self.height, self.width_hz)
+        )
+        return Peaks(position, height, width, self.reason)
+
 
 def findpeaks(
     magnitude: Tensor,
@@ -144,15 +152,15 @@ def findpeaks(
     magnitude = torch.where(finite[:, None], magnitude, torch.ones_like(magnitude))
     smoothed = smooth(magnitude, frequencies_hz, fit.smoothing_hz)
     centre, interior = _largest(smoothed, frequencies_hz, low_hz, high_hz, fit.tilt)
-    position, height, width, found, near = _fit_top(magnitude, smoothed, frequencies_hz, centre, fit)
+    position, height, width, found, near = _fit_top(
+        magnitude, smoothed, frequencies_hz, centre, fit
+    )
     reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
     reason[~near] = PeakReason.OUTSIDE_WINDOW
     reason[~found] = PeakReason.WRONG_CURVATURE
     reason[~interior] = PeakReason.NO_MAXIMUM
     reason[~finite] = PeakReason.NOT_FINITE
-    nan = torch.full_like(position, math.nan)
-    kept = reason == PeakReason.FOUND
-    return Peaks(*(torch.where(kept, value, nan) for value in (position, height, width)), reason)
+    return Peaks(position, height, width, reason).blanked()
 
 
 def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tensor:

@@ -80,10 +80,11 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
             check_number(name, getattr(self, name), low=0, open_low=True)
         check_number("epsilon", self.epsilon, low=0)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        targets = np.asarray(y, dtype=np.float64).reshape(len(X), -1)
-        self._single_output = np.ndim(y) == 1
+        samples, targets = np.asarray(X), np.asarray(y, dtype=np.float64)
+        self._single_output = targets.ndim == 1
+        targets = targets.reshape(len(samples), -1)
         machines = Parallel(self.n_jobs, prefer="threads", return_as="generator")(
-            delayed(self._fit_output)(X, column) for column in targets.T
+            delayed(self._fit_output)(samples, column) for column in targets.T
         )
         fitted = []
         for machine in machines:
@@ -93,21 +94,21 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         self.support_vectors_ = [np.asarray(machine.support_vectors_) for machine in fitted]
         self.dual_coef_ = [np.asarray(machine.dual_coef_[0]) for machine in fitted]
         self.intercept_ = np.array([float(machine.intercept_[0]) for machine in fitted])
-        self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(X))
+        self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(samples))
         self.converged_ = all(machine.fit_status_ == 0 for machine in fitted)
         return self
 
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs)."""
         check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        predicted = np.empty((len(X), len(self.intercept_)))
-        for start in range(0, len(X), PREDICT_ROWS):
+        samples = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
+        predicted = np.empty((len(samples), len(self.intercept_)))
+        for start in range(0, len(samples), PREDICT_ROWS):
             rows = slice(start, start + PREDICT_ROWS)
             for j, (vectors, dual) in enumerate(
                 zip(self.support_vectors_, self.dual_coef_, strict=True)
             ):
-                predicted[rows, j] = self._kernel(X[rows], vectors) @ dual
+                predicted[rows, j] = self._kernel(samples[rows], vectors) @ dual
         predicted += self.intercept_
         return predicted[:, 0] if self._single_output else predicted
 
@@ -167,6 +168,8 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
         except KeyError as error:
             raise ValueError(f"the arrays are not those of a linear model ({error})") from error
         if self.coef_.ndim != 2 or len(self.coef_) != len(self.intercept_):
-            raise ValueError(f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}")
+            raise ValueError(
+                f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}"
+            )
         self.n_features_in_ = self.coef_.shape[1]
         return self

@@ -180,7 +180,9 @@ class FeatureBlocks:
         first = self.feature_map(self.X[:1])
         self.n_features = first.shape[1]
         whole = len(self.X) * self.n_features * first.element_size()
-        self._kept = [self.feature_map(self.X[s]) for s in self.slices] if whole <= CACHE_BYTES else []
+        self._kept = (
+            [self.feature_map(self.X[s]) for s in self.slices] if whole <= CACHE_BYTES else []
+        )
 
     def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
         """Yield (rows, Phi[rows])."""

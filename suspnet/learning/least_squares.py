@@ -141,9 +141,7 @@ class CurveFit:
             return ((observed[rows] - curves) / scale[rows]).flatten(1)
 
         start = self._nearest_start(forward, observed, known, scale, (lower, upper), n)
-        solution = levenberg_marquardt(
-            residual, start.log(), max_iter=self.max_iter, tol=self.tol
-        )
+        solution = levenberg_marquardt(residual, start.log(), max_iter=self.max_iter, tol=self.tol)
         return LeastSquaresSolution(
             solution.parameters.exp(), solution.cost, solution.converged, solution.n_iter
         )
@@ -177,6 +175,6 @@ def _residual_and_jacobian(
     for j in range(theta.shape[1]):
         tangent = torch.zeros_like(theta)
         tangent[:, j] = 1
-        values, column = torch.func.jvp(lambda t: residual(t, rows), (theta,), (tangent,))
-        columns.append(column)
-    return values, torch.stack(columns, dim=1)
+        pair = torch.func.jvp(lambda t: residual(t, rows), (theta,), (tangent,))
+        columns.append(pair[1])
+    return pair[0], torch.stack(columns, dim=1)

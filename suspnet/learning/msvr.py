@@ -259,7 +259,7 @@ def check_number(
     kind = Integral if whole else Real
     if isinstance(value, bool) or not isinstance(value, kind):
         raise TypeError(f"`{name}` must be a {'whole ' if whole else ''}number, got {value!r}")
-    number = float(value)  # type: ignore[arg-type]
+    number = float(value)
     if not math.isfinite(number) or number < low or (open_low and number == low):
         bound = f"in ({low}, inf)" if open_low else f">= {low}"
         raise ValueError(f"`{name}` must be finite and {bound}, got {value}")

@@ -104,6 +104,8 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         If the optimiser of the best start did not converge.
     """
 
+    _kept_factor: Tensor | None
+
     def __init__(
         self,
         length_scale: float = 3.0,
@@ -134,7 +136,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         targets = np.asarray(y, dtype=np.float64)
         self._single_output = targets.ndim == 1
-        targets = targets.reshape(len(X), -1)
+        targets = targets.reshape(len(targets), -1)
         self.mean_ = targets.mean(axis=0)
         samples = torch.tensor(X, dtype=torch.float64, device=self.device)
         centred = torch.tensor(targets - self.mean_, dtype=torch.float64, device=self.device)
@@ -142,7 +144,9 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         self.signal_variance_ = float(self.signal_variance)
         self.noise_variance_ = float(self.noise_variance)
         self.converged_, self.n_iter_ = True, 1
-        if self.optimizer is not None and bool(torch.linalg.matrix_rank(centred) == centred.shape[1]):
+        if self.optimizer is not None and bool(
+            torch.linalg.matrix_rank(centred) == centred.shape[1]
+        ):
             self._optimize(samples, centred)
         self._condition(samples, centred)
         if not self.converged_:
@@ -184,7 +188,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
                 half = torch.linalg.solve_triangular(self._factor(), cross.T, upper=False)
                 explained = half.square().sum(dim=0).cpu().numpy()
                 variances.append(self.signal_variance_ + self.noise_variance_ - explained)
-        mean = np.concatenate(means) + self.mean_
+        mean: FloatArray = np.concatenate(means) + self.mean_
         mean = mean[:, 0] if self._single_output else mean
         if not spread:
             return mean
@@ -239,14 +243,16 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
     def _factor(self) -> Tensor:
         """Return the Cholesky factor of K'; made again after loading, when first needed."""
-        if self._kept_factor is None:
-            kernel = self._kernel(self._samples, self._samples)
-            kernel.diagonal().add_(self.noise_variance_)
-            self._kept_factor = _cholesky(kernel)
-        return self._kept_factor
+        if self._kept_factor is not None:
+            return self._kept_factor
+        kernel = self._kernel(self._samples, self._samples)
+        kernel.diagonal().add_(self.noise_variance_)
+        self._kept_factor = factor = _cholesky(kernel)
+        return factor
 
     def _condition(self, samples: Tensor, centred: Tensor) -> None:
-        self._samples, self._kept_factor = samples, None
+        self._samples = samples
+        self._kept_factor = None
         factor = self._factor()
         value, omega = log_marginal_likelihood(centred, factor)
         self.log_marginal_likelihood_ = float(value)
@@ -266,14 +272,15 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             kernel = torch.exp(-0.5 * squared * torch.exp(-2 * logs[0]))
             kernel = kernel + torch.exp(logs[1]) * torch.eye(len(samples)).to(samples)
             value, _ = log_marginal_likelihood(centred, _cholesky(kernel))
-            value.backward()  # type: ignore[no-untyped-call]
+            value.backward()
             evaluations += 1
             if self.callback is not None:
                 length, noise = np.exp(theta)
-                told = LikelihoodEvaluation(evaluations, float(value), float(length), float(noise))
+                likelihood = float(value.detach())
+                told = LikelihoodEvaluation(evaluations, likelihood, float(length), float(noise))
                 self.callback(told)
             gradient = logs.grad if logs.grad is not None else torch.zeros_like(logs)
-            return -float(value), -gradient.cpu().numpy()
+            return -float(value.detach()), -gradient.cpu().numpy()
 
         starts = [np.log([self.length_scale, self.noise_variance / self.signal_variance])]
         lows, highs = np.log(list(START_RANGES.values())).T
@@ -301,6 +308,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
 
 def _cholesky(kernel: Tensor) -> Tensor:
+    factor: Tensor
     factor, info = torch.linalg.cholesky_ex(kernel)
     if int(info):
         raise ValueError(

@@ -107,7 +107,9 @@ class GridSearch:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", ConvergenceWarning)
-                    value = -float(np.mean(cross_val_score(candidate, X, Y, cv=folds, scoring=scorer)))
+                    value = -float(
+                        np.mean(cross_val_score(candidate, X, Y, cv=folds, scoring=scorer))
+                    )
             except ValueError as error:
                 value = np.inf
                 result.failures.append(f"{setting}: {error}")
@@ -118,7 +120,9 @@ class GridSearch:
             if on_setting is not None:
                 on_setting(setting, value)
         if not np.isfinite(result.rmse).any():
-            raise ValueError(f"no setting of the search could be fitted; first: {result.failures[0]}")
+            raise ValueError(
+                f"no setting of the search could be fitted; first: {result.failures[0]}"
+            )
         return result
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:

@@ -1,0 +1,250 @@
+"""Fit a method to a problem and predict with it: data, scaling, tuning, progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from tqdm import tqdm
+
+from suspnet.checkpoint import ESTIMATORS, TrainedModel
+from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
+from suspnet.data.curves import BLOCK, used_responses
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.learning import CurveFit, Scaling
+from suspnet.learning.search import GridSearch, SearchResult
+from suspnet.tracking import RunLog
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be learnt, and with which means.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    task : Task
+    settings : CurveSettings
+    seed : int
+    threads : int
+        Blocks of curves made at the same time, and threads of torch.
+    device : str
+    progress : bool
+    """
+
+    vehicle: Vehicle
+    task: Task
+    settings: CurveSettings
+    seed: int = 0
+    threads: int = 1
+    device: str = "cpu"
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        for name, low in (("seed", 0), ("threads", 1)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < low:
+                raise ValueError(f"`{name}` must be a whole number >= {low}, got {value!r}")
+        try:
+            torch.empty(0, device=self.device)
+        except (RuntimeError, AssertionError) as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"`device`={self.device!r} cannot be used here: {reason}") from error
+
+    @property
+    def generator(self) -> ResponseGenerator:
+        """The source of frequency responses."""
+        return QuarterCar(self.vehicle, self.device)
+
+    @property
+    def source(self) -> CurveSource:
+        """The source of noisy curves and features."""
+        return CurveSource(
+            self.generator, self.task, self.settings, self.seed, self.threads, self.progress
+        )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Predictions on one stream of curves.
+
+    Attributes
+    ----------
+    data : FeatureData
+        The curves on which every feature was found.
+    predicted : array of shape (n_curves, n_outputs), [-]
+    seconds : float
+    n_asked : int
+        Curves asked for, those with a missing feature included.
+    """
+
+    data: FeatureData
+    predicted: FloatArray
+    seconds: float
+    n_asked: int
+
+
+def method_name(estimator: Any) -> str:
+    """Return the name of a method in ``ESTIMATORS``.
+
+    Raises
+    ------
+    TypeError
+        If it is none of them.
+    """
+    for name, kind in ESTIMATORS.items():
+        if type(estimator) is kind:
+            return name
+    raise TypeError(f"`model` must be one of {sorted(ESTIMATORS)}, got {type(estimator).__name__}")
+
+
+def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
+    """Return the cross-validated RMSE of every setting of a search, on the training curves."""
+    name = method_name(estimator)
+    data = problem.source.features(TRAIN).complete()
+    inputs, outputs = Scaling.of(data.inputs), Scaling.of(data.outputs)
+    n_settings = search.n_settings(name)
+    with tqdm(total=n_settings, desc=f"search {name}", disable=not problem.progress) as bar:
+
+        def told(setting: Mapping[str, Any], rmse: float) -> None:
+            run_log.scalars("search", {"rmse": rmse}, int(bar.n))
+            bar.update()
+
+        return search.run(
+            name,
+            estimator,
+            inputs.apply(data.inputs),
+            outputs.apply(data.outputs),
+            outputs,
+            told,
+        )
+
+
+def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
+    """Return the estimator fitted to the training curves, with its scaling and a summary."""
+    source = problem.source
+    name = method_name(estimator)
+    settings = asdict(problem.settings)
+    del settings["cache_dir"]
+    model = TrainedModel(
+        name, estimator, problem.task, problem.vehicle, settings, source.healthy_features()
+    )
+    training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
+    if not isinstance(estimator, CurveFit):
+        data = source.features(TRAIN)
+        kept = data.complete()
+        if not len(kept.inputs):
+            raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
+        inputs, outputs = Scaling.of(kept.inputs), Scaling.of(kept.outputs)
+        model = replace(model, input_scaling=inputs, output_scaling=outputs)
+        start = time.perf_counter()
+        with _Told(estimator, name, run_log, problem.progress):
+            estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
+        training["seconds"] = time.perf_counter() - start
+        training |= {"n_train": len(data.inputs), "n_train_complete": len(kept.inputs)}
+    training |= _summary(estimator)
+    return replace(model, training=training)
+
+
+def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcome:
+    """Return a model's estimates for the training or test curves of a problem."""
+    data = problem.source.features(stream)
+    kept = data.complete()
+    if not len(kept.inputs):
+        raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
+    start = time.perf_counter()
+    if isinstance(model.estimator, CurveFit):
+        predicted = _fit_curves(problem, model.estimator, data, stream)[data.valid]
+    else:
+        predicted = model.predict(kept.inputs)
+    return Outcome(kept, predicted, time.perf_counter() - start, len(data.inputs))
+
+
+def curve_model(
+    generator: ResponseGenerator, task: Task, frequencies_hz: Tensor
+) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return curves (n, n_responses, n_freq) as a function of the unknown and the known ratios."""
+    used = used_responses(task)
+
+    def forward(unknown: Tensor, known: Tensor) -> Tensor:
+        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
+        if task.mass_known:
+            columns["M_s"] = known[:, 0]
+        healthy = torch.ones_like(unknown[:, 0])
+        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
+        return generator.magnitudes(ratios, frequencies_hz)[:, used]
+
+    return forward
+
+
+def _summary(estimator: Any) -> dict[str, Any]:
+    """Return the scalar fitted attributes of an estimator, and its parameters."""
+    fitted = {
+        key.removesuffix("_"): value
+        for key, value in vars(estimator).items()
+        if key.endswith("_") and isinstance(value, bool | int | float)
+    }
+    parameters = (
+        dict(vars(estimator)) if isinstance(estimator, CurveFit) else estimator.get_params()
+    )
+    parameters.pop("callback", None)
+    return {"fitted": fitted, "parameters": parameters}
+
+
+class _Told:
+    """While fitting, show a progress bar and log what the estimator's callback is told."""
+
+    def __init__(self, estimator: Any, name: str, run_log: RunLog, progress: bool) -> None:
+        self._estimator, self._name, self._log = estimator, name, run_log
+        self._active = "callback" in estimator.get_params()
+        self._bar = tqdm(desc=f"fit {name}", unit="step", disable=not (progress and self._active))
+
+    def __enter__(self) -> None:
+        if self._active:
+            self._estimator.set_params(callback=self._tell)
+
+    def __exit__(self, *_: object) -> None:
+        if self._active:
+            self._estimator.set_params(callback=None)
+        self._bar.close()
+
+    def _tell(self, info: Any) -> None:
+        self._bar.update()
+        if is_dataclass(info) and not isinstance(info, type):
+            values = asdict(info)
+            step = values.pop(next(iter(values)))
+            self._log.scalars(self._name, values, step)
+            self._bar.set_postfix({k: f"{v:.3g}" for k, v in list(values.items())[:2]})
+
+
+def _fit_curves(problem: Problem, method: CurveFit, data: FeatureData, stream: int) -> FloatArray:
+    task, source = problem.task, problem.source
+    forward = curve_model(problem.generator, task, problem.settings.frequencies_hz())
+    known = torch.as_tensor(
+        data.ratios[:, [PARAMETERS.index("M_s")]] if task.mass_known else data.ratios[:, :0]
+    )
+    used, unknown = used_responses(task), task.unknown
+    estimates = []
+    with tqdm(total=len(data.ratios), desc="curve fit", disable=not problem.progress) as bar:
+        for block in range(source.n_blocks(len(data.ratios))):
+            rows = slice(block * BLOCK, (block + 1) * BLOCK)
+            observed = source.curves(data.ratios, stream, block)[:, used]
+            solution = method.fit_curves(
+                forward,
+                observed,
+                known[rows].to(observed),
+                task.lower,
+                task.upper,
+                len(unknown),
+            )
+            estimates.append(solution.parameters.cpu().numpy())
+            bar.update(len(observed))
+    return np.concatenate(estimates)[:, [unknown.index(name) for name in task.outputs]]
