@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
+from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
@@ -35,6 +35,9 @@ def run(main: Callable[[], Any]) -> None:
     except KeyboardInterrupt:
         print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
         sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
     except MISTAKES as error:
         if _debugging:
             raise
@@ -60,10 +63,12 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
 
 def one_line(error: BaseException) -> str:
     """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
-    while isinstance(error, HydraException) and isinstance(error.__cause__, MISTAKES):
+    while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
         error = error.__cause__
-    words = str(error).split("Config search path")[0].split("full_key:")[0]
-    if isinstance(error, OSError) and error.strerror:
+    words = str(error)
+    for noise in ("Config search path", "full_key:", "Set the environment variable"):
+        words = words.split(noise)[0]
+    if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())
 

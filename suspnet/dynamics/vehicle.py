@@ -66,9 +66,8 @@ class Vehicle:
 
     @property
     def primary_frequency_hz(self) -> float:
-        """Uncoupled natural frequency of the bogie, sqrt((k_p + k_s) / M_p) / (2 pi), [Hz]."""
-        stiffness = self.primary_stiffness_n_per_m + self.secondary_stiffness_n_per_m
-        return math.sqrt(stiffness / self.bogie_mass_kg) / (2 * math.pi)
+        """Uncoupled natural frequency of the bogie, sqrt(k_p / M_p) / (2 pi), [Hz]."""
+        return math.sqrt(self.primary_stiffness_n_per_m / self.bogie_mass_kg) / (2 * math.pi)
 
     @property
     def secondary_frequency_hz(self) -> float:

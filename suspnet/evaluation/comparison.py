@@ -113,7 +113,7 @@ def table6_caption(records: Sequence[Record]) -> str:
     times = ", ".join(f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds)
     return (
         f"protocol {first['protocol']}, {first['n_train']} training curves, "
-        f"{first['snr_db']:g} dB, seed {first['seed']}; fitting and predicting took {times}"
+        f"{first['snr_db']:g} dB, seed {first['seed']}; time taken: {times}"
     )
 
 

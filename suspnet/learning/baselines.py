@@ -91,8 +91,8 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
             fitted.append(machine)
             if self.callback is not None:
                 self.callback(len(fitted))
-        self.support_vectors_ = [np.asarray(machine.support_vectors_) for machine in fitted]
-        self.dual_coef_ = [np.asarray(machine.dual_coef_[0]) for machine in fitted]
+        self.support_vectors_ = [np.ascontiguousarray(machine.support_vectors_) for machine in fitted]
+        self.dual_coef_ = [np.ascontiguousarray(machine.dual_coef_[0]) for machine in fitted]
         self.intercept_ = np.array([float(machine.intercept_[0]) for machine in fitted])
         self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(samples))
         self.converged_ = all(machine.fit_status_ == 0 for machine in fitted)
@@ -155,6 +155,13 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__()
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
+        super().fit(X, y)
+        # A restored model must see the same memory layout to predict bit for bit.
+        self.coef_ = np.ascontiguousarray(self.coef_)
+        return self
 
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays of the fitted model."""

@@ -21,6 +21,11 @@ CACHE_BYTES = 400_000_000
 class FeatureMap(Protocol):
     """Maps samples (n_samples, n_inputs) to features (n_samples, n_features)."""
 
+    @property
+    def n_inputs(self) -> int:
+        """Number of columns the map takes."""
+        ...
+
     def __call__(self, X: Tensor) -> Tensor:
         """Return the features of `X`."""
         ...
@@ -49,6 +54,11 @@ class FourierFeatures(_TensorMap):
 
     random_weights: Tensor
 
+    @property
+    def n_inputs(self) -> int:
+        """Number of columns the map takes."""
+        return self.random_weights.shape[0]
+
     def __call__(self, X: Tensor) -> Tensor:
         """Return features of shape (n_samples, D)."""
         n_pairs = self.random_weights.shape[1]
@@ -73,6 +83,11 @@ class LandmarkFeatures(_TensorMap):
     landmarks: Tensor
     whitening: Tensor
     sigma: Tensor
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of columns the map takes."""
+        return self.landmarks.shape[1]
 
     def __call__(self, X: Tensor) -> Tensor:
         """Return features of shape (n_samples, n_features)."""
@@ -104,7 +119,7 @@ def orthogonal_fourier(X: Tensor, sigma: float, n_components: int, seed: int) ->
         lengths = torch.randn(n_inputs, n_inputs, generator=source, dtype=torch.float64).norm(dim=0)
         blocks.append(q * r.diagonal().sign() * lengths)
     draws = torch.cat(blocks, dim=1)[:, : _pairs(n_components)]
-    return FourierFeatures((draws * math.sqrt(2) / sigma).to(X))
+    return FourierFeatures((draws * math.sqrt(2) / sigma).to(X).contiguous())
 
 
 def nystroem(X: Tensor, sigma: float, n_components: int, seed: int) -> LandmarkFeatures:
@@ -198,7 +213,8 @@ def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
     values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
     kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps
     whitening = vectors[:, kept] / values[kept].sqrt()
-    return LandmarkFeatures(landmarks, whitening.to(X), torch.tensor(float(sigma)).to(X))
+    width = torch.tensor(float(sigma)).to(X)
+    return LandmarkFeatures(landmarks, whitening.to(X).contiguous(), width)
 
 
 def _pairs(n_components: int) -> int:

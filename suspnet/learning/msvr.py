@@ -139,6 +139,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         """
         self._check_parameters()
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+        X = np.ascontiguousarray(X)  # a restored model must see the same memory layout
         samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
         targets = torch.tensor(np.asarray(y, dtype=np.float64), device=self.device)
         self._single_output = targets.ndim == 1
@@ -155,7 +156,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             tol=self.tol,
             on_iteration=self.callback,
         )
-        self.coef_ = solution.coef.cpu().numpy()
+        self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = solution.intercept.cpu().numpy()
         self.n_iter_ = solution.n_iter
         self.converged_ = solution.status == Status.CONVERGED
@@ -218,9 +219,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             self.coef_, self.intercept_ = state["coef"], state["intercept"]
         except (TypeError, KeyError) as error:
             raise ValueError(f"the arrays are not those of an MSVR model ({error})") from error
-        first = next(iter(tensors.values()))
-        self.n_features_in_ = first.shape[0 if self.feature_map in ("rff", "orf") else 1]
-        n_features = self._map(first.new_zeros(1, self.n_features_in_)).shape[1]
+        self.n_features_in_ = self._map.n_inputs
+        none = torch.zeros(1, self.n_features_in_, dtype=self._torch_dtype, device=self.device)
+        n_features = self._map(none).shape[1]
         if self.coef_.shape != (n_features, len(self.intercept_)):
             raise ValueError(f"coef has shape {self.coef_.shape}, the map {n_features} features")
         self._single_output = False

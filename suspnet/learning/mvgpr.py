@@ -138,7 +138,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         self._single_output = targets.ndim == 1
         targets = targets.reshape(len(targets), -1)
         self.mean_ = targets.mean(axis=0)
-        samples = torch.tensor(X, dtype=torch.float64, device=self.device)
+        samples = torch.tensor(np.ascontiguousarray(X), device=self.device)
         centred = torch.tensor(targets - self.mean_, dtype=torch.float64, device=self.device)
         self.length_scale_ = float(self.length_scale)
         self.signal_variance_ = float(self.signal_variance)
@@ -257,7 +257,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         value, omega = log_marginal_likelihood(centred, factor)
         self.log_marginal_likelihood_ = float(value)
         self.omega_ = omega.cpu().numpy()
-        self.weights_ = torch.cholesky_solve(centred, factor).cpu().numpy()
+        self.weights_ = np.ascontiguousarray(torch.cholesky_solve(centred, factor).cpu().numpy())
 
     def _optimize(self, samples: Tensor, centred: Tensor) -> None:
         random = check_random_state(self.random_state)

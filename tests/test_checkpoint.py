@@ -1,0 +1,130 @@
+import json
+
+import numpy as np
+import pytest
+
+from suspnet.checkpoint import ESTIMATORS, ModelFileError, TrainedModel, load_model, save_model
+from suspnet.data import Protocol
+from suspnet.dynamics import Vehicle
+from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
+
+GROUPS = {"primary": {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]}}
+FITTED = [
+    MSVR(n_components=64),
+    MSVR(n_components=64, feature_map="nystroem"),
+    MSVR(n_components=64, dtype="float32", tol=1e-4),
+    SVR(),
+    MVGPR(n_optimize=40, n_restarts=0),
+    LinearRegression(),
+]
+
+
+def trained(estimator):
+    random = np.random.default_rng(0)
+    inputs = random.uniform(0.5, 2, (60, 3))
+    outputs = np.column_stack([inputs[:, 0] * inputs[:, 1], inputs[:, 1] / inputs[:, 2]])
+    scalings = Scaling.of(inputs), Scaling.of(outputs)
+    if not isinstance(estimator, CurveFit):
+        estimator.fit(scalings[0].apply(inputs), scalings[1].apply(outputs))
+    name = next(key for key, kind in ESTIMATORS.items() if type(estimator) is kind)
+    return TrainedModel(
+        name,
+        estimator,
+        Protocol("paper", GROUPS).task("primary"),
+        Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3),
+        {"snr_db": 34.0, "n_train": 60},
+        np.array([5.4, 2.1, 0.7]),
+        *scalings,
+        training={"seed": 0},
+    )
+
+
+@pytest.fixture
+def saved(tmp_path):
+    save_model(tmp_path, trained(MSVR(n_components=64)))
+    return tmp_path
+
+
+@pytest.mark.parametrize("estimator", FITTED, ids=lambda e: type(e).__name__)
+def test_loaded_model_predicts_bit_for_bit(estimator, tmp_path):
+    model = trained(estimator)
+    save_model(tmp_path, model)
+    inputs = np.random.default_rng(1).uniform(0.5, 2, (500, 3))
+    predicted = model.predict(inputs)
+    assert predicted.std() > 0
+    np.testing.assert_array_equal(load_model(tmp_path).predict(inputs), predicted)
+
+
+def test_loaded_model_knows_what_it_was_trained_for(saved):
+    model, loaded = trained(MSVR(n_components=64)), load_model(saved)
+    assert loaded.task == model.task
+    assert loaded.vehicle == model.vehicle
+    assert loaded.curve_settings == model.curve_settings
+    assert loaded.training == model.training
+    np.testing.assert_array_equal(loaded.healthy_features, model.healthy_features)
+
+
+def test_curve_fit_is_saved_without_arrays(tmp_path):
+    save_model(tmp_path, trained(CurveFit(n_starts=7)))
+    assert load_model(tmp_path).estimator.n_starts == 7
+
+
+def test_model_rejects_inputs_that_do_not_fit():
+    model = trained(LinearRegression())
+    with pytest.raises(ValueError, match=r"shape \(n_curves, 3\)"):
+        model.predict(np.ones((4, 9)))
+    with pytest.raises(ValueError, match="positive and finite"):
+        model.predict(np.array([[1.0, np.nan, 1.0]]))
+
+
+def test_truncated_arrays_are_rejected(saved):
+    path = saved / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:-10])
+    with pytest.raises(ModelFileError, match="is damaged"):
+        load_model(saved)
+
+
+def test_missing_arrays_are_named(saved):
+    (saved / "model.safetensors").unlink()
+    with pytest.raises(ModelFileError, match=r"no model\.safetensors"):
+        load_model(saved)
+
+
+def test_altered_description_is_rejected(saved):
+    path = saved / "model.json"
+    path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
+    with pytest.raises(ModelFileError, match="was altered"):
+        load_model(saved)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "damaged or not JSON"),
+        ("[]", "not a suspnet model"),
+        ('{"a": 1}', "not a suspnet model"),
+        ('{"schema_version": 99}', "schema version 99"),
+    ],
+)
+def test_foreign_description_is_rejected(saved, content, message):
+    (saved / "model.json").write_text(content)
+    with pytest.raises(ModelFileError, match=message):
+        load_model(saved)
+
+
+def test_folder_without_model_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"holds no model\.json"):
+        load_model(tmp_path)
+
+
+def test_description_says_units_scaling_and_hashes(saved):
+    content = json.loads((saved / "model.json").read_text())
+    assert content["inputs"]["names"] == [
+        "primary_largest_position",
+        "primary_largest_height",
+        "primary_largest_width",
+    ]
+    assert content["outputs"]["log"] is True
+    assert len(content["inputs"]["mean"]) == 3
+    assert content["units"]["vehicle"] == "kg, N/m, N s/m"
+    assert len(content["arrays_sha256"]) == len(content["description_sha256"]) == 64

@@ -1,0 +1,255 @@
+"""Feature maps against the kernel they stand for."""
+
+import numpy as np
+import pytest
+import torch
+from learning_reference import naive_rbf
+from scipy import stats
+from sklearn.metrics.pairwise import rbf_kernel
+
+from suspnet.learning import feature_maps
+from suspnet.learning.feature_maps import (
+    FEATURE_MAPS,
+    MAP_TYPES,
+    FeatureBlocks,
+    exact,
+    nystroem,
+    orthogonal_fourier,
+    pivoted_cholesky,
+    random_fourier,
+)
+
+SIGMA = 1.3
+FOURIER = [random_fourier, orthogonal_fourier]
+
+
+def samples(n_samples=60, n_inputs=3, seed=0):
+    return torch.tensor(np.random.default_rng(seed).standard_normal((n_samples, n_inputs)))
+
+
+def gram(phi):
+    return (phi @ phi.T).numpy()
+
+
+def kernel(X, sigma=SIGMA):
+    return rbf_kernel(X.numpy(), gamma=1 / sigma**2)
+
+
+def test_kernel_has_no_factor_two():
+    X, Z = samples(12), samples(7, seed=1)
+    expected = naive_rbf(X.numpy(), Z.numpy(), SIGMA)
+    assert 0.01 < expected.mean() < 0.9
+    np.testing.assert_allclose(feature_maps.rbf_kernel(X, Z, SIGMA), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("make", FOURIER)
+def test_fourier_error_is_centred_and_of_the_expected_size(make):
+    X, n_components = samples(), 400
+    upper = np.triu_indices(len(X), 1)
+    draws = [gram(make(X, SIGMA, n_components, seed)(X)) for seed in range(20)]
+    errors = np.array([draw - kernel(X) for draw in draws])[:, *upper]
+    # A mean of D / 2 cosines, each of variance <= 1/2: standard deviation <= 1 / sqrt(D).
+    limit = 1 / np.sqrt(n_components)
+    assert np.abs(errors).max() < 5.5 * limit  # 35,400 normal draws stay below this
+    assert 0.2 * limit < errors.std() < limit
+    # Unbiased: the mean of 20 draws, at every pair of samples, in units of its own deviation.
+    assert np.abs(errors.mean(axis=0)).max() < 5.5 * limit / np.sqrt(20)
+
+
+def test_rff_error_falls_with_the_root_of_the_number_of_components():
+    X, sizes = samples(40), [32, 64, 128, 256, 512, 1024, 2048]
+    rms = [
+        np.mean(
+            [
+                np.sqrt(np.mean((gram(random_fourier(X, SIGMA, n, seed)(X)) - kernel(X)) ** 2))
+                for seed in range(20)
+            ]
+        )
+        for n in sizes
+    ]
+    exponent = np.polyfit(np.log(sizes), np.log(rms), 1)[0]
+    # -1/2; 20 seeds leave about +-0.03.
+    assert -0.65 < exponent < -0.35
+
+
+@pytest.mark.parametrize("make", FOURIER)
+def test_fourier_frequencies_are_marginally_normal(make):
+    X = samples(1, n_inputs=4)
+    draws = make(X, SIGMA, 8000, seed=3).random_weights.numpy() * SIGMA / np.sqrt(2)
+    assert draws.shape == (4, 4000)
+    # Kolmogorov-Smirnov at a fixed seed; a factor sqrt(2) in the lengths gives p < 1e-30.
+    assert stats.kstest(draws[1], "norm").pvalue > 0.01
+    lengths = (draws**2).sum(axis=0)
+    assert stats.kstest(lengths, stats.chi2(4).cdf).pvalue > 0.01
+
+
+def test_exact_map_reproduces_the_kernel():
+    X = samples()
+    # Directions dropped have eigenvalues below 1e-14 of the largest.
+    np.testing.assert_allclose(gram(exact(X, SIGMA, 1, 0)(X)), kernel(X), atol=1e-8, rtol=0)
+
+
+def test_exact_map_reproduces_the_kernel_between_landmarks_and_new_points():
+    X, Z = samples(), samples(9, seed=5)
+    phi = exact(X, SIGMA, 1, 0)
+    expected = naive_rbf(Z.numpy(), X.numpy(), SIGMA)
+    np.testing.assert_allclose((phi(Z) @ phi(X).T).numpy(), expected, atol=1e-8, rtol=0)
+
+
+def test_nystroem_with_all_points_is_exact():
+    X, sigma = samples(), 0.7
+    phi = nystroem(X, sigma, len(X), seed=0)
+    assert len(phi.landmarks) == len(X)
+    np.testing.assert_allclose(gram(phi(X)), gram(exact(X, sigma, 1, 0)(X)), atol=1e-8, rtol=0)
+
+
+def test_nystroem_never_exceeds_the_kernel_and_improves():
+    X = samples(100)
+    gaps = [kernel(X) - gram(nystroem(X, SIGMA, n, seed=1)(X)) for n in (10, 30, 60)]
+    for gap in gaps:  # the Schur complement is positive semidefinite
+        assert np.linalg.eigvalsh(gap).min() > -1e-10
+    traces = [np.trace(gap) for gap in gaps]
+    assert traces[0] > 5 * traces[1] > 25 * traces[2] > 0
+
+
+def test_rff_error_is_smaller_than_that_of_scikit_learns_sampler_on_average():
+    from sklearn.kernel_approximation import RBFSampler  # its cosines carry random offsets
+
+    X, n = samples(40), 256
+
+    def rms(phi):
+        return np.sqrt(np.mean((phi - kernel(X)) ** 2))
+
+    ours = [rms(gram(random_fourier(X, SIGMA, n, seed)(X))) for seed in range(10)]
+    theirs = []
+    for seed in range(10):
+        sampler = RBFSampler(gamma=1 / SIGMA**2, n_components=n, random_state=seed)
+        features = sampler.fit_transform(X.numpy())
+        theirs.append(rms(features @ features.T))
+    assert np.mean(ours) < np.mean(theirs)
+
+
+@pytest.mark.parametrize("make", FOURIER)
+@pytest.mark.parametrize("n_components", [2, 10, 257])
+def test_fourier_squared_norm_is_one(make, n_components):
+    X = samples()
+    phi = make(X, SIGMA, n_components, seed=0)(X)
+    assert phi.shape[1] == 2 * ((n_components + 1) // 2)
+    np.testing.assert_allclose(phi.square().sum(dim=1), 1, rtol=1e-14)
+
+
+@pytest.mark.parametrize("make", FOURIER)
+def test_fourier_features_are_shift_invariant(make):
+    X = samples()
+    phi = make(X, SIGMA, 64, seed=0)
+    shifted = X + torch.tensor([5.0, -3.0, 11.0])
+    # Angles of about 100 carry rounding of 1e-14.
+    np.testing.assert_allclose(gram(phi(shifted)), gram(phi(X)), atol=1e-12, rtol=0)
+
+
+def test_orf_blocks_are_orthogonal():
+    n_inputs, n_pairs = 3, 8
+    frequencies = orthogonal_fourier(samples(), SIGMA, 2 * n_pairs, seed=2).random_weights
+    assert frequencies.shape == (n_inputs, n_pairs)
+    for start in range(0, n_pairs, n_inputs):
+        block = frequencies[:, start : start + n_inputs]
+        block = block / block.norm(dim=0)
+        np.testing.assert_allclose(block.T @ block, np.eye(block.shape[1]), atol=1e-14)
+
+
+def test_orf_beats_rff_for_a_wide_kernel():
+    X, sigma = samples(60, n_inputs=6), 4.0
+
+    def error(make):
+        errors = [gram(make(X, sigma, 60, s)(X)) - kernel(X, sigma) for s in range(20)]
+        return np.sqrt(np.mean(np.square(errors)))
+
+    # design.md, section 5: a factor of 1.5 to 2 from sigma = 3 on.
+    assert error(orthogonal_fourier) < 0.8 * error(random_fourier)
+
+
+def test_pivots_are_distinct_rows():
+    pivots = pivoted_cholesky(samples(50), 0.5, 50, seed=0).tolist()
+    assert sorted(pivots) == list(range(50))
+
+
+def test_pivots_stop_where_the_residual_vanishes():
+    distinct = samples(15)
+    pivots = pivoted_cholesky(distinct.repeat(4, 1), 1.0, 60, seed=0)
+    assert len(pivots) == 15
+    assert len(np.unique(pivots.numpy() % 15)) == 15
+
+
+def test_nystroem_takes_fewer_landmarks_where_fewer_suffice():
+    X = samples(15).repeat(4, 1)
+    phi = nystroem(X, 1.0, 60, seed=0)
+    assert len(phi.landmarks) == 15
+    np.testing.assert_allclose(gram(phi(X)), kernel(X, 1.0), atol=1e-8, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["rff", "orf", "nystroem"])
+def test_seed_decides_the_map(name):
+    X, make = samples(), FEATURE_MAPS[name]
+    first = make(X, SIGMA, 20, 1)(X)
+    assert torch.equal(first, make(X, SIGMA, 20, 1)(X))
+    assert not torch.allclose(first, make(X, SIGMA, 20, 2)(X), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", sorted(FEATURE_MAPS))
+def test_map_is_rebuilt_from_its_tensors(name):
+    X = samples()
+    phi = FEATURE_MAPS[name](X, SIGMA, 20, 0)
+    again = MAP_TYPES[name](**phi.tensors())
+    assert torch.equal(again(X), phi(X))
+
+
+@pytest.mark.parametrize("name", sorted(FEATURE_MAPS))
+def test_map_leaves_samples_and_the_global_generator_alone(name):
+    X = samples()
+    before, state = X.clone(), torch.get_rng_state()
+    FEATURE_MAPS[name](X, SIGMA, 20, 0)(X)
+    assert torch.equal(X, before)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+@pytest.mark.parametrize("name", sorted(FEATURE_MAPS))
+def test_float32_samples_give_float32_features(name):
+    X = samples()
+    double = gram(FEATURE_MAPS[name](X, 0.7, 20, 0)(X))
+    single = FEATURE_MAPS[name](X.float(), 0.7, 20, 0)(X.float())
+    assert single.dtype == torch.float32
+    # Whitening magnifies float32 rounding by the inverse root of the least eigenvalue.
+    np.testing.assert_allclose(gram(single.double()), double, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
+@pytest.mark.parametrize("block_rows", [1, 7, 60, 1000])
+def test_blocks_make_up_the_whole_matrix(monkeypatch, cache_bytes, block_rows):
+    monkeypatch.setattr(feature_maps, "CACHE_BYTES", cache_bytes)
+    X = samples()
+    phi = random_fourier(X, SIGMA, 20, seed=0)
+    blocks = FeatureBlocks(phi, X, block_rows)
+    found = torch.full((len(X), blocks.n_features), torch.nan, dtype=X.dtype)
+    for rows, block in blocks:
+        assert len(block) <= block_rows
+        found[rows] = block
+    # Matrix products of other heights may round differently.
+    np.testing.assert_allclose(found, phi(X), atol=1e-14, rtol=0)
+
+
+@pytest.mark.parametrize(("cache_bytes", "calls_of_a_second_pass"), [(0, 9), (400_000_000, 0)])
+def test_blocks_are_made_again_only_without_room(monkeypatch, cache_bytes, calls_of_a_second_pass):
+    monkeypatch.setattr(feature_maps, "CACHE_BYTES", cache_bytes)
+    X, calls = samples(), []
+    phi = random_fourier(X, SIGMA, 20, seed=0)
+
+    def counting(rows):
+        calls.append(len(rows))
+        return phi(rows)
+
+    blocks = FeatureBlocks(counting, X, 7)
+    first = [block.clone() for _, block in blocks]
+    calls.clear()
+    second = [block for _, block in blocks]
+    assert len(calls) == calls_of_a_second_pass
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))

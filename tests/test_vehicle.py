@@ -1,0 +1,158 @@
+"""The numbers of a vehicle: printed coefficients, unit slips, immutability."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle
+
+NUMBERS = {
+    "bogie_mass_kg": 1725.0,
+    "body_mass_kg": 6300.0,
+    "primary_stiffness_n_per_m": 1.30e6,
+    "primary_damping_ns_per_m": 3.7e3,
+    "secondary_stiffness_n_per_m": 0.69e6,
+    "secondary_damping_ns_per_m": 22.6e3,
+}
+
+
+def rounded_as_printed(values, significant=3):
+    return [float(f"{value:.{significant}g}") for value in values]
+
+
+# reference
+
+
+def test_g_s_coefficients_are_those_printed_in_section_iii_b(am96):
+    _, _, numerator, denominator = QuarterCar(am96).transfer_coefficients(torch.ones(1, 5))
+    assert (numerator[0] / 100).tolist() == [6900, 226]
+    assert (denominator[0] / 100).tolist() == [6900, 226, 63]
+
+
+def test_g_p_coefficients_are_those_printed_in_section_iii_b(am96):
+    numerator, denominator, _, _ = QuarterCar(am96).transfer_coefficients(torch.ones(1, 5))
+    # The paper cancels a further common factor: both are printed divided by 2500 overall, that
+    # is, 8.97e11 / 2500 = 3.59e8. It prints three digits, and four where they are exact.
+    numerator, denominator = ((c[0] / 2500).tolist() for c in (numerator, denominator))
+    assert rounded_as_printed(numerator) == [3.59e8, 1.28e7, 3.31e6, 9320]
+    assert numerator[3] == pytest.approx(9324, abs=0.5)
+    assert rounded_as_printed(denominator[:3]) == [3.59e8, 1.28e7, 5.52e6]
+    assert denominator[3:] == pytest.approx([81870, 4347], abs=0.5)
+
+
+def test_uncoupled_frequencies_and_damping_ratios_match_their_formulas(am96):
+    assert am96.primary_frequency_hz == pytest.approx(
+        math.sqrt((1.30e6 + 0.69e6) / 1725) / math.tau, rel=1e-12
+    )
+    assert am96.secondary_frequency_hz == pytest.approx(
+        math.sqrt(0.69e6 / 6300) / math.tau, rel=1e-12
+    )
+    assert am96.primary_damping_ratio == pytest.approx(0.03907, rel=1e-3)
+    assert am96.secondary_damping_ratio == pytest.approx(0.17139, rel=1e-3)
+
+
+# property
+
+
+def test_healthy_values_follow_the_order_of_parameters(am96):
+    assert PARAMETERS == ("k_p", "c_p", "k_s", "c_s", "M_s")
+    assert am96.healthy_values() == (1.30e6, 3.7e3, 0.69e6, 22.6e3, 6300.0)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_degraded_multiplies_one_parameter_and_leaves_the_original(am96, name):
+    before = am96.healthy_values()
+    changed = am96.degraded(**{name: 0.5})
+    ratios = np.array(changed.healthy_values()) / before
+    expected = [0.5 if other == name else 1.0 for other in PARAMETERS]
+    assert ratios.tolist() == expected
+    assert changed.bogie_mass_kg == am96.bogie_mass_kg
+    assert changed.name == am96.name
+    assert am96.healthy_values() == before
+
+
+def test_degraded_without_ratios_is_the_vehicle_itself(am96):
+    assert am96.degraded() == am96
+    assert am96.degraded(k_p=2.0) != am96
+
+
+def test_degraded_ratios_of_the_generator_and_of_the_vehicle_agree(am96):
+    ratios = dict(zip(PARAMETERS, (0.6, 1.7, 1.3, 0.8, 1.1), strict=True))
+    frequencies = torch.linspace(0.1, 20, 50, dtype=torch.float64)
+    by_vehicle = QuarterCar(am96.degraded(**ratios)).magnitudes(torch.ones(1, 5), frequencies)
+    by_ratio = QuarterCar(am96).magnitudes(
+        torch.tensor([list(ratios.values())], dtype=torch.float64), frequencies
+    )
+    torch.testing.assert_close(by_vehicle, by_ratio, rtol=1e-12, atol=0)
+
+
+def test_whole_numbers_are_accepted():
+    vehicle = Vehicle("ints", **{name: int(value) for name, value in NUMBERS.items()})
+    assert vehicle.healthy_values() == (1.30e6, 3.7e3, 0.69e6, 22.6e3, 6300.0)
+
+
+def test_vehicle_is_frozen(am96):
+    with pytest.raises(dataclasses.FrozenInstanceError, match="body_mass_kg"):
+        am96.body_mass_kg = 1.0
+
+
+# failure
+
+STIFFNESSES = ("primary_stiffness_n_per_m", "secondary_stiffness_n_per_m")
+
+
+@pytest.mark.parametrize(
+    ("names", "factor", "message"),
+    [
+        pytest.param(STIFFNESSES, 1e-3, r"kN/m \(multiply by 1e3\)", id="kN/m"),
+        pytest.param(STIFFNESSES[1:], 1e-3, r"secondary.*kN/m \(multiply by 1e3\)", id="k_s kN/m"),
+        pytest.param(STIFFNESSES, 1e3, "1e3 too large", id="stiffness 1e3 too large"),
+        pytest.param(STIFFNESSES[:1], 1e3, "primary.*1e3 too large", id="k_p 1e3 too large"),
+        pytest.param(["bogie_mass_kg"], 1e-3, "primary.*mass in tonnes", id="M_p tonnes"),
+        pytest.param(["body_mass_kg"], 1e-3, "secondary.*mass in tonnes", id="M_s tonnes"),
+        pytest.param(["body_mass_kg"], 1e3, "secondary.*mass in grams", id="M_s grams"),
+        pytest.param(
+            ["primary_damping_ns_per_m"], 1e-3, "primary damping.*in kN s/m", id="c_p kN s/m"
+        ),
+        pytest.param(
+            ["secondary_damping_ns_per_m"], 1e-3, "secondary damping.*in kN s/m", id="c_s kN s/m"
+        ),
+        pytest.param(
+            ["primary_damping_ns_per_m"], 1e3, "primary damping.*1e3 too large", id="c_p 1e3"
+        ),
+        pytest.param(
+            ["secondary_damping_ns_per_m"], 1e3, "secondary damping.*1e3 too large", id="c_s 1e3"
+        ),
+    ],
+)
+def test_unit_slip_is_rejected_and_named(names, factor, message):
+    slipped = NUMBERS | {name: NUMBERS[name] * factor for name in names}
+    with pytest.raises(ValueError, match=message):
+        Vehicle("slipped", **slipped)
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+def test_value_that_is_not_positive_and_finite_is_rejected(name, value):
+    with pytest.raises(ValueError, match=f"`{name}` must be positive and finite"):
+        Vehicle("wrong", **NUMBERS | {name: value})
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", ["1725", True, None, [1725.0]])
+def test_value_that_is_not_a_number_is_rejected(name, value):
+    with pytest.raises(TypeError, match=f"`{name}` must be a number"):
+        Vehicle("wrong", **NUMBERS | {name: value})
+
+
+def test_degraded_rejects_unknown_names(am96):
+    with pytest.raises(ValueError, match=r"named as in .*got \['k_x'\]"):
+        am96.degraded(k_x=0.5)
+
+
+def test_degraded_rejects_a_negative_ratio(am96):
+    with pytest.raises(ValueError, match="`primary_stiffness_n_per_m` must be positive"):
+        am96.degraded(k_p=-0.5)
