@@ -110,7 +110,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     """Return the cross-validated RMSE of every setting of a search, on the training curves."""
     name = method_name(estimator)
     data = problem.source.features(TRAIN).complete()
-    inputs, outputs = Scaling.of(data.inputs), Scaling.of(data.outputs)
+    inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
     with tqdm(total=n_settings, desc=f"search {name}", disable=not problem.progress) as bar:
 
@@ -143,7 +143,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
         kept = data.complete()
         if not len(kept.inputs):
             raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
-        inputs, outputs = Scaling.of(kept.inputs), Scaling.of(kept.outputs)
+        inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         start = time.perf_counter()
         with _Told(estimator, name, run_log, problem.progress):
@@ -152,6 +152,12 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
         training |= {"n_train": len(data.inputs), "n_train_complete": len(kept.inputs)}
     training |= _summary(estimator)
     return replace(model, training=training)
+
+
+def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
+    """Return the scaling of inputs and outputs that a task asks for, from complete curves."""
+    inputs, outputs = (Scaling.of(v, task.log_ratios) for v in (data.inputs, data.outputs))
+    return inputs, outputs
 
 
 def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcome:

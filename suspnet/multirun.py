@@ -56,18 +56,20 @@ class Table5(_Summary):
         tuned: dict[str, dict[str, Any]] = {}
         for run in runs:
             if "search" in run:
-                tuned.setdefault(run["group"], {})[run["model"]] = run["search"]["best"]
-        best = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
+                best = run["search"]["best"].items()
+                numbers = {key: value for key, value in best if isinstance(value, int | float)}
+                tuned.setdefault(run["group"], {})[run["model"]] = numbers
+        content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
         path = write_atomically(
             folder / "experiment" / "best.yaml",
             f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
-            f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{best}",
+            f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
         )
         write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
         log.info(
             "best hyperparameters (least cross-validated RMSE):\n%s-> %s\n"
             "use them with: python train.py --config-dir %s experiment=best",
-            best,
+            content,
             path,
             folder,
         )
@@ -89,13 +91,21 @@ class Sensitivity(_Summary):
 def write_table6(runs: Sequence[Run], folder: Path) -> None:
     """Write and print the comparison of runs with Table VI of the paper."""
     records = table6_records(runs)
-    text = f"{table6_markdown(records)}\n\n{table6_caption(records)}\n"
+    by_protocol = {
+        name: [r for r in records if r["protocol"] == name]
+        for name in dict.fromkeys(r["protocol"] for r in records)
+    }
+    text = "\n".join(
+        f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
+    )
     write_json(folder / "table6.json", records)
     write_atomically(folder / "table6.csv", records_csv(records))
     write_atomically(folder / "table6.md", text)
     with RunLog(folder) as run_log:
         run_log.text("table6", text)
-        run_log.figure("table6", plots.table6(records), folder)
+        for name, part in by_protocol.items():
+            figure = "table6" if len(by_protocol) == 1 else f"table6_{name}"
+            run_log.figure(figure, plots.table6(part), folder)
     log.info("Table VI, published beside measured\n\n%s\n-> %s/table6.*", text, folder)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def si_values(vehicle, ratios):
-    """Return M_p, k_p, c_p, k_s, c_s, M_s in SI units; `ratios` in the order k_p c_p k_s c_s M_s."""
+    """Return M_p, k_p, c_p, k_s, c_s, M_s in SI units; `ratios` ordered as ``PARAMETERS``."""
     return (
         vehicle.bogie_mass_kg,
         vehicle.primary_stiffness_n_per_m * ratios[0],
@@ -48,9 +48,7 @@ def transfer_by_solving(vehicle, ratios, frequency_hz):
 def moving_average(values, length):
     """Return the centred moving average over `length` (odd) values, shorter at the ends."""
     half = length // 2
-    return np.array(
-        [np.mean(values[max(0, i - half) : i + half + 1]) for i in range(len(values))]
-    )
+    return np.array([np.mean(values[max(0, i - half) : i + half + 1]) for i in range(len(values))])
 
 
 def peak_by_polyfit(values, frequencies_hz, shape, length, below, above):

@@ -8,7 +8,9 @@ from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 
-GROUPS = {"primary": {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]}}
+GROUPS = {
+    "primary": {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]}
+}
 FITTED = [
     MSVR(n_components=64),
     MSVR(n_components=64, feature_map="nystroem"),

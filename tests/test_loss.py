@@ -17,7 +17,9 @@ radii = st.floats(0, 10)
 
 def grid(epsilon):
     """Norms on both sides of the kink, 0 and the kink itself included."""
-    return torch.tensor([0.0, epsilon / 2, epsilon, epsilon + 1e-9, epsilon + 0.1, 3.0, 1e3]).double()
+    return torch.tensor(
+        [0.0, epsilon / 2, epsilon, epsilon + 1e-9, epsilon + 0.1, 3.0, 1e3]
+    ).double()
 
 
 @pytest.mark.parametrize("epsilon", EPSILONS)
@@ -40,7 +42,9 @@ def test_loss_is_equation_8_for_any_norm_and_radius(values, epsilon):
 @pytest.mark.parametrize("epsilon", EPSILONS)
 def test_derivative_is_that_of_autograd(epsilon):
     # Away from the kink, where gradcheck's finite differences are not those of one branch.
-    u = torch.tensor([epsilon / 2, epsilon + 0.01, epsilon + 2.0]).double().requires_grad_()
+    u = torch.tensor(
+        [epsilon / 2, epsilon + 0.01, epsilon + 2.0], dtype=torch.float64
+    ).requires_grad_()
     assert torch.autograd.gradcheck(lambda v: loss(v, epsilon), u)
     (expected,) = torch.autograd.grad(loss(u, epsilon).sum(), u)
     assert float(expected.max()) > 1
@@ -69,7 +73,7 @@ def test_weight_times_residual_is_the_gradient_in_the_residual(values, epsilon):
 @pytest.mark.parametrize("epsilon", EPSILONS[1:])
 def test_loss_derivative_and_weight_are_continuous_at_epsilon(epsilon):
     h = 1e-6 * epsilon
-    sides = torch.tensor([epsilon - h, epsilon + h]).double()
+    sides = torch.tensor([epsilon - h, epsilon + h], dtype=torch.float64)
     # Jumps are of the order of the step: h^2, 2h and 2h / epsilon (rounding of the sum allowed).
     assert np.ptp(loss(sides, epsilon).numpy()) <= 1.01 * h**2
     assert np.ptp(derivative(sides, epsilon).numpy()) <= 2.01 * h
@@ -77,13 +81,13 @@ def test_loss_derivative_and_weight_are_continuous_at_epsilon(epsilon):
 
 
 def test_everything_vanishes_on_the_tube():
-    u = torch.tensor([0.0, 0.1, 0.2]).double()
+    u = torch.tensor([0.0, 0.1, 0.2], dtype=torch.float64)
     for function in (loss, derivative, weight):
         assert function(u, 0.2).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_weight_without_tube_is_two_even_without_residual():
-    u = torch.tensor([0.0, 1e-300, 1.0, 1e300]).double()
+    u = torch.tensor([0.0, 1e-300, 1.0, 1e300], dtype=torch.float64)
     assert weight(u, 0.0).tolist() == [2.0, 2.0, 2.0, 2.0]
 
 

@@ -1,14 +1,11 @@
-"""Training data from a vehicle alone: degraded vehicles -> noisy curves -> features.
-
-The noise is that of section III-B: white over the frequency bins, its rms the curve's own rms times
-10^(-SNR/20), so 34 dB is the 2 % sensor precision of section III-E.
-"""
+"""Training data from a vehicle alone: degraded vehicles -> noisy curves -> features."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -23,6 +20,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 import suspnet
+from suspnet.data.noise import add_noise
 from suspnet.data.protocols import RESPONSES, Task
 from suspnet.data.storage import (
     DamagedFileError,
@@ -31,7 +29,7 @@ from suspnet.data.storage import (
     read_arrays,
     write_atomically,
 )
-from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
 
 BLOCK = 128
 """Curves made at once: small enough to stay in cache, and the unit of reproducible noise."""
@@ -51,7 +49,7 @@ class CurveSettings:
     snr_db : float, [dB]
         Signal-to-noise ratio of each curve.
     low_hz, high_hz, step_hz : float, [Hz]
-        Frequency bins, both ends included.
+        Frequency bins from low_hz up to high_hz.
     cache_dir : str or None
         Where feature tables are kept between runs; None keeps none.
 
@@ -86,7 +84,7 @@ class CurveSettings:
 
     def frequencies_hz(self) -> Tensor:
         """Return the frequency bins, shape (n_freq,), [Hz]."""
-        n_bins = round((self.high_hz - self.low_hz) / self.step_hz) + 1
+        n_bins = math.floor((self.high_hz - self.low_hz) / self.step_hz + 1e-9) + 1
         return self.low_hz + self.step_hz * torch.arange(n_bins, dtype=torch.float64)
 
 
@@ -259,37 +257,9 @@ class CurveSource:
         return plain
 
 
-def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:
-    """Return curves plus white Gaussian noise of rms = rms(curve) 10^(-SNR/20).
-
-    Parameters
-    ----------
-    magnitudes : tensor of shape (..., n_freq), [-]
-    snr_db : float, [dB]
-    seed : int
-        The same seed on the same kind of device gives the same noise.
-    """
-    source = torch.Generator(magnitudes.device).manual_seed(seed)
-    noise = torch.empty_like(magnitudes).normal_(generator=source)
-    return magnitudes + noise_rms(magnitudes, snr_db) * noise
-
-
-def noise_rms(magnitudes: Tensor, snr_db: float) -> Tensor:
-    """Return the rms of the noise of each curve, shape (..., 1)."""
-    return magnitudes.square().mean(dim=-1, keepdim=True).sqrt() * 10 ** (-snr_db / 20)
-
-
 def used_responses(task: Task) -> list[int]:
     """Return which of the two responses a task may use, as indices."""
     return [RESPONSES.index(name) for name in task.responses]
-
-
-def quarter_car_source(
-    vehicle: Any, task: Task, settings: CurveSettings, **options: Any
-) -> CurveSource:
-    """Return a source of the vehicle's quarter-car curves; `device` is an option of its own."""
-    device = options.pop("device", "cpu")
-    return CurveSource(QuarterCar(vehicle, device), task, settings, **options)
 
 
 def _check_count(name: str, value: int | str) -> None:

@@ -39,6 +39,8 @@ class Task:
         Grid steps of the suspension's parameters and of the mass, [-].
     mass_known : bool
         Whether the measured car-body mass ratio is one more input.
+    log_ratios : bool
+        Whether a model sees logarithms of the ratios to healthy, or the ratios themselves.
     """
 
     protocol: str
@@ -53,6 +55,7 @@ class Task:
     step: float
     mass_step: float
     mass_known: bool
+    log_ratios: bool
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -73,7 +76,7 @@ class Task:
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
         step = self.mass_step if name == "M_s" else self.step
-        n_steps = round((self.upper - self.lower) / step)
+        n_steps = math.floor((self.upper - self.lower) / step + 1e-9)
         return np.asarray(np.round(self.lower + step * np.arange(n_steps + 1), 10))
 
     @property
@@ -151,6 +154,9 @@ class Protocol:
         Give the model the measured car-body mass ratio as one more input.
     estimate_mass : bool
         Ask for the car-body mass ratio as one more output.
+    log_ratios : bool
+        Give the model logarithms of the ratios to healthy, inputs and outputs alike; False is the
+        paper's relative changes.
     features : mapping, optional
         Further arguments of ``PeakFeatures``.
 
@@ -169,6 +175,7 @@ class Protocol:
     mass_step: float = 0.1
     mass_known: bool = False
     estimate_mass: bool = False
+    log_ratios: bool = True
     features: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -196,6 +203,9 @@ class Protocol:
                 f"protocol {self.name!r} has no group {group!r}; choose from {sorted(self.groups)}"
             )
         entry = self.groups[group]
+        missing = {"outputs", "responses", "peaks"} - set(entry)
+        if missing:
+            raise ValueError(f"group {group!r} of protocol {self.name!r} lacks {sorted(missing)}")
         outputs = tuple(_known(entry["outputs"], PARAMETERS[:4], "outputs"))
         return Task(
             protocol=self.name,
@@ -210,10 +220,13 @@ class Protocol:
             step=self.step,
             mass_step=self.mass_step,
             mass_known=self.mass_known,
+            log_ratios=self.log_ratios,
         )
 
 
 def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
-    if not names or any(name not in allowed for name in names):
-        raise ValueError(f"`{what}` must be chosen from {tuple(allowed)}, got {list(names)}")
+    if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
+        raise ValueError(
+            f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"
+        )
     return names

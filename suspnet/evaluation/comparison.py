@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from statistics import fmean
 from typing import Any
 
 from tabulate import tabulate
@@ -87,33 +88,36 @@ def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
 
 
 def table6_markdown(records: Sequence[Record]) -> str:
-    """Return Table VI as Markdown: for each model the published and the measured figure."""
+    """Return Table VI of one protocol as Markdown: each model's published and measured figure.
+
+    Records that differ in their seed only are averaged.
+    """
     models = [name for name in MODEL_TITLES if any(r["model"] == name for r in records)]
     header = ["group", "output", "metric"]
     header += [f"{MODEL_TITLES[m]} {what}" for m in models for what in ("paper", "ours")]
-    cells: dict[tuple[str, str, str], dict[str, Record]] = {}
-    for r in records:
-        cells.setdefault((r["group"], r["output"], r["metric"]), {})[r["model"]] = r
     rows = []
-    for key, by_model in cells.items():
+    for key in dict.fromkeys((r["group"], r["output"], r["metric"]) for r in records):
+        same = [r for r in records if (r["group"], r["output"], r["metric"]) == key]
         row: list[str] = [*key[:2], "MAPE %" if key[2] == "mape_percent" else "RMSE"]
         for model in models:
-            record = by_model.get(model, {})
-            row += [_number(record.get("published")), _number(record.get("measured"))]
-        rows.append([*row, _number(next(iter(by_model.values()))["limit"])])
+            chosen = [r for r in same if r["model"] == model]
+            published = chosen[0]["published"] if chosen else None
+            row += [_number(published), _number(_mean(r["measured"] for r in chosen))]
+        rows.append([*row, _number(_mean(r["limit"] for r in same))])
     return tabulate(rows, [*header, "limit"], tablefmt="github", disable_numparse=True)
 
 
 def table6_caption(records: Sequence[Record]) -> str:
     """Return one line that says how the measured figures came about."""
     first = records[0]
+    seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
     seconds: dict[str, float] = {}
     for run in {(r["model"], r["seconds"]) for r in records}:
         seconds[run[0]] = seconds.get(run[0], 0.0) + run[1]
     times = ", ".join(f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds)
     return (
         f"protocol {first['protocol']}, {first['n_train']} training curves, "
-        f"{first['snr_db']:g} dB, seed {first['seed']}; time taken: {times}"
+        f"{first['snr_db']:g} dB, seed {seeds}; time taken: {times}"
     )
 
 
@@ -166,6 +170,11 @@ def scores_table(
     ]
     header = ["output", "MAPE %", "limit", "RMSE", "limit"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    listed = list(values)
+    return fmean(listed) if listed else None
 
 
 def _number(value: float | None) -> str:

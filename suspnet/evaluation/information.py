@@ -1,6 +1,6 @@
 """What can be known at best: Cramer-Rao bounds, and the limit where the mass cannot be told apart.
 
-The noise is that of `suspnet.data.curves`: independent over bins, of known rms. An unbiased
+The noise is that of `suspnet.data.noise`: independent over bins, of known rms. An unbiased
 estimator of theta has at least the covariance I^-1 with I = J^T J / rms^2, J the derivative of the
 curves; a Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
 """
@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.data.curves import noise_rms
+from suspnet.data.noise import noise_rms
 from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 
@@ -71,14 +71,19 @@ def fisher_information(
 def cramer_rao(information: FloatArray) -> FloatArray:
     """Return the least standard deviations, shape (n, n_parameters); inf where unidentifiable.
 
-    A matrix whose scaled form has a condition number above 1e12 has no usable inverse.
+    A parameter on which there is no information has the bound inf. A matrix whose scaled form has a
+    condition number above 1e12 has no usable inverse: all of its bounds are inf.
     """
-    scale = np.sqrt(np.einsum("nii->ni", information))
-    bounds = np.full(scale.shape, np.inf)
+    diagonal = np.einsum("nii->ni", information)
+    unseen = ~(diagonal > 0)
+    scale = np.sqrt(np.where(unseen, 1.0, diagonal))
     scaled = information / (scale[:, :, None] * scale[:, None, :])
+    scaled += unseen[:, :, None] * np.eye(information.shape[1])
+    bounds = np.full(scale.shape, np.inf)
     usable = np.linalg.cond(scaled) < 1e12
     inverse = np.linalg.inv(scaled[usable])
     bounds[usable] = np.sqrt(np.einsum("nii->ni", inverse)) / scale[usable]
+    bounds[unseen] = np.inf
     return bounds
 
 
@@ -114,7 +119,7 @@ def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str,
             "mape_percent": mape,
             "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
         }
-        for name, ratio in (("k_s", stiffness), ("c_s", damping))
+        for name, ratio in (("k_s", stiffness), ("c_s", damping), ("M_s", np.ones_like(mass)))
     }
 
 

@@ -29,6 +29,8 @@ _WINDOWS = {
     "primary_upper": (0.25, 1.0),
     "primary_largest": (0.3, 0.3),
 }
+"""Half widths of the first fit's window, below and above; a Gaussian's are at most ..."""
+GAUSSIAN_WINDOW = 0.25
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class PeakFeatures:
 
     peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
     shape: Literal["lorentzian", "gaussian"] = "lorentzian"
-    smoothing_hz: float = 0.3
+    smoothing_hz: float = 0.2
     low_hz: float = 0.2
     high_hz: float = 15.0
 
@@ -134,5 +136,7 @@ class PeakFeatures:
 
     def _fit(self, name: str) -> PeakFit:
         below, above = _WINDOWS[name]
+        if self.shape == "gaussian":
+            below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)
         tilt = UPPER_PEAK_TILT if name == "primary_upper" else 0.0
         return PeakFit(self.shape, self.smoothing_hz, below, above, tilt)

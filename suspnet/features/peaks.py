@@ -17,8 +17,12 @@ from torch import Tensor
 CLIP_FRACTION = 0.3
 """Raw points below this fraction of the smoothed curve are noise; they are raised to it."""
 
-VERTEX_RANGE = (0.5, 2.0)
-"""A fitted position must lie between these multiples of the window's centre."""
+FLOOR_FRACTION = 1e-3
+"""Noise can make the smoothed curve negative; it is raised to this fraction of its maximum."""
+
+LOWEST, REACH = 0.5, 1.5
+"""A fitted position is no peak of its maximum if it lies below this fraction of its frequency (a
+tilt moves the maximum up), or more than this many half windows above it."""
 
 
 class PeakReason(IntEnum):
@@ -44,13 +48,17 @@ class PeakFit:
     smoothing_hz : float, [Hz]
         Length of the moving average that finds the maximum and weighs the points.
     window_below, window_above : float
-        Half widths of the fit window on either side of its centre, in log-frequency; the window
-        exp(-(log(f/centre) / half width)^4 / 2) is soft, so features stay continuous.
+        Half widths of the first fit's window on either side of its centre, in log-frequency; the
+        window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features stay continuous.
     tilt : float
         The maximum is searched on abs(G) f^tilt; a positive tilt keeps a flattening peak in sight.
         The fit is always to abs(G) itself.
     n_fits : int
-        Least-squares fits; each after the first is centred on the position found before.
+        Least-squares fits; each after the first is centred on the position found before, and
+        dropped where it fails.
+    top : float
+        Half width of the window of the later fits, as a multiple of the width found before; the
+        first window is never exceeded. The smaller, the closer to the top and the noisier.
 
     Raises
     ------
@@ -59,16 +67,17 @@ class PeakFit:
     """
 
     shape: Literal["lorentzian", "gaussian"] = "lorentzian"
-    smoothing_hz: float = 0.3
+    smoothing_hz: float = 0.2
     window_below: float = 0.4
     window_above: float = 0.4
     tilt: float = 0.0
-    n_fits: int = 2
+    n_fits: int = 3
+    top: float = 0.7
 
     def __post_init__(self) -> None:
         if self.shape not in ("lorentzian", "gaussian"):
             raise ValueError(f"`shape` must be 'lorentzian' or 'gaussian', got {self.shape!r}")
-        for name in ("smoothing_hz", "window_below", "window_above"):
+        for name in ("smoothing_hz", "window_below", "window_above", "top"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"`{name}` must be > 0, got {value}")
@@ -152,15 +161,13 @@ def findpeaks(
     magnitude = torch.where(finite[:, None], magnitude, torch.ones_like(magnitude))
     smoothed = smooth(magnitude, frequencies_hz, fit.smoothing_hz)
     centre, interior = _largest(smoothed, frequencies_hz, low_hz, high_hz, fit.tilt)
-    position, height, width, found, near = _fit_top(
-        magnitude, smoothed, frequencies_hz, centre, fit
-    )
+    top, near = _fit_top(magnitude, smoothed, frequencies_hz, centre, fit)
     reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
     reason[~near] = PeakReason.OUTSIDE_WINDOW
-    reason[~found] = PeakReason.WRONG_CURVATURE
+    reason[~top.found] = PeakReason.WRONG_CURVATURE
     reason[~interior] = PeakReason.NO_MAXIMUM
     reason[~finite] = PeakReason.NOT_FINITE
-    return Peaks(position, height, width, reason).blanked()
+    return Peaks(top.position, top.height, top.width, reason).blanked()
 
 
 def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tensor:
@@ -207,39 +214,66 @@ def _largest(
 
 def _fit_top(
     magnitude: Tensor, smoothed: Tensor, frequencies_hz: Tensor, centre: Tensor, fit: PeakFit
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Return position, height, width, and whether the fit is a peak near its window's centre.
+) -> tuple[_Top, Tensor]:
+    """Return the last fit that is a maximum, and whether it lies near where it was searched.
 
     The transformed noise of a point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
     (Gaussian); least squares weighs by the inverse square, the smoothed curve standing for abs(G).
     """
+    smoothed = torch.maximum(smoothed, FLOOR_FRACTION * smoothed.amax(dim=1, keepdim=True))
     raised = torch.maximum(magnitude, CLIP_FRACTION * smoothed)
     if fit.shape == "lorentzian":
         target, signal = raised**-2, smoothed.square() ** 3
     else:
         target, signal = raised.log(), smoothed.square()
     log_frequency = frequencies_hz.log()
-    low, high = VERTEX_RANGE
+    below = torch.full_like(centre, fit.window_below)
+    above = torch.full_like(centre, fit.window_above)
+    low = centre * LOWEST
+    high = centre * math.exp(REACH * fit.window_above)
+    best = None
     for _ in range(fit.n_fits):
-        window = _window(log_frequency, centre, fit)
+        window = _window(log_frequency, centre, below, above)
         u = frequencies_hz / centre[:, None] - 1
-        constant, vertex, curvature = _parabola(u, target, window * signal)
-        if fit.shape == "lorentzian":
-            found = (curvature > 0) & (constant > 0)
-            height, half_width = constant.abs() ** -0.5, (constant / curvature).abs().sqrt()
-        else:
-            found = curvature < 0
-            height, half_width = constant.exp(), (0.5 * math.log(2) / curvature.abs()).sqrt()
-        position, width = centre * (1 + vertex), 2 * centre * half_width
-        near = (1 + vertex > low) & (1 + vertex < high)
-        centre = torch.where(found & near, position, centre)
-    return position, height, width, found, near
+        top = _top(*_parabola(u, target, window * signal), centre, fit.shape)
+        best = top if best is None else top.where_found_else(best)
+        centre = torch.where(best.found, best.position.clamp(low, high), centre)
+        reach = torch.where(best.found, fit.top * best.width / centre, math.inf)
+        below, above = reach.clamp(max=fit.window_below), reach.clamp(max=fit.window_above)
+    assert best is not None
+    return best, (best.position > low) & (best.position < high)
 
 
-def _window(log_frequency: Tensor, centre: Tensor, fit: PeakFit) -> Tensor:
+@dataclass(frozen=True)
+class _Top:
+    """A fitted top for each curve: its measures, and whether it is a maximum."""
+
+    position: Tensor
+    height: Tensor
+    width: Tensor
+    found: Tensor
+
+    def where_found_else(self, earlier: _Top) -> _Top:
+        """Keep an earlier maximum where this fit found none."""
+        take = self.found | ~earlier.found
+        pairs = zip(vars(self).values(), vars(earlier).values(), strict=True)
+        return _Top(*(torch.where(take, new, old) for new, old in pairs))
+
+
+def _top(constant: Tensor, vertex: Tensor, curvature: Tensor, centre: Tensor, shape: str) -> _Top:
+    """Return the top whose transform is constant + curvature (f / centre - 1 - vertex)^2."""
+    if shape == "lorentzian":
+        found = (curvature > 0) & (constant > 0)
+        height, half_width = constant.abs() ** -0.5, (constant / curvature).abs().sqrt()
+    else:
+        found = curvature < 0
+        height, half_width = constant.exp(), (0.5 * math.log(2) / curvature.abs()).sqrt()
+    return _Top(centre * (1 + vertex), height, 2 * centre * half_width, found)
+
+
+def _window(log_frequency: Tensor, centre: Tensor, below: Tensor, above: Tensor) -> Tensor:
     distance = log_frequency - centre.log()[:, None]
-    below, above = (-0.5 / half_width**4 for half_width in (fit.window_below, fit.window_above))
-    scale = torch.where(distance < 0, below, above)
+    scale = torch.where(distance < 0, (-0.5 / below**4)[:, None], (-0.5 / above**4)[:, None])
     return distance.square_().square_().mul_(scale).exp_()
 
 

@@ -91,7 +91,9 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
             fitted.append(machine)
             if self.callback is not None:
                 self.callback(len(fitted))
-        self.support_vectors_ = [np.ascontiguousarray(machine.support_vectors_) for machine in fitted]
+        self.support_vectors_ = [
+            np.ascontiguousarray(machine.support_vectors_) for machine in fitted
+        ]
         self.dual_coef_ = [np.ascontiguousarray(machine.dual_coef_[0]) for machine in fitted]
         self.intercept_ = np.array([float(machine.intercept_[0]) for machine in fitted])
         self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(samples))
@@ -152,6 +154,8 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
 
 class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
     """Ordinary least squares with an intercept (scikit-learn's), the paper's MV-LR."""
+
+    coef_: FloatArray
 
     def __init__(self) -> None:
         super().__init__()

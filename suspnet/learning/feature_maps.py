@@ -213,7 +213,7 @@ def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
     values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
     kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps
     whitening = vectors[:, kept] / values[kept].sqrt()
-    width = torch.tensor(float(sigma)).to(X)
+    width = torch.tensor(float(sigma), dtype=X.dtype, device=X.device)
     return LandmarkFeatures(landmarks, whitening.to(X).contiguous(), width)
 
 

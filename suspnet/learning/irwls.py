@@ -54,8 +54,9 @@ class Solution:
     objective, grad_norm : float
         F and the norm of its gradient over W and b, at (coef, intercept).
     gap : float
-        Half the gradient's squared norm in the inverse of the reweighted Hessian, relative to F:
-        the solver's estimate of (F - F*) / F, and its stopping rule.
+        Proven bound on (F - F*) / F, and the stopping rule. L is convex in u^2, so the quadratic of
+        Eq. (9) lies below F everywhere and touches it here; F minus the quadratic's least value,
+        half the squared norm of the gradient in the inverse of its Hessian, bounds F - F*.
     support_fraction : float
         Fraction of the samples outside the tube.
     objectives : list of float
@@ -104,6 +105,11 @@ def irwls(
     -------
     Solution
         Its status says whether `tol` was reached.
+
+    Raises
+    ------
+    ValueError
+        If a system is singular to working precision.
     """
     coef = torch.zeros(blocks.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
     intercept = torch.zeros_like(coef[0])
@@ -175,7 +181,13 @@ def _direction(
         mean, offset_change = mean / total, -offset / total
         gram -= total * torch.outer(mean, mean)
         right = right - total * torch.outer(mean, offset_change)
-    change = torch.cholesky_solve(right, torch.linalg.cholesky(gram))
+    factor, info = torch.linalg.cholesky_ex(gram)
+    if int(info) or not bool(torch.isfinite(right).all()):
+        raise ValueError(
+            f"the {len(gram)} x {len(gram)} system of IRWLS is singular to working precision with "
+            f"weights up to {float(weights.max()):.1e}; lower C, or scale the outputs"
+        )
+    change = torch.cholesky_solve(right, factor)
     intercept_change = torch.zeros_like(offset)
     if fit_intercept and total > 0:
         intercept_change = offset_change - mean @ change

@@ -52,12 +52,12 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     max_iter : int, default=1000
         Iterations after which to give up with a ``ConvergenceWarning``.
     tol : float, default=1e-8
-        Stop when the estimated relative distance of the objective from its minimum is below.
+        Stop when the objective is proven to lie within this fraction of its minimum.
     random_state : int, RandomState or None, default=0
         Seed of the feature map's draws.
     dtype : {"float64", "float32"}, default="float64"
         Precision of the features; the solver's accumulators and solves are float64. With float32
-        the optimum can be reached to about 1e-5 only, so raise `tol`.
+        the gradient is rounded, so `tol` may have to be raised.
     device : str, default="cpu"
         Torch device.
     callback : callable, optional
@@ -75,7 +75,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     objective_, grad_norm_ : float
         At the solution.
     gap_ : float
-        Estimated relative distance of the objective from its minimum.
+        Proven bound on the relative distance of the objective from its minimum.
     objectives_ : list of float
         Before the first and after each iteration.
     support_fraction_ : float
@@ -200,7 +200,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return {"coef": self.coef_, "intercept": self.intercept_, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is.
+        """Become the model whose `state` this is; it predicts columns, (n_samples, n_outputs).
 
         Raises
         ------
@@ -238,7 +238,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         check_number("tol", self.tol, low=0)
         check_number("max_iter", self.max_iter, low=1, whole=True)
         check_number("n_components", self.n_components, low=1, whole=True)
-        if self.feature_map not in FEATURE_MAPS:
+        if not isinstance(self.fit_intercept, bool | np.bool_):
+            raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
+        if not isinstance(self.feature_map, str) or self.feature_map not in FEATURE_MAPS:
             allowed = sorted(FEATURE_MAPS)
             raise ValueError(f"`feature_map` must be one of {allowed}, got {self.feature_map!r}")
         if self.dtype not in ("float64", "float32"):

@@ -69,7 +69,8 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     length_scale, signal_variance, noise_variance : float
         l, sigma_f^2 and sigma_n^2: the values used, or the first start of the optimiser.
     optimizer : {"marginal_likelihood"} or None, default="marginal_likelihood"
-        None uses the three values as they are.
+        None uses the three values as they are, and so do linearly dependent outputs, whose
+        likelihood is unbounded.
     n_restarts : int, default=2
         Further starts, drawn log-uniformly from Table V's ranges.
     n_optimize : int, default=1000

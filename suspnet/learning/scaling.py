@@ -32,16 +32,18 @@ class Scaling:
         Raises
         ------
         ValueError
-            If a column is constant, or not positive where its logarithm is taken.
+            If a value is not finite, or not positive where its logarithm is taken, or a column is
+            constant.
         """
+        if not np.isfinite(values).all():
+            raise ValueError("values must be finite to be scaled")
         if log and not (values > 0).all():
             raise ValueError("values must be positive for a logarithmic scaling")
         moved = np.log(values) if log else values
-        scale = moved.std(axis=0)
-        constant = np.flatnonzero(~(scale > 0))
+        constant = np.flatnonzero(np.ptp(moved, axis=0) == 0)
         if constant.size:
             raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")
-        return cls(moved.mean(axis=0), scale, log)
+        return cls(moved.mean(axis=0), moved.std(axis=0), log)
 
     def apply(self, values: FloatArray) -> FloatArray:
         """Return scaled values, same shape."""

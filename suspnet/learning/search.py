@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -107,14 +108,13 @@ class GridSearch:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", ConvergenceWarning)
-                    value = -float(
-                        np.mean(cross_val_score(candidate, X, Y, cv=folds, scoring=scorer))
+                    scores = cross_val_score(
+                        candidate, X, Y, cv=folds, scoring=scorer, error_score="raise"
                     )
+                value = -float(np.mean(scores))
             except ValueError as error:
-                value = np.inf
+                value = math.inf
                 result.failures.append(f"{setting}: {error}")
-            if not np.isfinite(value):
-                value = float("inf")
             result.settings.append(setting)
             result.rmse.append(value)
             if on_setting is not None:

@@ -1,0 +1,61 @@
+"""Curves to features, beside a scipy loop over single curves.
+
+pytest tests/benchmarks --benchmark-only
+"""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import curve_fit
+from scipy.signal import find_peaks, savgol_filter
+
+from suspnet.data import TRAIN, CurveSettings, CurveSource, Protocol
+from suspnet.data.curves import BLOCK
+from suspnet.dynamics import QuarterCar, Vehicle
+
+PEAKS = ["secondary", "primary_lower", "primary_upper"]
+GROUP = {"outputs": ["k_p", "c_p"], "responses": ["G_p", "G_s"], "peaks": PEAKS}
+
+
+def source(n_curves):
+    am96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
+    task = Protocol("multi_location", {"primary": GROUP}).task("primary")
+    settings = CurveSettings(n_train=n_curves, cache_dir=None)
+    return CurveSource(QuarterCar(am96), task, settings, threads=torch.get_num_threads())
+
+
+def lorentzian(f, height, position, width):
+    return height / np.sqrt(1 + ((f - position) / (width / 2)) ** 2)
+
+
+def fit_one_by_one(frequencies_hz, curves):
+    """What a user would write with scipy: smooth, find peaks, fit a Lorentzian to each top."""
+    features = []
+    for curve in curves.reshape(-1, curves.shape[-1]):
+        smoothed = savgol_filter(curve, 15, 2)
+        peaks, _ = find_peaks(smoothed, prominence=0.05)
+        for peak in peaks:
+            rows = slice(max(peak - 20, 0), peak + 20)
+            start = (curve[peak], frequencies_hz[peak], 0.5)
+            fitted, _ = curve_fit(lorentzian, frequencies_hz[rows], curve[rows], start, maxfev=2000)
+            features.append(fitted)
+    return features
+
+
+@pytest.mark.benchmark(group="curves to features, 12,800 curves (scipy: 128)")
+def test_suspnet(benchmark):
+    curves = source(100 * BLOCK)
+    data = benchmark.pedantic(curves.features, args=(TRAIN,), rounds=3, warmup_rounds=1)
+    assert data.valid.mean() > 0.99
+
+
+@pytest.mark.benchmark(group="curves to features, 12,800 curves (scipy: 128)")
+def test_scipy_loop(benchmark):
+    maker = source(BLOCK)
+    frequencies_hz = maker.settings.frequencies_hz().numpy()
+
+    def run():
+        curves = maker.curves(maker.ratios(TRAIN), TRAIN, 0).numpy()
+        return fit_one_by_one(frequencies_hz, curves)
+
+    assert len(benchmark.pedantic(run, rounds=3, warmup_rounds=1)) >= 2 * BLOCK

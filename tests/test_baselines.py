@@ -1,0 +1,165 @@
+"""The methods MSVR is compared with, against scikit-learn and numpy."""
+
+import numpy as np
+import pytest
+from learning_reference import naive_rbf, smooth_data
+from sklearn import svm
+from sklearn.exceptions import NotFittedError
+
+from suspnet.learning import SVR, LinearRegression, baselines
+
+
+def small(**settings):
+    return SVR(**({"C": 10.0, "sigma": 1.3, "epsilon": 0.02, "n_jobs": 1} | settings))
+
+
+@pytest.mark.parametrize("epsilon", [1e-3, 0.1])
+@pytest.mark.parametrize("sigma", [0.5, 2.0])
+def test_svr_is_one_machine_of_scikit_learn_for_each_output(sigma, epsilon):
+    X, Y = smooth_data(0)
+    X_test, _ = smooth_data(1, n_samples=50)
+    predicted = small(sigma=sigma, epsilon=epsilon).fit(X, Y).predict(X_test)
+    for j in range(2):
+        other = svm.SVR(gamma=1 / sigma**2, C=10.0, epsilon=epsilon).fit(X, Y[:, j])
+        expected = other.predict(X_test)
+        assert np.ptp(expected) > 0.5
+        # The same machine; only the kernel sum of the prediction is ours.
+        np.testing.assert_allclose(predicted[:, j], expected, rtol=0, atol=1e-9)
+
+
+def test_svr_prediction_is_the_kernel_expansion():
+    X, Y = smooth_data(2, n_samples=40)
+    model = small().fit(X, Y)
+    for j in range(2):
+        kernel = naive_rbf(X, model.support_vectors_[j], 1.3)
+        expected = kernel @ model.dual_coef_[j] + model.intercept_[j]
+        np.testing.assert_allclose(model.predict(X)[:, j], expected, atol=1e-10, rtol=0)
+
+
+def test_svr_duals_stay_in_the_box_and_residuals_in_the_tube():
+    X, Y = smooth_data(3)
+    model = small(C=1.0, epsilon=0.1, tol=1e-6).fit(X, Y)
+    assert model.converged_
+    assert 0.05 < model.support_fraction_ < 0.95
+    for dual in model.dual_coef_:
+        assert np.abs(dual).max() <= 1.0
+        assert abs(dual.sum()) < 1e-8
+    n_support = [len(dual) for dual in model.dual_coef_]
+    assert model.support_fraction_ == pytest.approx(np.mean(n_support) / len(X))
+    outside = np.abs(Y - model.predict(X)) > 0.1 + 1e-5
+    assert (outside.sum(axis=0) <= n_support).all()
+
+
+def test_linear_regression_is_least_squares():
+    X, Y = smooth_data(4)
+    model = LinearRegression().fit(X, Y)
+    design = np.column_stack([X, np.ones(len(X))])
+    solution, *_ = np.linalg.lstsq(design, Y, rcond=None)
+    assert np.abs(solution).min() > 1e-3
+    np.testing.assert_allclose(model.predict(X), design @ solution, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(model.coef_, solution[:2].T, atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("make", [small, LinearRegression])
+def test_restored_model_predicts_bit_for_bit(make):
+    X, Y = smooth_data(5)
+    X_test, _ = smooth_data(6, n_samples=50)
+    model = make().fit(X, Y)
+    state = {name: array.copy() for name, array in model.state().items()}
+    restored = make().restore(state)
+    np.testing.assert_array_equal(restored.predict(X_test), model.predict(X_test))
+
+
+def test_svr_in_threads_is_the_same():
+    X, Y = smooth_data(7)
+    one, two = (small(n_jobs=n).fit(X, Y).predict(X) for n in (1, 2))
+    np.testing.assert_array_equal(one, two)
+
+
+def test_svr_prediction_in_chunks_is_the_whole(monkeypatch):
+    X, Y = smooth_data(8)
+    model = small().fit(X, Y)
+    whole = model.predict(X)
+    monkeypatch.setattr(baselines, "PREDICT_ROWS", 7)
+    np.testing.assert_allclose(model.predict(X), whole, atol=1e-12, rtol=0)
+
+
+def test_svr_callback_counts_outputs():
+    X, Y = smooth_data(9, n_samples=30)
+    heard = []
+    small(callback=heard.append).fit(X, Y)
+    assert heard == [1, 2]
+
+
+def test_svr_flat_output_keeps_its_shape():
+    X, Y = smooth_data(9, n_samples=30)
+    flat, both = small().fit(X, Y[:, 0]).predict(X), small().fit(X, Y).predict(X)
+    assert flat.shape == (30,)
+    np.testing.assert_array_equal(flat, both[:, 0])
+
+
+def test_svr_constructor_only_stores():
+    odd = {name: object() for name in SVR().get_params()}
+    assert vars(SVR(**odd)) == odd
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"C": 0}, ValueError, r"`C` must be finite and in \(0, inf\), got 0"),
+        ({"C": np.nan}, ValueError, r"`C` must be finite and in \(0, inf\), got nan"),
+        ({"C": "abc"}, TypeError, "`C` must be a number, got 'abc'"),
+        ({"C": True}, TypeError, "`C` must be a number, got True"),
+        ({"sigma": -1.0}, ValueError, "`sigma` must be finite"),
+        ({"tol": 0.0}, ValueError, "`tol` must be finite"),
+        ({"epsilon": -1e-3}, ValueError, "`epsilon` must be finite and >= 0"),
+    ],
+)
+def test_svr_refuses_wrong_settings(settings, error, message):
+    X, Y = smooth_data(10, n_samples=20)
+    model = small(**settings)
+    with pytest.raises(error, match=message):
+        model.fit(X, Y)
+
+
+@pytest.mark.parametrize("make", [small, LinearRegression])
+def test_missing_inputs_are_refused(make):
+    X, Y = smooth_data(10, n_samples=20)
+    X[1, 1] = np.nan
+    with pytest.raises(ValueError, match="Input X contains NaN"):
+        make().fit(X, Y)
+
+
+@pytest.mark.parametrize("make", [small, LinearRegression])
+def test_unfitted_model_has_no_state(make):
+    with pytest.raises(NotFittedError, match="not fitted yet"):
+        make().state()
+
+
+@pytest.mark.parametrize(
+    ("make", "missing"),
+    [
+        (small, "intercept"),
+        (small, "support_vectors.1"),
+        (small, "dual_coef.0"),
+        (LinearRegression, "coef"),
+        (LinearRegression, "intercept"),
+    ],
+)
+def test_state_with_missing_arrays_is_refused(make, missing):
+    X, Y = smooth_data(10, n_samples=20)
+    state = make().fit(X, Y).state()
+    del state[missing]
+    with pytest.raises(ValueError, match="the arrays are not those of"):
+        make().restore(state)
+
+
+def test_states_with_disagreeing_shapes_are_refused():
+    X, Y = smooth_data(10, n_samples=20)
+    svr, linear = small().fit(X, Y).state(), LinearRegression().fit(X, Y).state()
+    svr["dual_coef.1"] = svr["dual_coef.1"][:-1]
+    with pytest.raises(ValueError, match="differ in number"):
+        small().restore(svr)
+    linear["intercept"] = linear["intercept"][:-1]
+    with pytest.raises(ValueError, match="coef has shape"):
+        LinearRegression().restore(linear)

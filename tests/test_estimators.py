@@ -1,0 +1,13 @@
+"""Every estimator keeps scikit-learn's contract."""
+
+import pytest
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from suspnet.learning import MSVR, MVGPR, SVR, LinearRegression
+
+
+# The array API check is skipped, with this warning, unless array_api_compat is installed.
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
+@parametrize_with_checks([MSVR(), SVR(), LinearRegression(), MVGPR()])
+def test_estimator_keeps_the_contract(estimator, check):
+    check(estimator)

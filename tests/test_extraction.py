@@ -1,0 +1,212 @@
+"""Feature sets: continuous over the whole range, and absent where a peak is."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.features import PeakFeatures, PeakReason, findpeaks
+from suspnet.features.extraction import PEAK_NAMES
+
+GRID = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
+ALL = PeakFeatures(peaks=("secondary", "primary_lower", "primary_upper", "primary_largest"))
+BY_PLACE, LARGEST = slice(0, 9), 9
+SWEEP = torch.linspace(0.5, 2.0, 151, dtype=torch.float64)
+
+
+def sweep(quarter_car, name):
+    """Return the features of vehicles with one parameter from 0.50 to 2.00, the others healthy."""
+    ratios = torch.ones(len(SWEEP), len(PARAMETERS), dtype=torch.float64)
+    ratios[:, PARAMETERS.index(name)] = SWEEP
+    return ALL.extract(quarter_car.magnitudes(ratios, GRID), GRID)
+
+
+def largest_relative_jump(values):
+    return (values.diff(dim=0) / values[:-1]).abs().amax(dim=0)
+
+
+# reference
+
+
+def test_names_follow_the_peaks():
+    extractor = PeakFeatures(peaks=("primary_upper", "secondary"))
+    assert extractor.names == (
+        "primary_upper_position",
+        "primary_upper_height",
+        "primary_upper_width",
+        "secondary_position",
+        "secondary_height",
+        "secondary_width",
+    )
+    assert len(PeakFeatures().names) == 9
+
+
+def test_features_of_the_healthy_vehicle_are_near_its_modes(quarter_car):
+    table = ALL.extract(quarter_car.magnitudes(torch.ones(1, 5), GRID), GRID)
+    values = dict(zip(ALL.names, table.values[0].tolist(), strict=True))
+    assert table.reasons.tolist() == [[0, 0, 0, 0]]
+    body_hz = quarter_car.vehicle.secondary_frequency_hz
+    lower_hz, upper_hz = quarter_car.natural_modes()[0]
+    # damping of 4 and 17 % moves the peaks off the undamped modes
+    assert values["secondary_position"] == pytest.approx(body_hz, rel=0.1)
+    assert values["primary_lower_position"] == pytest.approx(lower_hz, rel=0.1)
+    assert values["primary_upper_position"] == pytest.approx(upper_hz, rel=0.1)
+    assert values["primary_lower_position"] < values["secondary_position"]
+    assert values["secondary_position"] < values["primary_upper_position"]
+
+
+def test_heights_equal_those_of_the_curves(quarter_car):
+    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
+    values = ALL.extract(curves, GRID).values[0]
+    lower = curves[0, 0, GRID < 2].max().item()
+    upper = curves[0, 0, GRID > 3].max().item()
+    body = curves[0, 1].max().item()
+    # a broad, skewed peak is not quite a Lorentzian
+    assert values[[1, 4, 7]].tolist() == pytest.approx([body, lower, upper], rel=0.1)
+
+
+# property
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_features_by_place_are_found_and_continuous(quarter_car, name):
+    table = sweep(quarter_car, name)
+    assert (table.reasons == PeakReason.FOUND).all()
+    jumps = largest_relative_jump(table.values[:, BY_PLACE])
+    # a step of 0.01 is 2 % of the smallest ratio; no feature is steeper than a second power
+    assert jumps.max() < 0.04
+    assert jumps.max() > 1e-4
+
+
+@pytest.mark.parametrize("name", ["k_p", "k_s"])
+def test_largest_primary_peak_jumps_between_the_resonances(quarter_car, name):
+    position = sweep(quarter_car, name).values[:, LARGEST]
+    jump = largest_relative_jump(position[:, None])
+    assert jump > 0.5  # from one resonance to the other, 0.9-1.6 Hz to 4-7 Hz
+    assert position.min() < 1.7
+    assert position.max() > 4.0
+
+
+def test_largest_primary_peak_is_the_largest_of_the_two(quarter_car):
+    ratios = torch.tensor([[0.5, 1, 1, 1, 1], [2, 1, 1, 1, 1]], dtype=torch.float64)
+    values = ALL.extract(quarter_car.magnitudes(ratios, GRID), GRID).values
+    assert values[:, 10].tolist() == pytest.approx(
+        torch.maximum(values[:, 4], values[:, 7]).tolist(), rel=0.1
+    )
+    soft, stiff = values[:, LARGEST].tolist()
+    assert soft == pytest.approx(values[0, 3].item(), rel=0.02)
+    assert stiff == pytest.approx(values[1, 6].item(), rel=0.02)
+
+
+def test_primary_group_has_every_feature_without_noise(task, quarter_car):
+    problem = task("multi_location", "primary")
+    corners = np.ones((8, 5))
+    corners[:, [0, 1, 4]] = list(itertools.product((0.5, 2.0), repeat=3))
+    ratios = np.concatenate([corners, problem.sample(1000, seed=0, stream=0)])
+    curves = quarter_car.magnitudes(torch.as_tensor(ratios), GRID)
+    table = problem.extractor.extract(curves, GRID)
+    assert (table.reasons == PeakReason.FOUND).all()
+    assert torch.isfinite(table.values).all()
+    assert (table.values > 0).all()
+
+
+def test_secondary_group_has_every_feature_unless_the_body_is_strongly_damped(task, quarter_car):
+    problem = task("multi_location", "secondary")
+    corners = np.ones((8, 5))
+    corners[:, 2:] = list(itertools.product((0.5, 2.0), repeat=3))
+    ratios = np.concatenate([corners, problem.sample(1500, seed=0, stream=0)])
+    table = problem.extractor.extract(quarter_car.magnitudes(torch.as_tensor(ratios), GRID), GRID)
+    healthy_damping = quarter_car.vehicle.secondary_damping_ratio
+    damping = healthy_damping * ratios[:, 3] / np.sqrt(ratios[:, 2] * ratios[:, 4])
+    found = table.reasons == PeakReason.FOUND
+    lightly = torch.as_tensor(damping < 0.4)
+    assert lightly.double().mean() > 0.9
+    assert found[lightly].all()
+    # above that the two peaks of abs(G_p) may melt into one, and the lost one says so
+    assert found[:, 0].all()
+    assert found.all(dim=1).double().mean() > 0.99
+    assert torch.equal(table.values.isnan(), (~found).repeat_interleave(3, dim=1))
+
+
+def test_batch_equals_one_by_one(task, quarter_car):
+    ratios = torch.as_tensor(task("joint", "all").sample(20, seed=1, stream=0))
+    curves = quarter_car.magnitudes(ratios, GRID)
+    together = ALL.extract(curves, GRID)
+    alone = [ALL.extract(curve[None], GRID) for curve in curves]
+    assert torch.equal(together.reasons, torch.cat([table.reasons for table in alone]))
+    torch.testing.assert_close(
+        together.values,
+        torch.cat([table.values for table in alone]),
+        rtol=1e-9,  # a batched product may add in another order
+        atol=0,
+        equal_nan=True,
+    )
+
+
+def test_bins_outside_the_band_are_not_looked_at(quarter_car):
+    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
+    spoiled = curves.clone()
+    spoiled[:, :, (GRID < 0.2) | (GRID > 15.0)] = math.nan
+    expected = PeakFeatures().extract(curves, GRID).values
+    assert torch.equal(PeakFeatures().extract(spoiled, GRID).values, expected)
+
+
+def test_largest_needs_no_secondary_curve(quarter_car):
+    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
+    curves[:, 1] = math.nan
+    table = PeakFeatures(peaks=("primary_largest",)).extract(curves, GRID)
+    inside = (GRID >= 0.2) & (GRID <= 15.0)
+    assert table.reasons.tolist() == [[PeakReason.FOUND]]
+    top = GRID[inside][curves[0, 0, inside].argmax()].item()
+    assert table.values[0, 0].item() == pytest.approx(top, abs=0.05)
+    assert findpeaks(curves[:, 0, inside], GRID[inside]).valid.all()
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("secondary", "reason"),
+    [(1 / GRID, PeakReason.NO_MAXIMUM), (GRID * math.nan, PeakReason.NOT_FINITE)],
+)
+def test_without_a_secondary_peak_the_places_of_the_primary_ones_are_unknown(
+    quarter_car, secondary, reason
+):
+    curves = quarter_car.magnitudes(torch.ones(2, 5), GRID)
+    curves[0, 1] = secondary
+    table = ALL.extract(curves, GRID)
+    unknown = PeakReason.PLACE_UNKNOWN
+    assert table.reasons.tolist() == [[reason, unknown, unknown, 0], [0, 0, 0, 0]]
+    assert table.values[0].isnan().tolist() == [True] * 9 + [False] * 3
+    assert torch.isfinite(table.values[1]).all()
+
+
+def test_missing_primary_curve_leaves_the_secondary_feature(quarter_car):
+    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
+    curves[0, 0, 7] = math.nan  # 0.24 Hz
+    table = PeakFeatures().extract(curves, GRID)
+    assert table.reasons.tolist() == [[0, PeakReason.NOT_FINITE, PeakReason.NOT_FINITE]]
+    assert table.values[0].isnan().tolist() == [False] * 3 + [True] * 6
+
+
+@pytest.mark.parametrize("peaks", [(), ("tertiary",), ("secondary", "primary")])
+def test_unknown_peaks_are_rejected(peaks):
+    with pytest.raises(ValueError, match="`peaks` must be chosen from"):
+        PeakFeatures(peaks=peaks)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 15.0), (5.0, 5.0), (5.0, 1.0), (math.nan, 1.0)])
+def test_empty_band_is_rejected(low, high):
+    with pytest.raises(ValueError, match="need 0 < low_hz < high_hz"):
+        PeakFeatures(low_hz=low, high_hz=high)
+
+
+def test_gaussian_shape_finds_every_peak_of_the_healthy_vehicle(quarter_car):
+    f = torch.arange(5, 1001, dtype=torch.float64) * 0.02
+    table = PeakFeatures(PEAK_NAMES, shape="gaussian").extract(
+        quarter_car.magnitudes(torch.ones(1, 5), f), f
+    )
+    assert torch.isfinite(table.values).all()

@@ -1,0 +1,349 @@
+"""MV-GPR against scikit-learn's Gaussian process and the matrix-normal density."""
+
+import numpy as np
+import pytest
+import torch
+from learning_reference import (
+    draw_matrix_normal,
+    matrix_normal_logpdf,
+    naive_rbf,
+    smooth_data,
+)
+from sklearn.exceptions import ConvergenceWarning, NotFittedError
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from suspnet.learning import MVGPR, mvgpr
+from suspnet.learning.mvgpr import log_marginal_likelihood
+
+LENGTH, SIGNAL, NOISE = 0.9, 1.7, 0.02
+OMEGA = np.array([[1.2, 0.5], [0.5, 0.8]])
+
+
+def fixed(**settings):
+    values = {"length_scale": LENGTH, "signal_variance": SIGNAL, "noise_variance": NOISE}
+    return MVGPR(**(values | {"optimizer": None} | settings))
+
+
+def covariance(X, length=LENGTH, signal=SIGNAL, noise=NOISE):
+    """K' = K + sigma_n^2 I, naively."""
+    return signal * naive_rbf(X, X, np.sqrt(2) * length) + noise * np.eye(len(X))
+
+
+def drawn_from_the_model(n_samples, seed=0):
+    """Inputs and outputs of MN(0, K', OMEGA)."""
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-4, 4, (n_samples, 2))
+    return X, draw_matrix_normal(rng, covariance(X), OMEGA)
+
+
+@pytest.fixture(scope="module")
+def optimised():
+    X, Y = drawn_from_the_model(250)
+    model = MVGPR(n_restarts=1, length_scale=3.0, noise_variance=1e-3)
+    return X, Y, model.fit(X, Y)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Ours and scikit-learn's process with the same kernel, and test inputs."""
+    X, Y = smooth_data(1, n_samples=80)
+    kernel = ConstantKernel(SIGNAL) * RBF(LENGTH) + WhiteKernel(NOISE)
+    other = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None).fit(X, Y - Y.mean(axis=0))
+    X_test = np.random.default_rng(2).uniform(-4, 4, (40, 2))
+    return fixed().fit(X, Y), other, Y, X_test
+
+
+def test_mean_is_that_of_scikit_learn(pair):
+    ours, other, Y, X_test = pair
+    expected = other.predict(X_test) + Y.mean(axis=0)
+    assert np.abs(other.predict(X_test)).max() > 0.5
+    # Two Cholesky solves of the same matrix, condition about 1e4.
+    np.testing.assert_allclose(ours.predict(X_test), expected, rtol=0, atol=1e-10)
+
+
+def test_std_is_that_of_scikit_learn_times_the_outputs_own(pair):
+    ours, other, _, X_test = pair
+    _, std = ours.predict(X_test, return_std=True)
+    _, expected = other.predict(X_test, return_std=True)  # of a noisy output, one per column
+    assert expected.max() > 2 * expected.min() > 0.1
+    scale = np.sqrt(np.diag(ours.omega_))
+    np.testing.assert_allclose(std, expected * scale, rtol=1e-9)
+    # Predictive: never below the noise.
+    assert (std >= np.sqrt(NOISE) * scale).all()
+
+
+def test_likelihood_is_the_matrix_normal_density():
+    X, Y = smooth_data(3, n_samples=12)
+    model, centred = fixed().fit(X, Y), Y - Y.mean(axis=0)
+    expected = matrix_normal_logpdf(centred, covariance(X), model.omega_)
+    assert abs(expected) > 1
+    assert model.log_marginal_likelihood_ == pytest.approx(expected, rel=1e-10)
+
+
+def test_omega_maximises_the_likelihood():
+    X, Y = smooth_data(3, n_samples=12)
+    model, centred = fixed().fit(X, Y), Y - Y.mean(axis=0)
+    omega = model.omega_
+    inverse = np.linalg.inv(covariance(X))
+    np.testing.assert_allclose(omega, centred.T @ inverse @ centred / len(X), rtol=1e-9)
+    best = matrix_normal_logpdf(centred, covariance(X), omega)
+    root, rng = np.linalg.cholesky(omega), np.random.default_rng(4)
+    for _ in range(20):
+        change = 0.05 * rng.standard_normal((2, 2))
+        other = root @ (np.eye(2) + change + change.T) @ root.T
+        assert matrix_normal_logpdf(centred, covariance(X), other) < best
+
+
+def test_profiled_likelihood_has_the_gradient_of_finite_differences():
+    X, Y = smooth_data(5, n_samples=15)
+    targets, inputs = torch.tensor(Y), torch.tensor(X)
+    squared = torch.cdist(inputs, inputs).square()
+
+    def value(logs):
+        kernel = torch.exp(-0.5 * squared * torch.exp(-2 * logs[0]))
+        kernel = kernel + torch.exp(logs[1]) * torch.eye(len(X), dtype=torch.float64)
+        return log_marginal_likelihood(targets, torch.linalg.cholesky(kernel))[0]
+
+    logs = torch.tensor([0.1, -3.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(value, logs)
+
+
+def test_optimiser_recovers_the_kernel_of_the_data(optimised):
+    _, _, model = optimised
+    assert model.converged_
+    # 250 points x 2 outputs; the inputs span 9 x 9 length scales, so about 80 independent cells
+    # and over 150 residual degrees of freedom per output: relative deviations of about 5 and
+    # 10 % - three of them allowed.
+    assert model.length_scale_ == pytest.approx(LENGTH, rel=0.15)
+    ratio = model.noise_variance_ / model.signal_variance_
+    # The ratio carries the signal's deviation, sqrt(2 / 160), as well.
+    assert np.log(ratio / (NOISE / SIGNAL)) == pytest.approx(0, abs=0.5)
+    correlation = model.omega_[0, 1] / np.sqrt(model.omega_[0, 0] * model.omega_[1, 1])
+    assert correlation == pytest.approx(0.5 / np.sqrt(1.2 * 0.8), abs=0.15)
+
+
+def test_optimised_likelihood_is_not_below_that_of_the_start_or_the_truth(optimised):
+    X, Y, model = optimised
+    start = MVGPR(length_scale=3.0, noise_variance=1e-3, optimizer=None).fit(X, Y)
+    truth = fixed().fit(X, Y)
+    assert model.log_marginal_likelihood_ > start.log_marginal_likelihood_ + 10
+    assert model.log_marginal_likelihood_ >= truth.log_marginal_likelihood_
+    # And it is a maximum along each parameter.
+    for name in ("length_scale", "noise_variance"):
+        for factor in (0.9, 1.1):
+            values = {
+                "length_scale": model.length_scale_,
+                "signal_variance": model.signal_variance_,
+                "noise_variance": model.noise_variance_,
+            }
+            values[name] *= factor
+            moved = MVGPR(optimizer=None, **values).fit(X, Y)
+            assert moved.log_marginal_likelihood_ < model.log_marginal_likelihood_
+
+
+def test_optimised_omega_has_mean_diagonal_one(optimised):
+    _, _, model = optimised
+    assert np.diag(model.omega_).mean() == pytest.approx(1, rel=1e-9)
+    assert np.ptp(np.diag(model.omega_)) > 0.05
+
+
+def test_intervals_cover_what_they_promise():
+    coverages = []
+    for seed in range(10):
+        X, Y = drawn_from_the_model(300, seed)
+        mean, std = fixed().fit(X[:200], Y[:200]).predict(X[200:], return_std=True)
+        coverages.append(np.mean(np.abs(Y[200:] - mean) < 1.96 * std))
+    # One draw deviates by about 2.5 % (correlated trials), the mean of ten by 0.8 %.
+    assert 0.925 < np.mean(coverages) < 0.975
+
+
+def test_covariance_has_the_variances_on_its_diagonal(pair):
+    ours, _, _, X_test = pair
+    mean, std = ours.predict(X_test, return_std=True)
+    same_mean, cov = ours.predict(X_test, return_cov=True)
+    np.testing.assert_array_equal(same_mean, mean)
+    assert cov.shape == (40, 2, 2)
+    np.testing.assert_allclose(np.diagonal(cov, axis1=1, axis2=2), std**2, rtol=1e-12)
+    correlation = cov[:, 0, 1] / std.prod(axis=1)
+    omega = ours.omega_
+    expected = omega[0, 1] / np.sqrt(omega[0, 0] * omega[1, 1])
+    np.testing.assert_allclose(correlation, expected, rtol=1e-10)
+
+
+def test_far_away_the_prior_is_left(pair):
+    ours, _, Y, _ = pair
+    mean, std = ours.predict(np.full((1, 2), 100.0), return_std=True)
+    np.testing.assert_allclose(mean[0], Y.mean(axis=0), rtol=1e-12)
+    expected = np.sqrt((SIGNAL + NOISE) * np.diag(ours.omega_))
+    np.testing.assert_allclose(std[0], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [0.01, 30.0])
+def test_kernel_factor_moves_into_omega(factor, pair):
+    ours, _, _, X_test = pair
+    X, Y = smooth_data(1, n_samples=80)
+    other = fixed(signal_variance=SIGNAL * factor, noise_variance=NOISE * factor).fit(X, Y)
+    np.testing.assert_allclose(other.omega_, ours.omega_ / factor, rtol=1e-9)
+    assert other.log_marginal_likelihood_ == pytest.approx(ours.log_marginal_likelihood_, rel=1e-9)
+    for a, b in zip(
+        other.predict(X_test, return_std=True), ours.predict(X_test, return_std=True), strict=True
+    ):
+        np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-10)
+
+
+def test_mixing_the_outputs_mixes_mean_and_omega():
+    X, Y = smooth_data(7, n_samples=60)
+    A = np.array([[2.0, 0.3], [-1.0, 0.5]])
+    plain, mixed = fixed().fit(X, Y), fixed().fit(X, Y @ A)
+    np.testing.assert_allclose(mixed.predict(X), plain.predict(X) @ A, atol=1e-10, rtol=0)
+    np.testing.assert_allclose(mixed.omega_, A.T @ plain.omega_ @ A, rtol=1e-8)
+
+
+def test_one_output_keeps_its_shape():
+    X, Y = smooth_data(8, n_samples=30)
+    mean, std = fixed().fit(X, Y[:, 0]).predict(X, return_std=True)
+    assert mean.shape == std.shape == (30,)
+    column, column_std = fixed().fit(X, Y[:, :1]).predict(X, return_std=True)
+    np.testing.assert_array_equal(column[:, 0], mean)
+    np.testing.assert_array_equal(column_std[:, 0], std)
+
+
+def test_optimisation_on_a_part_still_conditions_on_all():
+    X, Y = drawn_from_the_model(120, seed=9)
+    model = MVGPR(n_optimize=60, n_restarts=0, length_scale=1.0, noise_variance=0.01).fit(X, Y)
+    kernel = {
+        "length_scale": model.length_scale_,
+        "signal_variance": model.signal_variance_,
+        "noise_variance": model.noise_variance_,
+    }
+    expected = MVGPR(optimizer=None, **kernel).fit(X, Y)
+    np.testing.assert_array_equal(model.predict(X), expected.predict(X))
+    assert model.log_marginal_likelihood_ == expected.log_marginal_likelihood_
+
+
+def test_callback_hears_of_each_evaluation():
+    X, Y = drawn_from_the_model(40, seed=10)
+    heard = []
+    MVGPR(n_restarts=0, callback=heard.append).fit(X, Y)
+    assert [told.n_evaluations for told in heard] == list(range(1, len(heard) + 1))
+    assert heard[0].length_scale == pytest.approx(3.0)
+    assert heard[0].noise_to_signal == pytest.approx(1e-3)
+    assert max(told.log_likelihood for told in heard) > heard[0].log_likelihood + 1
+
+
+def test_same_seed_gives_the_same_numbers():
+    X, Y = drawn_from_the_model(60, seed=11)
+    first, again, other = (
+        MVGPR(random_state=seed, n_optimize=30, n_restarts=1).fit(X, Y) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first.predict(X), again.predict(X))
+    assert first.length_scale_ == again.length_scale_ != other.length_scale_
+
+
+def test_fit_changes_neither_parameters_nor_data():
+    X, Y = drawn_from_the_model(30, seed=12)
+    kept_X, kept_Y = X.copy(), Y.copy()
+    model = MVGPR(n_restarts=0)
+    before = model.get_params()
+    model.fit(X, Y).predict(X, return_std=True)
+    assert model.get_params() == before
+    np.testing.assert_array_equal(X, kept_X)
+    np.testing.assert_array_equal(Y, kept_Y)
+
+
+def test_constructor_only_stores():
+    odd = {name: object() for name in MVGPR().get_params()}
+    assert vars(MVGPR(**odd)) == odd
+
+
+def test_restored_model_predicts_bit_for_bit(optimised):
+    _, _, model = optimised
+    state = {name: array.copy() for name, array in model.state().items()}
+    restored = MVGPR(**model.get_params()).restore(state)
+    X_test = np.random.default_rng(13).uniform(-4, 4, (50, 2))
+    np.testing.assert_array_equal(restored.predict(X_test), model.predict(X_test))
+    for option in ("return_std", "return_cov"):
+        found = restored.predict(X_test, **{option: True})
+        expected = model.predict(X_test, **{option: True})
+        np.testing.assert_array_equal(found[1], expected[1])
+
+
+def test_prediction_in_chunks_is_the_whole(monkeypatch, pair):
+    ours, _, _, X_test = pair
+    whole = ours.predict(X_test, return_std=True)
+    monkeypatch.setattr(mvgpr, "PREDICT_ROWS", 7)
+    for found, expected in zip(ours.predict(X_test, return_std=True), whole, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12, rtol=0)
+
+
+def test_kernel_that_is_not_positive_definite_is_refused():
+    X = np.random.default_rng(14).uniform(0, 1, (200, 1))
+    Y = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 0])])
+    model = MVGPR(optimizer=None, length_scale=100, noise_variance=1e-18)
+    with pytest.raises(ValueError, match="200 x 200 kernel matrix is not positive definite"):
+        model.fit(X, Y)
+
+
+def test_too_few_iterations_warn():
+    X, Y = drawn_from_the_model(60, seed=15)
+    model = MVGPR(max_iter=1, n_restarts=0)
+    with pytest.warns(ConvergenceWarning, match="did not converge in 1 iterations"):
+        model.fit(X, Y)
+    assert not model.converged_
+
+
+@pytest.mark.parametrize("value", [0, -1, np.inf, np.nan])
+@pytest.mark.parametrize("name", ["length_scale", "signal_variance", "noise_variance"])
+def test_values_out_of_range_are_refused(name, value):
+    X, Y = smooth_data(16, n_samples=10)
+    model = MVGPR(**{name: value})
+    with pytest.raises(ValueError, match=rf"`{name}` must be finite and in \(0, inf\), got"):
+        model.fit(X, Y)
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"length_scale": "abc"}, TypeError, "`length_scale` must be a number, got 'abc'"),
+        ({"noise_variance": True}, TypeError, "`noise_variance` must be a number, got True"),
+        ({"n_restarts": -1}, ValueError, "`n_restarts` must be finite and >= 0"),
+        ({"n_optimize": 1}, ValueError, "`n_optimize` must be finite and >= 2"),
+        ({"max_iter": 1.5}, TypeError, "`max_iter` must be a whole number"),
+        ({"optimizer": "adam"}, ValueError, "`optimizer` must be .*, got 'adam'"),
+    ],
+)
+def test_wrong_settings_are_named(settings, error, message):
+    X, Y = smooth_data(16, n_samples=10)
+    model = MVGPR(**settings)
+    with pytest.raises(error, match=message):
+        model.fit(X, Y)
+
+
+def test_missing_inputs_are_refused():
+    X, Y = smooth_data(16, n_samples=10)
+    X[2, 0] = np.nan
+    with pytest.raises(ValueError, match="Input X contains NaN"):
+        MVGPR().fit(X, Y)
+
+
+def test_unfitted_model_says_so():
+    with pytest.raises(NotFittedError, match="not fitted yet"):
+        MVGPR().predict(np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("missing", ["samples", "weights", "mean", "omega", "kernel"])
+def test_state_with_missing_arrays_is_refused(missing):
+    X, Y = smooth_data(16, n_samples=10)
+    state = fixed().fit(X, Y).state()
+    del state[missing]
+    with pytest.raises(ValueError, match="not those of an MVGPR model"):
+        fixed().restore(state)
+
+
+def test_state_with_disagreeing_shapes_is_refused():
+    X, Y = smooth_data(16, n_samples=10)
+    state = fixed().fit(X, Y).state()
+    state["weights"] = state["weights"][:-1]
+    with pytest.raises(ValueError, match="weights have shape"):
+        fixed().restore(state)

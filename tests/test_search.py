@@ -1,0 +1,164 @@
+"""The grid search against scikit-learn's."""
+
+import numpy as np
+import pytest
+from learning_reference import smooth_data
+from sklearn import linear_model
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.metrics import make_scorer, root_mean_squared_error
+from sklearn.model_selection import GridSearchCV, KFold
+
+from suspnet.learning import MSVR, Scaling
+from suspnet.learning.search import GridSearch, SearchResult
+
+GRID = {"C": [0.1, 10.0], "sigma": [0.2, 1.0, 5.0]}
+IDENTITY = Scaling(np.zeros(2), np.ones(2), log=False)
+
+
+class Fussy(RegressorMixin, BaseEstimator):
+    """Predicts its level; cannot be fitted at a negative one."""
+
+    def __init__(self, level=0.0):
+        self.level = level
+
+    def fit(self, X, y):
+        if self.level < 0:
+            raise ValueError(f"level {self.level} is too low")
+        self.shape_ = y.shape[1:]
+        return self
+
+    def predict(self, X):
+        return np.full((len(X), *self.shape_), self.level)
+
+
+def problem(log):
+    X, Y = smooth_data(0, n_samples=80)
+    positive = np.exp(0.3 * Y)
+    scaling = Scaling.of(positive, log)
+    return X, scaling.apply(positive), scaling
+
+
+@pytest.mark.parametrize("log", [True, False])
+def test_search_is_that_of_scikit_learn_with_the_same_folds_and_metric(log):
+    X, Y, scaling = problem(log)
+    estimator = MSVR(n_components=32)
+    found = GridSearch({"msvr": GRID}, n_folds=4, seed=3).run("msvr", estimator, X, Y, scaling)
+
+    def metric(actual, predicted):
+        return root_mean_squared_error(scaling.undo(actual), scaling.undo(predicted))
+
+    other = GridSearchCV(
+        estimator,
+        GRID,
+        scoring=make_scorer(metric, greater_is_better=False),
+        cv=KFold(4, shuffle=True, random_state=3),
+        refit=False,
+    ).fit(X, Y)
+    assert found.settings == other.cv_results_["params"]
+    np.testing.assert_allclose(found.rmse, -other.cv_results_["mean_test_score"], rtol=1e-12)
+    assert found.best == other.best_params_
+    assert not found.failures
+    # The grid has something to choose from.
+    assert max(found.rmse) > 2 * min(found.rmse) > 0
+
+
+def test_rmse_is_that_of_held_out_folds_on_unscaled_outputs():
+    X, Y, scaling = problem(log=True)
+    found = GridSearch({"fussy": {"level": [0.5]}}, n_folds=5, seed=1).run(
+        "fussy", Fussy(), X, Y, scaling
+    )
+    truth, guess = scaling.undo(Y), scaling.undo(np.full((1, 2), 0.5))
+    folds = KFold(5, shuffle=True, random_state=1).split(X)
+    expected = np.mean([np.sqrt(((truth[t] - guess) ** 2).mean(axis=0)).mean() for _, t in folds])
+    assert found.rmse == [pytest.approx(expected, rel=1e-12)]
+
+
+def test_seed_decides_the_folds():
+    X, Y, scaling = problem(log=True)
+
+    def rmse(seed):
+        search = GridSearch({"msvr": {"sigma": [1.0]}}, seed=seed)
+        return search.run("msvr", MSVR(n_components=16), X, Y, scaling).rmse
+
+    assert rmse(0) == rmse(0)
+    assert rmse(0) != rmse(1)
+
+
+def test_listener_hears_of_each_setting_and_the_estimator_stays():
+    X, Y, _ = problem(log=False)
+    heard, estimator = [], Fussy(level=7.0)
+    search = GridSearch({"fussy": {"level": [0.0, 1.0]}}, n_folds=2)
+    found = search.run(
+        "fussy", estimator, X, Y, IDENTITY, on_setting=lambda *told: heard.append(told)
+    )
+    assert heard == list(zip(found.settings, found.rmse, strict=True))
+    assert estimator.get_params() == {"level": 7.0}
+    assert not hasattr(estimator, "shape_")
+    assert search.n_settings("fussy") == 2
+
+
+def test_settings_that_fail_count_as_infinitely_bad():
+    X, Y, _ = problem(log=False)
+    found = GridSearch({"fussy": {"level": [-1.0, 0.0, 2.0]}}).run("fussy", Fussy(), X, Y, IDENTITY)
+    assert found.rmse[0] == np.inf
+    assert np.isfinite(found.rmse[1:]).all()
+    assert found.best == {"level": 0.0}
+    assert len(found.failures) == 1
+    assert "level -1.0 is too low" in found.failures[0]
+
+
+def test_settings_that_do_not_converge_are_still_compared(recwarn):
+    X, Y, scaling = problem(log=True)
+    grid = {"max_iter": [1], "epsilon": [0.5]}
+    estimator = MSVR(n_components=16)
+    found = GridSearch({"msvr": grid}, n_folds=2).run("msvr", estimator, X, Y, scaling)
+    assert np.isfinite(found.rmse).all()
+    assert not [w for w in recwarn if issubclass(w.category, ConvergenceWarning)]
+
+
+def test_best_is_the_first_of_equals():
+    assert SearchResult([{"a": 1}, {"a": 2}, {"a": 3}], [2.0, 1.0, 1.0]).best == {"a": 2}
+
+
+def test_no_setting_that_can_be_fitted_is_an_error():
+    X, Y, _ = problem(log=False)
+    search = GridSearch({"fussy": {"level": [-1.0, -2.0]}})
+    with pytest.raises(ValueError, match=r"no setting .* could be fitted; first: .*level"):
+        search.run("fussy", Fussy(), X, Y, IDENTITY)
+
+
+def test_unknown_method_is_an_error():
+    X, Y, _ = problem(log=False)
+    search = GridSearch({"msvr": GRID})
+    with pytest.raises(ValueError, match=r"no grid for 'forest', only for \['msvr'\]"):
+        search.run("forest", Fussy(), X, Y, IDENTITY)
+    with pytest.raises(ValueError, match="no grid for 'forest'"):
+        search.n_settings("forest")
+
+
+@pytest.mark.parametrize(
+    ("n_folds", "error", "message"),
+    [
+        (1, ValueError, "`n_folds` must be finite and >= 2, got 1"),
+        (2.5, TypeError, "`n_folds` must be a whole number, got 2.5"),
+    ],
+)
+def test_fewer_than_two_folds_are_refused(n_folds, error, message):
+    with pytest.raises(error, match=message):
+        GridSearch({}, n_folds=n_folds)
+
+
+class FailsOnTheFirstRow(linear_model.LinearRegression):
+    def fit(self, X, y):
+        if (X == 0).any():
+            raise ValueError("row 0 is poison")
+        return super().fit(X, y)
+
+
+def test_setting_that_fails_in_some_folds_is_a_failure():
+    X = np.arange(20.0)[:, None]
+    Y = np.column_stack([X[:, 0] + 1, 2 * X[:, 0] + 1])
+    search = GridSearch({"linear": {}}, n_folds=5)
+    with pytest.raises(ValueError, match=r"no setting of the search could be fitted.*poison"):
+        search.run("linear", FailsOnTheFirstRow(), X, Y, Scaling.of(Y, log=False))
