@@ -15,6 +15,7 @@ from suspnet import plots
 from suspnet.data.storage import read_json, write_atomically, write_json
 from suspnet.evaluation.comparison import (
     records_csv,
+    sensitivity_markdown,
     sensitivity_records,
     table6_caption,
     table6_markdown,
@@ -79,13 +80,15 @@ class Sensitivity(_Summary):
     """MAPE against sensor precision (Fig. 11)."""
 
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write sensitivity.json, .csv and .png."""
+        """Write sensitivity.json, .csv, .md and .png and print the table."""
         records = sensitivity_records(runs)
         write_json(folder / "sensitivity.json", records)
         write_atomically(folder / "sensitivity.csv", records_csv(records))
         with RunLog(folder) as run_log:
             run_log.figure("sensitivity", plots.sensitivity(runs), folder)
-        log.info("MAPE [%%] against signal-to-noise ratio:\n%s-> %s", records_csv(records), folder)
+        table = sensitivity_markdown(records)
+        write_atomically(folder / "sensitivity.md", f"{table}\n")
+        log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
 
 
 def write_table6(runs: Sequence[Run], folder: Path) -> None:

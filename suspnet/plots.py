@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
@@ -18,6 +19,7 @@ from suspnet.evaluation.comparison import MODEL_TITLES
 FloatArray = NDArray[np.float64]
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
 SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
+PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
 PAPER_COLOUR, OUR_COLOUR, LIMIT_COLOUR = "0.75", "tab:blue", "black"
 
 
@@ -160,6 +162,7 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
         limit = next(iter(by_model.values()))["limit"]
         axis.axhline(limit, color=LIMIT_COLOUR, ls="--", lw=1)
         axis.set(title=SYMBOLS[output], yscale="log")
+        axis.margins(y=0.15)
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
     axes[0][0].set_ylabel("MAPE [%]")
     handles: list[Any] = [
@@ -186,6 +189,8 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
             axis.loglog(precision, mape, "o-", label=MODEL_TITLES[model])
         axis.loglog(precision, limit, "--", color=LIMIT_COLOUR, label="information limit")
         axis.set(title=SYMBOLS[output], xlabel="sensor precision [%]", ylabel="MAPE [%]")
+        axis.set_xticks(PRECISION_TICKS, [f"{tick:g}" for tick in PRECISION_TICKS])
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(True, which="both", alpha=0.3)
     axes[0][0].legend()
     return figure

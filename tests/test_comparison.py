@@ -9,6 +9,7 @@ from suspnet.evaluation.comparison import (
     PUBLISHED,
     records_csv,
     scores_table,
+    sensitivity_markdown,
     sensitivity_records,
     table6_caption,
     table6_markdown,
@@ -215,3 +216,25 @@ def test_scores_table_puts_each_score_beside_its_limit():
         ["k_p", "1.50", "0.125", "0.01", "0.0005"],
         ["c_p", "2.50", "1.12", "0.02", "0.0015"],
     ]
+
+
+def test_sensitivity_table_has_a_row_for_each_noise():
+    runs = [
+        {
+            "protocol": "joint",
+            "model": "msvr",
+            "snr_db": snr_db,
+            "scores": {"k_p": {"mape_percent": mape}},
+            "limit": {"k_p": {"mape_percent": mape / 2}},
+            "n_train": 10,
+            "seed": 0,
+        }
+        for snr_db, mape in ((54, 0.5), (34, 3.0))
+    ]
+    records = sensitivity_records(runs)
+    assert [r["precision_percent"] for r in records] == pytest.approx([1.995, 0.1995], rel=1e-3)
+    lines = sensitivity_markdown(records).splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert cells[0] == ["model", "SNR dB", "precision %", "k_p MAPE %", "limit"]
+    assert cells[2] == ["MSVR", "34", "2", "3.00", "1.50"]
+    assert cells[3] == ["MSVR", "54", "0.2", "0.5", "0.25"]

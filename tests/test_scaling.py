@@ -70,7 +70,7 @@ def test_constant_columns_are_named(log):
         Scaling.of(V, log)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize("bad", [0.0, -1.0])
 def test_logarithm_needs_positive_values(bad):
     V = values()
     V[3, 1] = bad

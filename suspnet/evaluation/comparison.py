@@ -145,6 +145,22 @@ def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
     return sorted(records, key=lambda r: (r["model"], outputs.index(r["output"]), r["snr_db"]))
 
 
+def sensitivity_markdown(records: Sequence[Record]) -> str:
+    """Return MAPE [%] and its limit for each model, noise and output, as Markdown."""
+    outputs = list(dict.fromkeys(r["output"] for r in records))
+    rows = []
+    for model, snr_db in dict.fromkeys((r["model"], r["snr_db"]) for r in records):
+        same = [r for r in records if (r["model"], r["snr_db"]) == (model, snr_db)]
+        row = [MODEL_TITLES[model], f"{snr_db:g}", f"{same[0]['precision_percent']:.2g}"]
+        for output in outputs:
+            chosen = [r for r in same if r["output"] == output]
+            row += [_number(_mean(r[key] for r in chosen)) for key in ("mape_percent", "limit")]
+        rows.append(row)
+    header = ["model", "SNR dB", "precision %"]
+    header += [title for output in outputs for title in (f"{output} MAPE %", "limit")]
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
 def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
     """Return records as CSV with a header line."""
     stream = io.StringIO()
