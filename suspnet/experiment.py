@@ -20,7 +20,7 @@ from suspnet.checkpoint import ModelFileError, TrainedModel, load_model, save_mo
 from suspnet.data import TEST, CurveSettings, Protocol, Task
 from suspnet.data.storage import write_json
 from suspnet.evaluation.comparison import scores_table
-from suspnet.evaluation.information import best_possible
+from suspnet.evaluation.information import best_possible, output_bounds, relative_percent
 from suspnet.evaluation.metrics import METRICS, score
 from suspnet.fitting import Outcome, Problem, fit, method_name, predict_stream, tune
 from suspnet.learning.search import GridSearch, SearchResult
@@ -216,15 +216,18 @@ def _headline(problem: Problem, name: str) -> Metrics:
 
 def _scores(problem: Problem, outcome: Outcome) -> Metrics:
     task, data = problem.task, outcome.data
+    bounds = output_bounds(
+        task,
+        problem.generator,
+        data.ratios,
+        problem.settings.frequencies_hz(),
+        problem.settings.snr_db,
+    )
+    spread = relative_percent(task, bounds, data.ratios)
     return {
         "scores": score(data.outputs, outcome.predicted, task.outputs),
-        "limit": best_possible(
-            task,
-            problem.generator,
-            data.ratios,
-            problem.settings.frequencies_hz(),
-            problem.settings.snr_db,
-        ),
+        "limit": best_possible(task, bounds, data.ratios),
+        "cramer_rao_percent": dict(zip(task.outputs, spread.tolist(), strict=True)),
         "n_test": outcome.n_asked,
         "n_test_complete": len(data.inputs),
     }
@@ -292,6 +295,6 @@ def _report(metrics: Metrics, folder: Path) -> None:
         metrics["snr_db"],
         missing,
         metrics["seconds"],
-        scores_table(metrics["scores"], metrics["limit"]),
+        scores_table(metrics["scores"], metrics["limit"], metrics["cramer_rao_percent"]),
         folder,
     )

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 
 import pytest
 
@@ -210,11 +211,13 @@ def test_sensitivity_records_give_the_precision_of_the_sensor():
 
 def test_scores_table_puts_each_score_beside_its_limit():
     one = run("msvr", ("k_p", "c_p"))
-    header, *rows = cells(scores_table(one["scores"], one["limit"]))
-    assert header == ["output", "MAPE %", "limit", "RMSE", "limit"]
+    header, *rows = cells(
+        scores_table(one["scores"], one["limit"], {"k_p": 0.157, "c_p": math.inf})
+    )
+    assert header == ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %"]
     assert rows == [
-        ["k_p", "1.50", "0.125", "0.01", "0.0005"],
-        ["c_p", "2.50", "1.12", "0.02", "0.0015"],
+        ["k_p", "1.50", "0.125", "0.01", "0.0005", "0.157"],
+        ["c_p", "2.50", "1.12", "0.02", "0.0015", "inf"],
     ]
 
 

@@ -13,6 +13,8 @@ from suspnet.evaluation.information import (
     best_possible,
     cramer_rao,
     fisher_information,
+    output_bounds,
+    relative_percent,
     scale_ambiguity_limit,
 )
 
@@ -262,7 +264,8 @@ def test_knowing_the_mass_never_hurts(task, quarter_car):
 
 def best(quarter_car, problem, n=400):
     ratios = problem.sample(n, seed=0, stream=TEST)
-    return best_possible(problem, quarter_car, ratios, FREQUENCIES, 34.0), ratios
+    bounds = output_bounds(problem, quarter_car, ratios, FREQUENCIES, 34.0)
+    return best_possible(problem, bounds, ratios), ratios
 
 
 def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task, quarter_car):
@@ -321,3 +324,14 @@ def test_ambiguity_has_a_limit_for_the_mass_too(task, quarter_car):
     found, _ = best(quarter_car, problem)
     assert set(found) == {"k_s", "c_s", "M_s"}
     assert found["M_s"]["mape_percent"] == found["k_s"]["mape_percent"]
+
+
+def test_output_bounds_are_infinite_where_nothing_can_be_told(task, quarter_car):
+    ratios = np.ones((1, 5))
+    secondary = task("paper", "secondary")
+    bounds = output_bounds(secondary, quarter_car, ratios, FREQUENCIES, 34.0)
+    assert np.isinf(bounds).all()
+    known = task("paper", "secondary", mass_known=True)
+    bounds = output_bounds(known, quarter_car, 2 * ratios, FREQUENCIES, 34.0)
+    assert np.isfinite(bounds).all()
+    np.testing.assert_allclose(relative_percent(known, bounds, 2 * ratios), 50 * bounds[0])

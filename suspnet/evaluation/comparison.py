@@ -171,9 +171,15 @@ def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def scores_table(
-    scores: Mapping[str, Mapping[str, float]], limit: Mapping[str, Mapping[str, float]]
+    scores: Mapping[str, Mapping[str, float]],
+    limit: Mapping[str, Mapping[str, float]],
+    cramer_rao_percent: Mapping[str, float],
 ) -> str:
-    """Return the scores of one run beside the information limit, as Markdown."""
+    """Return the scores of one run beside what is possible, as Markdown.
+
+    The last column is the Cramer-Rao bound as a relative standard deviation, inf where a parameter
+    cannot be identified.
+    """
     rows = [
         [
             output,
@@ -181,10 +187,11 @@ def scores_table(
             _number(limit[output]["mape_percent"]),
             _number(values["rmse"]),
             _number(limit[output]["rmse"]),
+            _number(cramer_rao_percent[output]),
         ]
         for output, values in scores.items()
     ]
-    header = ["output", "MAPE %", "limit", "RMSE", "limit"]
+    header = ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 

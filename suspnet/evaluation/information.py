@@ -123,32 +123,52 @@ def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str,
     }
 
 
-def best_possible(
+def output_bounds(
     task: Task,
     generator: ResponseGenerator,
     ratios: FloatArray,
     frequencies_hz: Tensor,
     snr_db: float,
+) -> FloatArray:
+    """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
+
+    All that varies and is not measured has to be estimated along, from the task's own curves.
+    """
+    information = fisher_information(
+        generator, ratios, frequencies_hz, snr_db, task.unknown, task.responses
+    )
+    return cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
+
+
+def best_possible(
+    task: Task, bounds: FloatArray, ratios: FloatArray
 ) -> dict[str, dict[str, float]]:
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the information limit of a task.
 
     The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be told from the
     suspension (abs(G_s) alone), the limit set by that ambiguity.
+
+    Parameters
+    ----------
+    task : Task
+    bounds : array of shape (n_vehicles, n_outputs), [-]
+        From `output_bounds`.
+    ratios : array of shape (n_vehicles, 5), [-]
     """
     ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
     if ambiguous and task.sampling == "grid":
         return {k: v for k, v in scale_ambiguity_limit(task, ratios).items() if k in task.outputs}
-    information = fisher_information(
-        generator, ratios, frequencies_hz, snr_db, task.unknown, task.responses
-    )
-    bounds = cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
-    relative = bounds / ratios[:, task.output_indices]
-    mape = 100 * math.sqrt(2 / math.pi) * relative.mean(axis=0)
+    mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
     rmse = np.sqrt(np.mean(bounds**2, axis=0))
     return {
         name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
         for j, name in enumerate(task.outputs)
     }
+
+
+def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> FloatArray:
+    """Return the mean bound of each output relative to its value, shape (n_outputs,), [%]."""
+    return np.asarray(100 * (bounds / ratios[:, task.output_indices]).mean(axis=0))
 
 
 def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:
