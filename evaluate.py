@@ -32,7 +32,8 @@ def main(config: DictConfig) -> None:
         )
         for folder in runs
     ]
-    write_table6(results, output)
+    if len(results) > 1:
+        write_table6(results, output)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import torch
+from numpy.typing import ArrayLike, NDArray
 
 import suspnet
 from suspnet.data.protocols import Task
@@ -79,7 +80,28 @@ class TrainedModel:
     output_scaling: Scaling | None = None
     training: dict[str, Any] = field(default_factory=dict)
 
-    def predict(self, inputs: FloatArray) -> FloatArray:
+    def relative_features(self, magnitudes: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
+        """Return the features of measured curves, relative to the healthy vehicle's.
+
+        Parameters
+        ----------
+        magnitudes : array of shape (n_curves, 2, n_freq), [-]
+            abs(G_p) and abs(G_s).
+        frequencies_hz : array of shape (n_freq,), [Hz]
+            Evenly spaced; the spacing of `curve_settings` is what the model was trained on.
+
+        Returns
+        -------
+        array of shape (n_curves, n_features), [-]
+            NaN where a peak is missing.
+        """
+        curves, bins = (
+            torch.as_tensor(np.asarray(values, dtype=np.float64))
+            for values in (magnitudes, frequencies_hz)
+        )
+        return np.asarray(self.task.extractor.extract(curves, bins).values) / self.healthy_features
+
+    def predict(self, inputs: ArrayLike) -> FloatArray:
         """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
 
         Parameters
@@ -94,6 +116,7 @@ class TrainedModel:
         """
         if self.input_scaling is None or self.output_scaling is None:
             raise ValueError(f"{self.name} works on curves, not on features")
+        inputs = np.asarray(inputs, dtype=np.float64)
         if inputs.ndim != 2 or inputs.shape[1] != len(self.task.inputs):
             raise ValueError(
                 f"`inputs` must have shape (n_curves, {len(self.task.inputs)}) with columns "
@@ -137,7 +160,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     write_json(folder / "model.json", description)
 
 
-def load_model(folder: Path, device: str = "cpu") -> TrainedModel:
+def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
     """Return the model that `save_model` wrote to a folder.
 
     Raises
@@ -147,6 +170,7 @@ def load_model(folder: Path, device: str = "cpu") -> TrainedModel:
     ModelFileError
         If a file is damaged, foreign or of another schema version.
     """
+    folder = Path(folder)
     path = folder / "model.json"
     if not path.is_file():
         raise FileNotFoundError(f"{folder} holds no model.json; is it the folder of a run?")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from matplotlib.figure import Figure
 
 from suspnet import plots
 from suspnet.checkpoint import ModelFileError, TrainedModel, load_model, save_model
@@ -142,7 +143,7 @@ def evaluate(
     }
     with RunLog(output) as run_log:
         _log_hyperparameters(run_log, metrics, model.training["parameters"])
-        _draw_predictions(task, outcome, run_log, output / "figures")
+        _draw_predictions(problem, model.name, outcome, run_log, output / "figures")
     write_json(output / "metrics.json", metrics)
     _report(metrics, output)
     return metrics
@@ -255,39 +256,56 @@ def _draw(
 ) -> None:
     task, source = problem.task, problem.source
     frequencies_hz = problem.settings.frequencies_hz()
-    run_log.figure("bode", plots.bode(problem.generator, frequencies_hz), folder)
-    run_log.figure("degradation", plots.degradation(problem.generator, frequencies_hz), folder)
     example = source.curves(outcome.data.ratios[:1], TEST, 0)
     table = task.extractor.extract(example, frequencies_hz.to(example.device))
     features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))
-    fits = plots.peak_fits(frequencies_hz.numpy(), example[0].cpu().numpy(), features)
-    run_log.figure("peaks", fits, folder)
     data = outcome.data
-    spread = plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs)
-    run_log.figure("features", spread, folder)
-    _draw_predictions(task, outcome, run_log, folder)
-    objectives = getattr(model.estimator, "objectives_", None)
-    if objectives is not None and len(objectives) > 1:
-        run_log.figure("convergence", plots.convergence(objectives), folder)
+    figures = {
+        "bode": plots.bode(problem.generator, frequencies_hz),
+        "degradation": plots.degradation(problem.generator, frequencies_hz),
+        "peaks": plots.peak_fits(frequencies_hz.numpy(), example[0].cpu().numpy(), features),
+        "features": plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs),
+    }
+    objectives = getattr(model.estimator, "objectives_", [])
+    if len(objectives) > 2:
+        figures["convergence"] = plots.convergence(objectives)
     if found is not None:
         numbers = [
             {k: v for k, v in setting.items() if isinstance(v, int | float)}
             for setting in found.settings
         ]
-        run_log.figure("search", plots.search_map(numbers, found.rmse), folder)
+        figures["search"] = plots.search_map(numbers, found.rmse)
+    _write_figures(figures, _title(problem, model.name), run_log, folder)
+    _draw_predictions(problem, model.name, outcome, run_log, folder)
 
 
-def _draw_predictions(task: Task, outcome: Outcome, run_log: RunLog, folder: Path) -> None:
-    actual, predicted = outcome.data.outputs, outcome.predicted
-    run_log.figure("parity", plots.parity(actual, predicted, task.outputs), folder)
-    run_log.figure("residuals", plots.residuals(actual, predicted, task.outputs), folder)
+def _draw_predictions(
+    problem: Problem, name: str, outcome: Outcome, run_log: RunLog, folder: Path
+) -> None:
+    arrays = outcome.data.outputs, outcome.predicted, problem.task.outputs
+    figures = {"parity": plots.parity(*arrays), "residuals": plots.residuals(*arrays)}
+    _write_figures(figures, _title(problem, name), run_log, folder)
+
+
+def _write_figures(
+    figures: Mapping[str, Figure], title: str, run_log: RunLog, folder: Path
+) -> None:
+    for name, figure in figures.items():
+        figure.suptitle(title, fontsize="small")
+        run_log.figure(name, figure, folder)
+
+
+def _title(problem: Problem, name: str) -> str:
+    task = problem.task
+    noise = f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
+    return f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {name}, {noise}"
 
 
 def _report(metrics: Metrics, folder: Path) -> None:
     missing = metrics["n_test"] - metrics["n_test_complete"]
     log.info(
-        "%s on protocol %s, group %s: %d test curves at %g dB (%d more without all peaks), %.1f s\n"
-        "%s\n-> %s",
+        "%s on protocol %s, group %s: %d test curves at %g dB (%d more discarded: a peak is "
+        "missing), %.1f s to fit and predict\n%s\n-> %s",
         metrics["model"],
         metrics["protocol"],
         metrics["group"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
@@ -15,13 +16,16 @@ from tqdm import tqdm
 
 from suspnet.checkpoint import ESTIMATORS, TrainedModel
 from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
-from suspnet.data.curves import BLOCK, used_responses
+from suspnet.data.curves import BLOCK, quiet, used_responses
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.learning import CurveFit, Scaling
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
 
+log = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]
+TOO_MANY_LOST = 0.02
+"""Fraction of curves without all of their peaks above which a user should be warned."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     data = problem.source.features(TRAIN).complete()
     inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
-    with tqdm(total=n_settings, desc=f"search {name}", disable=not problem.progress) as bar:
+    with tqdm(total=n_settings, desc=f"search {name}", disable=quiet(problem.progress)) as bar:
 
         def told(setting: Mapping[str, Any], rmse: float) -> None:
             run_log.scalars("search", {"rmse": rmse}, int(bar.n))
@@ -143,6 +147,13 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
         kept = data.complete()
         if not len(kept.inputs):
             raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
+        lost = 1 - len(kept.inputs) / len(data.inputs)
+        if lost > TOO_MANY_LOST:
+            log.warning(
+                "%.1f %% of the training curves lack a peak and are left out; look at "
+                "figures/peaks.png and at protocol.features (smoothing_hz, low_hz, high_hz)",
+                100 * lost,
+            )
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         start = time.perf_counter()
@@ -211,7 +222,7 @@ class _Told:
     def __init__(self, estimator: Any, name: str, run_log: RunLog, progress: bool) -> None:
         self._estimator, self._name, self._log = estimator, name, run_log
         self._active = "callback" in estimator.get_params()
-        self._bar = tqdm(desc=f"fit {name}", unit="step", disable=not (progress and self._active))
+        self._bar = tqdm(desc=f"fit {name}", unit="step", disable=quiet(progress and self._active))
 
     def __enter__(self) -> None:
         if self._active:
@@ -239,7 +250,7 @@ def _fit_curves(problem: Problem, method: CurveFit, data: FeatureData, stream: i
     )
     used, unknown = used_responses(task), task.unknown
     estimates = []
-    with tqdm(total=len(data.ratios), desc="curve fit", disable=not problem.progress) as bar:
+    with tqdm(total=len(data.ratios), desc="curve fit", disable=quiet(problem.progress)) as bar:
         for block in range(source.n_blocks(len(data.ratios))):
             rows = slice(block * BLOCK, (block + 1) * BLOCK)
             observed = source.curves(data.ratios, stream, block)[:, used]

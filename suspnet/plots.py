@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.evaluation.comparison import MODEL_TITLES
+from suspnet.evaluation.comparison import MODEL_TITLES, table6_caption
 
 FloatArray = NDArray[np.float64]
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
@@ -99,9 +99,10 @@ def feature_spread(
     figure, axes = _grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
     for i, output in enumerate(output_names):
         for j, name in enumerate(names):
-            axes[i][j].plot(outputs[rows, i], inputs[rows, j], ".", ms=1, alpha=0.4)
+            axes[i][j].plot(outputs[rows, i], inputs[rows, j], ".", ms=2, alpha=0.4)
             axes[0][j].set_title(name.replace("_", "\n", 1).replace("_", " "), fontsize=8)
-        axes[i][0].set_ylabel(f"against {SYMBOLS[output]}")
+            axes[i][j].set_xlabel(f"{SYMBOLS[output]} / healthy", fontsize=8)
+        axes[i][0].set_ylabel("feature / healthy")
     return figure
 
 
@@ -109,7 +110,7 @@ def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> F
     """Predicted against actual ratios to healthy."""
     figure, axes = _grid(1, len(names))
     for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
-        axis.plot(actual[:, j], predicted[:, j], ".", ms=2, alpha=0.4)
+        axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
         limits = [actual[:, j].min(), actual[:, j].max()]
         axis.plot(limits, limits, color="black", lw=0.8)
         axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
@@ -122,7 +123,7 @@ def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -
     figure, axes = _grid(2, len(names))
     for j, name in enumerate(names):
         error = 100 * (predicted[:, j] / actual[:, j] - 1)
-        axes[0][j].plot(actual[:, j], error, ".", ms=2, alpha=0.4)
+        axes[0][j].plot(actual[:, j], error, ".", ms=4, alpha=0.4)
         axes[0][j].set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="error [%]")
         axes[1][j].hist(error, bins=80)
         axes[1][j].set(xlabel="error [%]", ylabel="curves")
@@ -135,6 +136,7 @@ def convergence(objectives: Sequence[float]) -> Figure:
     figure, axes = _grid(1, 1)
     excess = np.maximum(np.array(objectives[:-1]) - objectives[-1], 1e-300)
     axes[0][0].semilogy(excess, "o-")
+    axes[0][0].xaxis.set_major_locator(MaxNLocator(integer=True))
     axes[0][0].set(xlabel="IRWLS iteration", ylabel="objective above its last value")
     axes[0][0].grid(True, which="both", alpha=0.3)
     return figure
@@ -152,13 +154,13 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
             record = by_model.get(model)
             if record is None:
                 continue
-            if record["published"] is not None:
-                axis.bar(x - 0.2, record["published"], 0.4, color=PAPER_COLOUR)
-            axis.bar(x + 0.2, record["measured"], 0.4, color=OUR_COLOUR)
-            label = f"{record['measured']:.2g}"
-            axis.annotate(
-                label, (x + 0.2, record["measured"]), ha="center", va="bottom", fontsize=8
-            )
+            for shift, key, colour in (
+                (-0.2, "published", PAPER_COLOUR),
+                (0.2, "measured", OUR_COLOUR),
+            ):
+                if record[key] is not None:
+                    bar = axis.bar(x + shift, record[key], 0.4, color=colour)
+                    axis.bar_label(bar, [f"{record[key]:.2g}"], fontsize=7)
         limit = next(iter(by_model.values()))["limit"]
         axis.axhline(limit, color=LIMIT_COLOUR, ls="--", lw=1)
         axis.set(title=SYMBOLS[output], yscale="log")
@@ -170,6 +172,7 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
         axes[0][0].bar(0, 0, color=OUR_COLOUR),
         axes[0][0].plot([], [], color=LIMIT_COLOUR, ls="--")[0],
     ]
+    figure.suptitle(table6_caption(records), fontsize="small")
     labels = ["paper's Table VI", "measured", "information limit"]
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure

@@ -2,10 +2,11 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from suspnet.checkpoint import ESTIMATORS, ModelFileError, TrainedModel, load_model, save_model
 from suspnet.data import Protocol
-from suspnet.dynamics import Vehicle
+from suspnet.dynamics import QuarterCar, Vehicle
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 
 GROUPS = {
@@ -130,3 +131,14 @@ def test_description_says_units_scaling_and_hashes(saved):
     assert len(content["inputs"]["mean"]) == 3
     assert content["units"]["vehicle"] == "kg, N/m, N s/m"
     assert len(content["arrays_sha256"]) == len(content["description_sha256"]) == 64
+
+
+def test_healthy_curves_have_relative_features_of_one(saved):
+    model = load_model(str(saved))
+    frequencies_hz = np.arange(5, 1001) * 0.02
+    generator = QuarterCar(model.vehicle)
+    curves = generator.magnitudes(torch.ones(1, 5), torch.as_tensor(frequencies_hz)).numpy()
+    features = model.relative_features(curves, frequencies_hz)
+    table = model.task.extractor.extract(torch.as_tensor(curves), torch.as_tensor(frequencies_hz))
+    np.testing.assert_allclose(features * model.healthy_features, table.values.numpy())
+    assert model.predict(features.tolist()).shape == (1, 2)

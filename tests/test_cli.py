@@ -99,6 +99,14 @@ def test_tensorboard_holds_iterations_figures_and_hyperparameters(run):
     )
 
 
+def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
+    overrides = ["vehicle.secondary_damping_ns_per_m=32e3", "model=linear", "group=secondary"]
+    with caplog.at_level("WARNING", logger="suspnet"):
+        metrics = run_main(train, tmp_path, *SMALL, *overrides)
+    assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
+    assert "of the training curves lack a peak" in caplog.text
+
+
 def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     _, metrics = run
     again = run_main(train, tmp_path / "a", *SMALL, "threads=1")

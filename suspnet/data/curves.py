@@ -224,7 +224,7 @@ class CurveSource:
             reasons[rows] = table.reasons.cpu().numpy()
 
         name = f"{self.task.protocol}/{self.task.group} {'test' if stream else 'training'} curves"
-        bar = tqdm(total=len(ratios), desc=name, unit="curve", disable=not self.progress)
+        bar = tqdm(total=len(ratios), desc=name, unit="curve", disable=quiet(self.progress))
         with bar, _single_threaded_torch(self.threads), _pool(self.threads) as pool:
             for _ in pool.map(make, range(self.n_blocks(len(ratios)))):
                 bar.update(min(BLOCK, len(ratios) - bar.n))
@@ -255,6 +255,11 @@ class CurveSource:
         }
         plain: dict[str, Any] = json.loads(json.dumps(description))
         return plain
+
+
+def quiet(progress: bool) -> bool | None:
+    """Return tqdm's `disable`: no bar if not wanted, nor where there is no terminal to draw on."""
+    return None if progress else True
 
 
 def used_responses(task: Task) -> list[int]:

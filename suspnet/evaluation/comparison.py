@@ -107,7 +107,7 @@ def table6_markdown(records: Sequence[Record]) -> str:
     return tabulate(rows, [*header, "limit"], tablefmt="github", disable_numparse=True)
 
 
-def table6_caption(records: Sequence[Record]) -> str:
+def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
     """Return one line that says how the measured figures came about."""
     first = records[0]
     seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
