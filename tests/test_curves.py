@@ -1,3 +1,5 @@
+import sys
+
 """Noisy training curves: noise of the stated size, reproducible blocks, a cache to lose."""
 
 import dataclasses
@@ -187,9 +189,15 @@ def test_whole_grid_is_made_on_request(source, task):
     np.testing.assert_array_equal(data.outputs, data.ratios[:, 2:4])
 
 
-def test_progress_bar_counts_curves(source, capsys):
+def test_progress_bar_counts_curves_on_a_terminal(source, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     source(progress=True).features(TEST)
     assert "multi_location/primary test curves: 100%" in capsys.readouterr().err
+
+
+def test_progress_bar_stays_out_of_log_files(source, capsys):
+    source(progress=True).features(TEST)
+    assert capsys.readouterr().err == ""
 
 
 def test_used_responses_are_indices_into_the_curves(task):
