@@ -1,10 +1,9 @@
-import sys
-
 """Noisy training curves: noise of the stated size, reproducible blocks, a cache to lose."""
 
 import dataclasses
 import logging
 import math
+import sys
 
 import numpy as np
 import pytest
