@@ -136,14 +136,12 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     OSError
         If the folder cannot be written.
     """
-    has_arrays = not isinstance(model.estimator, CurveFit)
-    arrays = model.estimator.state() if has_arrays else {}
-    content = dump_arrays(arrays)
+    content = dump_arrays(model.estimator.state())
     description = {
         "schema_version": SCHEMA_VERSION,
         "suspnet_version": suspnet.__version__,
         "model": model.name,
-        "parameters": _parameters(model.estimator),
+        "parameters": parameters(model.estimator),
         "inputs": _scaling_json(model.task.inputs, model.input_scaling),
         "outputs": _scaling_json(model.task.outputs, model.output_scaling),
         "units": UNITS,
@@ -187,6 +185,11 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
         raise ModelFileError(f"{path} is not a suspnet model: {error!r}") from error
 
 
+def parameters(estimator: Any) -> dict[str, Any]:
+    """Return the constructor's arguments that make a method what it is: all but its callback."""
+    return {k: v for k, v in estimator.get_params().items() if k != "callback"}
+
+
 def _check_description(path: Path, content: Any) -> None:
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
@@ -204,10 +207,10 @@ def _check_description(path: Path, content: Any) -> None:
 
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
     estimator_type = ESTIMATORS[content["model"]]
-    parameters = dict(content["parameters"])
-    if "device" in parameters:
-        parameters["device"] = device
-    estimator = estimator_type(**parameters)
+    arguments = dict(content["parameters"])
+    if "device" in arguments:
+        arguments["device"] = device
+    estimator = estimator_type(**arguments)
     if arrays:
         try:
             estimator.restore(arrays)
@@ -228,12 +231,6 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         output_scaling=_scaling(content["outputs"]),
         training=content["training"],
     )
-
-
-def _parameters(estimator: Any) -> dict[str, Any]:
-    if isinstance(estimator, CurveFit):
-        return dict(vars(estimator))
-    return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:

@@ -42,8 +42,8 @@ def train(
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
-    Writes metrics.json, model.json, model.safetensors, environment.json, config.yaml, figures and
-    TensorBoard events.
+    Writes metrics.json, model.json, model.safetensors, environment.json, figures and TensorBoard
+    events.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from suspnet.checkpoint import ESTIMATORS, TrainedModel
+from suspnet.checkpoint import ESTIMATORS, TrainedModel, parameters
 from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
 from suspnet.data.curves import BLOCK, quiet, used_responses
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
@@ -145,8 +145,6 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
     if not isinstance(estimator, CurveFit):
         data = source.features(TRAIN)
         kept = data.complete()
-        if not len(kept.inputs):
-            raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
         lost = 1 - len(kept.inputs) / len(data.inputs)
         if lost > TOO_MANY_LOST:
             log.warning(
@@ -175,8 +173,6 @@ def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcom
     """Return a model's estimates for the training or test curves of a problem."""
     data = problem.source.features(stream)
     kept = data.complete()
-    if not len(kept.inputs):
-        raise ValueError(f"none of the {len(data.inputs)} curves has all of its peaks")
     start = time.perf_counter()
     if isinstance(model.estimator, CurveFit):
         predicted = _fit_curves(problem, model.estimator, data, stream)[data.valid]
@@ -209,11 +205,7 @@ def _summary(estimator: Any) -> dict[str, Any]:
         for key, value in vars(estimator).items()
         if key.endswith("_") and isinstance(value, bool | int | float)
     }
-    parameters = (
-        dict(vars(estimator)) if isinstance(estimator, CurveFit) else estimator.get_params()
-    )
-    parameters.pop("callback", None)
-    return {"fitted": fitted, "parameters": parameters}
+    return {"fitted": fitted, "parameters": parameters(estimator)}
 
 
 class _Told:

@@ -28,7 +28,7 @@ Run = Mapping[str, Any]
 
 
 class _Summary(Callback):
-    """Reads the metrics.json of every job, in order, and hands them to `summarise`."""
+    """Reads the metrics.json of every job and hands them to `summarise`."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Summarise the jobs of the multirun that has just ended."""

@@ -318,3 +318,10 @@ def test_more_curves_than_the_grid_holds_are_rejected(source, task):
     made = source(problem=task(step=0.5, mass_step=0.5))
     with pytest.raises(ValueError, match="holds 64 curves, 300 were asked for"):
         made.features(TRAIN)
+
+
+def test_no_complete_curve_is_named():
+    missing = np.full((3, 2), math.nan)
+    data = FeatureData(missing, np.ones((3, 1)), np.ones((3, 5)), np.ones((3, 1), dtype=int))
+    with pytest.raises(ValueError, match="none of the 3 curves has all of its peaks"):
+        data.complete()

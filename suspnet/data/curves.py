@@ -116,8 +116,16 @@ class FeatureData:
         return np.asarray(np.isfinite(self.inputs).all(axis=1))
 
     def complete(self) -> FeatureData:
-        """Return the curves on which every feature was found."""
+        """Return the curves on which every feature was found.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
         kept = self.valid
+        if not kept.any():
+            raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
         return FeatureData(
             self.inputs[kept], self.outputs[kept], self.ratios[kept], self.reasons[kept]
         )

@@ -9,7 +9,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator
 from torch import Tensor
 
 from suspnet.learning.msvr import check_number
@@ -89,7 +92,7 @@ def levenberg_marquardt(
     return LeastSquaresSolution(theta, cost, converged, n_iter)
 
 
-class CurveFit:
+class CurveFit(BaseEstimator):  # type: ignore[misc]
     """Fit a model's curves directly, starting from the nearest of a set of scattered curves.
 
     Parameters
@@ -114,6 +117,10 @@ class CurveFit:
         self.n_starts = n_starts
         self.max_iter = max_iter
         self.tol = tol
+
+    def state(self) -> dict[str, NDArray[np.float64]]:
+        """Return nothing: the parameters are all there is, it learns no arrays."""
+        return {}
 
     def fit_curves(
         self, forward: Forward, observed: Tensor, known: Tensor, lower: float, upper: float, n: int
