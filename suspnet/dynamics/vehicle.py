@@ -1,4 +1,4 @@
-"""The numbers of a vehicle: six parameters of the quarter-car model, in SI units, checked."""
+"""The numbers of a vehicle, in SI units, checked: the quarter car's six, the geometry if known."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from dataclasses import dataclass, fields, replace
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """What may vary, in the order of every array of parameter ratios (1 = healthy)."""
 
+GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
+
 FREQUENCY_RANGE_HZ = (0.2, 50.0)
 DAMPING_RATIO_RANGE = (1e-3, 10.0)
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Six parameters of one wheel's share of a vehicle, in SI units (Table III of the paper).
+    """Six parameters of one bogie side's share of a vehicle, in SI units (Table III of the paper).
 
     On a road vehicle the tyre takes the place of the primary suspension.
 
@@ -30,6 +32,10 @@ class Vehicle:
         c_p and c_s.
     source : str
         Where the numbers come from.
+    half_wheelbase_m, half_pivot_distance_m : float, optional, [m]
+        From a bogie's centre to its axles, from the body's centre to the bogies' centres.
+    bogie_gyration_m, body_gyration_m : float, optional, [m]
+        Radii of gyration in pitch. These four are what ``VerticalVehicle`` needs besides.
 
     Raises
     ------
@@ -54,11 +60,17 @@ class Vehicle:
     secondary_stiffness_n_per_m: float
     secondary_damping_ns_per_m: float
     source: str = ""
+    half_wheelbase_m: float | None = None
+    half_pivot_distance_m: float | None = None
+    bogie_gyration_m: float | None = None
+    body_gyration_m: float | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            if field.name not in ("name", "source"):
-                _check_positive(field.name, getattr(self, field.name))
+            value = getattr(self, field.name)
+            optional = field.name in GEOMETRY and value is None
+            if field.name not in ("name", "source") and not optional:
+                _check_positive(field.name, value)
         _check_frequency(self, "primary", self.primary_frequency_hz)
         _check_frequency(self, "secondary", self.secondary_frequency_hz)
         _check_damping(self, "primary", self.primary_damping_ratio)
