@@ -32,6 +32,12 @@ class ResponseGenerator(Protocol):
         ...
 
 
+def sample_unmeasured(generator: ResponseGenerator, ratios: Tensor, seed: int) -> Tensor:
+    """Return ratios with random columns for what a generator holds uncertain, or as they are."""
+    sample = getattr(generator, "sample_unmeasured", None)
+    return ratios if sample is None else sample(ratios, seed)
+
+
 def check_ratios(ratios: Tensor, n_parameters: int) -> None:
     """Raise ValueError unless `ratios` is a positive, finite (n_vehicles, n_parameters) tensor."""
     if ratios.ndim != 2 or ratios.shape[1] != n_parameters:

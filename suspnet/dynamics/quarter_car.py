@@ -20,6 +20,7 @@ from scipy.linalg import eigh
 from torch import Tensor
 
 from suspnet.dynamics.generator import check_ratios
+from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
 
 FloatArray = NDArray[np.float64]
@@ -138,26 +139,30 @@ class QuarterCar:
 
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return mass [kg], damping [N s/m] and stiffness [N/m] matrices for (z_p, z_s), (2, 2)."""
-        k_p, c_p, k_s, c_s, m_s = self.vehicle.healthy_values()
-        mass = np.diag([self.vehicle.bogie_mass_kg, m_s])
-        damping = np.array([[c_p + c_s, -c_s], [-c_s, c_s]])
-        stiffness = np.array([[k_p + k_s, -k_s], [-k_s, k_s]])
-        return mass, damping, stiffness
+        system = self.motion_system(torch.ones(len(PARAMETERS)))
+        return system.mass, system.damping, system.stiffness
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return A, B, C, D with input w and outputs (z_p, z_s), all displacements [m].
+        """Return A, B, C, D with input w and outputs (z_p, z_s), all displacements [m]."""
+        return self.motion_system(torch.ones(len(PARAMETERS))).state_space()
 
-        The input enters through its derivative too (c_p w'); the state
-        x = (z_p, z_s, z_p' - c_p w / M_p, z_s') absorbs it, so no derivative of w is needed.
+    def motion_system(self, ratios: Tensor) -> LinearSystem:
+        """Return the equations of motion of one vehicle, for simulation in time.
+
+        Parameters
+        ----------
+        ratios : tensor of shape (5,), [-]
         """
-        mass, damping, stiffness = self.matrices()
-        inverse = np.linalg.inv(mass)
-        a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
-        k_p, c_p = self.vehicle.healthy_values()[:2]
-        jump = inverse @ np.array([c_p, 0.0])
-        force = inverse @ np.array([k_p, 0.0])
-        b = np.concatenate([jump, force - inverse @ damping @ jump])[:, None]
-        return a, b, np.eye(2, 4), np.zeros((2, 1))
+        k_p, c_p, k_s, c_s, m_s = self.parameters(ratios[None]).flatten().tolist()
+        return LinearSystem(
+            mass=np.diag([self.vehicle.bogie_mass_kg, m_s]),
+            damping=np.array([[c_p + c_s, -c_s], [-c_s, c_s]]),
+            stiffness=np.array([[k_p + k_s, -k_s], [-k_s, k_s]]),
+            input_damping=np.array([[c_p], [0.0]]),
+            input_stiffness=np.array([[k_p], [0.0]]),
+            sensors=np.eye(2),
+            behind_m=(0.0,),
+        )
 
 
 def _powers(x: Tensor, n_terms: int, coefficients: Tensor) -> Tensor:

@@ -1,0 +1,159 @@
+"""Motion in time: linear systems driven at the wheels, solved exactly for the sampled input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+LARGEST_CONDITION = 1e10
+"""Above this condition number of the eigenvectors two modes coincide and cannot be told apart."""
+SERIES_BELOW = 0.1
+"""Below this |lambda h| the weights of `_foh_weights` are summed as series."""
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """A vehicle as M z'' + D z' + K z = D_w w' + K_w w, with sensors on its coordinates.
+
+    Attributes
+    ----------
+    mass, damping, stiffness : arrays of shape (n_dof, n_dof)
+        M, D and K in SI units.
+    input_damping, input_stiffness : arrays of shape (n_dof, n_wheelsets)
+        D_w and K_w.
+    sensors : array of shape (2, n_dof)
+        Displacement under the sensors on frame and body, from z.
+    behind_m : tuple of float, [m]
+        How far each wheelset runs behind the one whose axle box is measured; negative is ahead.
+    """
+
+    mass: FloatArray
+    damping: FloatArray
+    stiffness: FloatArray
+    input_damping: FloatArray
+    input_stiffness: FloatArray
+    sensors: FloatArray
+    behind_m: tuple[float, ...]
+
+    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C, D with inputs w and the displacements under the sensors as outputs.
+
+        The state x = (z, z' - M^-1 D_w w) absorbs the derivative of the input. Accelerations of
+        the wheels as inputs give accelerations of the sensors as outputs: the same system.
+        """
+        n = len(self.mass)
+        inverse = np.linalg.inv(self.mass)
+        a = np.block(
+            [[np.zeros((n, n)), np.eye(n)], [-inverse @ self.stiffness, -inverse @ self.damping]]
+        )
+        jump = inverse @ self.input_damping
+        force = inverse @ self.input_stiffness
+        b = np.vstack([jump, force - inverse @ self.damping @ jump])
+        c = np.hstack([self.sensors, np.zeros_like(self.sensors)])
+        return a, b, c, np.zeros((len(self.sensors), b.shape[1]))
+
+
+class SampledMotion:
+    """A linear system stepped in time, block by block, exact for input linear between samples.
+
+    With A = V diag(lambda) V^-1 and g = V^-1 B u each mode obeys q' = lambda q + g, hence::
+
+        q[k+1] = exp(lambda h) q[k] + h (phi_1 - phi_2) g[k] + h phi_2 g[k+1],
+        phi_1 = (exp(z) - 1) / z,  phi_2 = (exp(z) - 1 - z) / z^2,  z = lambda h.
+
+    One first-order recursion for each mode neither drifts nor loses digits, however finely it is
+    sampled (Hochbruck and Ostermann, Exponential integrators, 2010, section 2).
+
+    Parameters
+    ----------
+    system : LinearSystem
+    rate_hz : float, [Hz]
+        Sampling rate, 1 / h.
+
+    Raises
+    ------
+    ValueError
+        If two modes coincide (critical damping), so that there are no eigenvectors to go by.
+    """
+
+    def __init__(self, system: LinearSystem, rate_hz: float) -> None:
+        a, b, c, _ = system.state_space()
+        eigenvalues, vectors = np.linalg.eig(a)
+        condition = np.linalg.cond(vectors / np.linalg.norm(vectors, axis=0))
+        if condition > LARGEST_CONDITION:
+            raise ValueError(
+                "two modes of the vehicle coincide (critical damping): change one of its "
+                "parameters by a millionth"
+            )
+        kept = eigenvalues.imag >= 0  # the conjugate of each other mode adds its conjugate
+        self._lambda = eigenvalues[kept]
+        self._inputs: ComplexArray = np.linalg.solve(vectors, b.astype(np.complex128))[kept]
+        self._outputs: ComplexArray = (c @ vectors)[:, kept] * np.where(
+            self._lambda.imag > 0, 2.0, 1.0
+        )
+        self._step_s = 1 / rate_hz
+        self._state: ComplexArray = np.zeros(len(self._lambda), dtype=np.complex128)
+        self._last: FloatArray | None = None
+
+    @cached_property
+    def _weights(self) -> tuple[ComplexArray, ComplexArray]:
+        return _foh_weights(self._lambda, self._step_s)
+
+    def advance(self, inputs: Sequence[FloatArray]) -> FloatArray:
+        """Return the outputs at the next samples; the system is at rest before the first.
+
+        Parameters
+        ----------
+        inputs : sequence of arrays of shape (n_samples,)
+            One for each wheelset.
+
+        Returns
+        -------
+        array of shape (2, n_samples)
+            In the unit of the inputs.
+        """
+        block = np.stack(inputs)
+        last = block[:, :1] if self._last is None else self._last
+        outputs = np.zeros((len(self._outputs), block.shape[1]))
+        before, after = self._weights
+        first_state = self._state
+        for j, eigenvalue in enumerate(self._lambda):
+            drive = np.tensordot(self._inputs[j], np.concatenate([last, block], axis=1), axes=1)
+            forcing = before[j] * drive[:-1] + after[j] * drive[1:]
+            if self._last is None:
+                forcing[0] = 0.0
+            decay = np.exp(eigenvalue * self._step_s)
+            start = np.array([decay * first_state[j]])
+            mode, _ = lfilter([1.0], [1.0, -decay], forcing, zi=start)
+            self._state[j] = mode[-1]
+            for row, weight in zip(outputs, self._outputs[:, j], strict=True):
+                row += weight.real * mode.real - weight.imag * mode.imag
+        self._last = block[:, -1:].copy()
+        return outputs
+
+
+def _foh_weights(eigenvalues: ComplexArray, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return the weights of the input before and after a step: h (phi_1 - phi_2), h phi_2."""
+    z = eigenvalues * step_s
+    small = np.abs(z) < SERIES_BELOW
+    safe = np.where(small, 1.0, z)
+    phi_1 = np.where(small, _series(z, 1), np.expm1(safe) / safe)
+    phi_2 = np.where(small, _series(z, 2), (np.expm1(safe) - safe) / safe**2)
+    return step_s * (phi_1 - phi_2), step_s * phi_2
+
+
+def _series(z: ComplexArray, order: int) -> ComplexArray:
+    """Return sum over k of z^k / (k + order)!, to rounding for |z| < SERIES_BELOW."""
+    total = np.zeros_like(z)
+    term = np.full_like(z, 1.0 if order == 1 else 0.5)
+    for k in range(12):
+        total += term
+        term = term * z / (k + order + 1)
+    return total

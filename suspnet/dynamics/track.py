@@ -1,0 +1,192 @@
+"""A track in space: random elevation profiles of given spectra, interpolated with derivatives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.fft import irfft, next_fast_len
+
+from suspnet.dynamics.track_spectra import (
+    TRACKS,
+    TrackSpectrum,
+    acceleration_density,
+    band_rms,
+    check_band,
+    check_positive,
+    track_spectrum,
+)
+
+__all__ = [
+    "TRACKS",
+    "TrackProfile",
+    "TrackSpectrum",
+    "acceleration_density",
+    "band_rms",
+    "make_profile",
+    "track_spectrum",
+]
+
+FloatArray = NDArray[np.float64]
+
+BLOCK = 1 << 15  # positions interpolated at once: the working arrays stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class TrackProfile:
+    """Elevation of a track and its first two derivatives along it, on a regular grid from x = 0.
+
+    Parameters
+    ----------
+    step_m : float, [m]
+        Distance of two grid points.
+    elevation_m : array of shape (n_points,), [m]
+        z, positive upwards.
+    slope : array of shape (n_points,), [-]
+        dz/dx.
+    curvature_per_m : array of shape (n_points,), [1/m]
+        d^2z/dx^2; at a constant speed v the vertical acceleration is v^2 times this.
+
+    Raises
+    ------
+    ValueError
+        If the step is not positive and finite, or the arrays are not finite, one-dimensional and
+        of one length of at least 2.
+    """
+
+    step_m: float
+    elevation_m: FloatArray
+    slope: FloatArray
+    curvature_per_m: FloatArray
+
+    def __post_init__(self) -> None:
+        check_positive(step_m=self.step_m)
+        for field in fields(self)[1:]:
+            values = getattr(self, field.name)
+            if values.ndim != 1 or values.shape != self.elevation_m.shape or values.size < 2:
+                raise ValueError(
+                    f"profile array `{field.name}` must have the shape (n_points,) of the "
+                    f"elevation, n_points >= 2, got {values.shape}"
+                )
+            if not np.isfinite(values).all():
+                raise ValueError(f"profile array `{field.name}` must be finite; drop NaN and inf")
+
+    @property
+    def length_m(self) -> float:
+        """Position of the last grid point, [m]."""
+        return self.step_m * (self.elevation_m.size - 1)
+
+    def at(self, x: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return elevation, slope and curvature at any positions on the profile.
+
+        Between two grid points stands the polynomial of degree five that has the elevation, slope
+        and curvature of both (quintic Hermite); slope and curvature are its exact derivatives, so
+        the three agree with each other everywhere. Of a wave sampled p times per length, p >= 8,
+        the elevation is off by at most (2 pi / p)^6 / 46080, the curvature by (2 pi / p)^4 / 1920.
+
+        Parameters
+        ----------
+        x : array of any shape, [m]
+            In any order; fastest if monotone.
+
+        Returns
+        -------
+        elevation [m], slope [-], curvature [1/m] : arrays of the shape of `x`
+
+        Raises
+        ------
+        ValueError
+            If a position lies off the profile (by more than a millionth of a step) or is NaN.
+        """
+        positions = np.asarray(x, dtype=np.float64)
+        slack = 1e-6 * self.step_m
+        if positions.size and not (
+            positions.min() >= -slack and positions.max() <= self.length_m + slack
+        ):
+            raise ValueError(
+                f"positions `x` must lie in 0 to {self.length_m:g} m, got {positions.min():g} to "
+                f"{positions.max():g} m; make a longer profile"
+            )
+        flat = positions.ravel()
+        values = np.empty((3, flat.size))
+        for start in range(0, flat.size, BLOCK):
+            block = slice(start, start + BLOCK)
+            values[:, block] = self._interpolate(flat[block])
+        elevation, slope, curvature = values.reshape(3, *positions.shape)
+        return elevation, slope, curvature
+
+    def _interpolate(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Evaluate ``z0 + t (d0 + t (w0/2 + t (a3 + t (a4 + t a5))))`` and its derivatives."""
+        h = self.step_m
+        cell = np.clip((x / h).astype(np.intp), 0, self.elevation_m.size - 2)
+        t = x / h - cell
+        z0, d0, w0 = self.elevation_m[cell], h * self.slope[cell], h**2 * self.curvature_per_m[cell]
+        cell += 1
+        d1, w1 = h * self.slope[cell], h**2 * self.curvature_per_m[cell]
+        # What the parabola of the left point misses at the right one.
+        rise = self.elevation_m[cell] - z0 - d0 - w0 / 2
+        turn = d1 - d0 - w0
+        bend = w1 - w0
+        a3 = 10 * rise - 4 * turn + bend / 2
+        a4 = -15 * rise + 7 * turn - bend
+        a5 = 6 * rise - 3 * turn + bend / 2
+        elevation = z0 + t * (d0 + t * (w0 / 2 + t * (a3 + t * (a4 + t * a5))))
+        slope = (d0 + t * (w0 + t * (3 * a3 + t * (4 * a4 + t * 5 * a5)))) / h
+        curvature = (w0 + t * (6 * a3 + t * (12 * a4 + t * 20 * a5))) / h**2
+        return elevation, slope, curvature
+
+
+def make_profile(
+    spectrum: TrackSpectrum, length_m: float, step_m: float, seed: int, longest_m: float = 500.0
+) -> TrackProfile:
+    """Return a Gaussian random profile with the spectrum's density, made by inverse FFT.
+
+    ``z(x) = sum_k a_k cos(2 pi k dn x) + b_k sin(2 pi k dn x)`` with a_k and b_k independent and
+    normal with variance S(k dn) dn. Slope and curvature are the exact derivatives of this sum.
+    The period 1 / dn is longer than the profile by at least `longest_m`, so that the two ends
+    of the profile are no neighbours.
+
+    Parameters
+    ----------
+    spectrum : TrackSpectrum
+    length_m : float, [m]
+        The profile reaches from 0 to at least here.
+    step_m : float, [m]
+        Grid step. Wavelengths of two steps or shorter are absent.
+    seed : int
+    longest_m : float, [m]
+        Wavelengths longer than this are absent.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive and finite, if `length_m` is shorter than one step, or if
+        `longest_m` is not above two steps or no wave of the period lies between the two.
+    """
+    check_positive(length_m=length_m, step_m=step_m)
+    check_band(2 * step_m, longest_m)
+    if length_m < step_m:
+        raise ValueError(f"`length_m` must be at least one step of {step_m} m, got {length_m}")
+    n_points = math.ceil(length_m / step_m - 1e-6) + 1
+    n_period = next_fast_len(n_points + math.ceil(longest_m / step_m), real=True)
+    dn = 1 / (n_period * step_m)
+    first, last = math.ceil(1 / (longest_m * dn) - 1e-9), (n_period - 1) // 2
+    if first > last:
+        raise ValueError(
+            f"no wave of the period {n_period * step_m:g} m lies between {2 * step_m} and "
+            f"{longest_m} m; raise `longest_m` or `length_m`"
+        )
+    n = dn * np.arange(first, last + 1)
+    scale = 0.5 * np.sqrt(spectrum.density(n) * dn)  # half: the other half lies at -n
+    draws = np.random.default_rng(seed).standard_normal((n.size, 2))
+    amplitudes = np.zeros(n_period // 2 + 1, dtype=np.complex128)
+    band = amplitudes[first : last + 1]
+    band[:] = draws.view(np.complex128)[:, 0] * scale
+    derivatives = []
+    for _ in range(3):
+        wave: FloatArray = irfft(amplitudes, n_period, norm="forward")
+        derivatives.append(wave[:n_points].copy())
+        band *= 2j * np.pi * n
+    return TrackProfile(step_m, *derivatives)
