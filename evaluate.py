@@ -1,5 +1,6 @@
-"""Score trained models on freshly generated curves: python evaluate.py run=PATH."""
+"""Score trained models on fresh curves, or read trips with them: python evaluate.py run=PATH."""
 
+import sys
 from pathlib import Path
 
 import hydra
@@ -7,8 +8,13 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet import command_line
+from suspnet.checkpoint import load_model
 from suspnet.experiment import evaluate, find_runs
+from suspnet.monitoring.fleet import evaluate_fleet
+from suspnet.monitoring.records import OK
 from suspnet.multirun import write_table6
+
+SOME_WITHOUT_ESTIMATE = 2
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="evaluate")
@@ -18,6 +24,11 @@ def main(config: DictConfig) -> None:
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     runs, output = find_runs(Path(config.run)), command_line.run_folder()
     command_line.save_config(config, output)
+    if config.trips is not None:
+        models = [load_model(folder, config.device) for folder in runs]
+        settings = instantiate(config.monitor)
+        trips = evaluate_fleet(Path(config.trips), models, output, settings, config.progress)
+        sys.exit(0 if all(trip.status == OK for trip in trips) else SOME_WITHOUT_ESTIMATE)
     results = [
         evaluate(
             folder,

@@ -13,12 +13,11 @@ from suspnet.fitting import Problem
 @command_line.task
 def main(config: DictConfig) -> None:
     problem = Problem(
-        vehicle=instantiate(config.vehicle),
+        generator=instantiate(config.generator),
         task=instantiate(config.protocol).task(config.group),
         settings=instantiate(config.data),
         seed=config.seed,
         threads=command_line.n_threads(config.threads),
-        device=config.device,
         progress=config.progress,
     )
     model = instantiate(config.model)

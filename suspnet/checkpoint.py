@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 import suspnet
+from suspnet.data.curves import CurveSettings
+from suspnet.data.estimates import EstimateSettings
 from suspnet.data.protocols import Task
+from suspnet.data.source import describe_task
 from suspnet.data.storage import (
     DamagedFileError,
     content_hash,
@@ -22,11 +26,11 @@ from suspnet.data.storage import (
     write_atomically,
     write_json,
 )
-from suspnet.dynamics import Vehicle
-from suspnet.features import PeakFeatures
+from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
+from suspnet.features import CurveFeatures, PeakFeatures
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 ESTIMATORS: dict[str, Any] = {
     "msvr": MSVR,
     "svr": SVR,
@@ -35,6 +39,11 @@ ESTIMATORS: dict[str, Any] = {
     "curve_fit": CurveFit,
 }
 """Every method by the name of its file in configs/model/."""
+GENERATORS: dict[str, type] = {"quarter_car": QuarterCar, "vertical_vehicle": VerticalVehicle}
+SETTINGS: dict[str, type] = {"curves": CurveSettings, "trips": EstimateSettings}
+FEATURE_SETS: dict[str, Any] = {kind.kind: kind for kind in (PeakFeatures, CurveFeatures)}
+PREFIX = "features."
+"""Begins the names of the arrays that belong to the feature set."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -59,9 +68,11 @@ class TrainedModel:
     estimator : object
         The fitted method; works on scaled inputs and outputs.
     task : Task
-    vehicle : Vehicle
-    curve_settings : dict
-        Frequency bins and signal-to-noise ratio it was trained on.
+        Its feature set with what that has learnt.
+    generator : ResponseGenerator
+        What the training curves were made with.
+    settings : CurveSettings or EstimateSettings
+        How the training curves were observed.
     healthy_features : array of shape (n_features,)
         Features of the healthy vehicle, which the inputs are relative to.
     input_scaling, output_scaling : Scaling or None
@@ -73,33 +84,38 @@ class TrainedModel:
     name: str
     estimator: Any
     task: Task
-    vehicle: Vehicle
-    curve_settings: dict[str, Any]
+    generator: QuarterCar | VerticalVehicle
+    settings: CurveSettings | EstimateSettings
     healthy_features: FloatArray
     input_scaling: Scaling | None = None
     output_scaling: Scaling | None = None
     training: dict[str, Any] = field(default_factory=dict)
 
-    def relative_features(self, magnitudes: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
+    @property
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
+
+    def relative_features(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
         """Return the features of measured curves, relative to the healthy vehicle's.
 
         Parameters
         ----------
-        magnitudes : array of shape (n_curves, 2, n_freq), [-]
-            abs(G_p) and abs(G_s).
+        curves : array of shape (n_curves, 2, n_freq), [-]
+            G_p and G_s, complex; for the feature set `peaks` their magnitudes suffice.
         frequencies_hz : array of shape (n_freq,), [Hz]
-            Evenly spaced; the spacing of `curve_settings` is what the model was trained on.
+            Evenly spaced; the spacing of `settings` is what the model was trained on.
 
         Returns
         -------
         array of shape (n_curves, n_features), [-]
             NaN where a peak is missing.
         """
-        curves, bins = (
-            torch.as_tensor(np.asarray(values, dtype=np.float64))
-            for values in (magnitudes, frequencies_hz)
-        )
-        return np.asarray(self.task.extractor.extract(curves, bins).values) / self.healthy_features
+        values = np.asarray(curves)
+        values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
+        bins = torch.as_tensor(np.asarray(frequencies_hz, dtype=np.float64))
+        table = self.task.extractor.extract(torch.as_tensor(values), bins)
+        return self.task.extractor.relative(table.values.numpy(), self.healthy_features)
 
     def predict(self, inputs: ArrayLike) -> FloatArray:
         """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
@@ -122,7 +138,7 @@ class TrainedModel:
                 f"`inputs` must have shape (n_curves, {len(self.task.inputs)}) with columns "
                 f"{self.task.inputs}, got {inputs.shape}"
             )
-        if not (np.isfinite(inputs) & (inputs > 0)).all():
+        if not np.isfinite(inputs).all() or (self.input_scaling.log and not (inputs > 0).all()):
             raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
         scaled = self.estimator.predict(self.input_scaling.apply(inputs))
         return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
@@ -136,7 +152,8 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     OSError
         If the folder cannot be written.
     """
-    content = dump_arrays(model.estimator.state())
+    extractor = {PREFIX + k: array for k, array in model.task.extractor.state().items()}
+    content = dump_arrays(model.estimator.state() | extractor)
     description = {
         "schema_version": SCHEMA_VERSION,
         "suspnet_version": suspnet.__version__,
@@ -146,9 +163,9 @@ def save_model(folder: Path, model: TrainedModel) -> None:
         "outputs": _scaling_json(model.task.outputs, model.output_scaling),
         "units": UNITS,
         "healthy_features": model.healthy_features.tolist(),
-        "vehicle": asdict(model.vehicle),
-        "task": asdict(model.task),
-        "curve_settings": model.curve_settings,
+        "generator": _tagged(model.generator, GENERATORS),
+        "task": describe_task(model.task),
+        "settings": _tagged(model.settings, SETTINGS),
         "training": model.training,
         "arrays_sha256": hashlib.sha256(content).hexdigest(),
     }
@@ -211,26 +228,46 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     if "device" in arguments:
         arguments["device"] = device
     estimator = estimator_type(**arguments)
-    if arrays:
-        try:
+    learnt = {k.removeprefix(PREFIX): v for k, v in arrays.items() if k.startswith(PREFIX)}
+    arrays = {k: v for k, v in arrays.items() if not k.startswith(PREFIX)}
+    task = _with_tuples(content["task"])
+    extractor = _with_tuples(task["extractor"])
+    feature_set = FEATURE_SETS[extractor.pop("kind")](**extractor)
+    try:
+        if arrays:
             estimator.restore(arrays)
-        except ValueError as error:
-            raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
-    task = dict(content["task"])
-    extractor = task.pop("extractor")
-    extractor["peaks"] = tuple(extractor["peaks"])
-    task = {key: tuple(v) if isinstance(v, list) else v for key, v in task.items()}
+        if learnt:
+            feature_set = feature_set.restored(learnt)
+    except ValueError as error:
+        raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
+    generator = dict(content["generator"])
+    generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
     return TrainedModel(
         name=content["model"],
         estimator=estimator,
-        task=Task(**task, extractor=PeakFeatures(**extractor)),
-        vehicle=Vehicle(**content["vehicle"]),
-        curve_settings=content["curve_settings"],
+        task=Task(**task | {"extractor": feature_set}),
+        generator=_untagged(generator, GENERATORS),
+        settings=_untagged(content["settings"], SETTINGS),
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
         training=content["training"],
     )
+
+
+def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
+    """Return a dataclass as JSON-able values with the name of its kind."""
+    kind = next(name for name, one in kinds.items() if type(value) is one)
+    return {"kind": kind, **asdict(value)}
+
+
+def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
+    arguments = _with_tuples(content)
+    return kinds[arguments.pop("kind")](**arguments)
+
+
+def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:

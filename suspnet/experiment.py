@@ -18,11 +18,12 @@ from matplotlib.figure import Figure
 
 from suspnet import plots
 from suspnet.checkpoint import ModelFileError, TrainedModel, load_model, save_model
-from suspnet.data import TEST, CurveSettings, Protocol, Task
+from suspnet.data import TEST, Protocol, Task
 from suspnet.data.storage import write_json
 from suspnet.evaluation.comparison import scores_table
 from suspnet.evaluation.information import best_possible, output_bounds, relative_percent
 from suspnet.evaluation.metrics import METRICS, score
+from suspnet.features import PeakFeatures
 from suspnet.fitting import Outcome, Problem, fit, method_name, predict_stream, tune
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
@@ -129,11 +130,10 @@ def evaluate(
             f"seed={seed} made the training curves of {folder}; fresh curves need another seed"
         )
     task = model.task if protocol is None else fitting_task(model.task, protocol)
-    settings = CurveSettings(
-        **(model.curve_settings | {"n_test": n_test, "cache_dir": None})
-        | ({} if snr_db is None else {"snr_db": snr_db})
-    )
-    problem = Problem(model.vehicle, task, settings, seed, threads, device, progress)
+    settings = replace(model.settings, n_test=n_test)
+    if snr_db is not None:
+        settings = replace(settings, snr_db=snr_db)
+    problem = Problem(model.generator, task, settings, seed, threads, progress)
     outcome = predict_stream(problem, model, TEST)
     metrics = {
         **_headline(problem, model.name),
@@ -205,6 +205,7 @@ def environment() -> dict[str, Any]:
 def _headline(problem: Problem, name: str) -> Metrics:
     return {
         "vehicle": problem.vehicle.name,
+        "generator": type(problem.generator).__name__,
         "protocol": problem.task.protocol,
         "group": problem.task.group,
         "model": name,
@@ -217,13 +218,7 @@ def _headline(problem: Problem, name: str) -> Metrics:
 
 def _scores(problem: Problem, outcome: Outcome) -> Metrics:
     task, data = problem.task, outcome.data
-    bounds = output_bounds(
-        task,
-        problem.generator,
-        data.ratios,
-        problem.settings.frequencies_hz(),
-        problem.settings.snr_db,
-    )
+    bounds = output_bounds(task, problem.source.observer, data.ratios)
     spread = relative_percent(task, bounds, data.ratios)
     return {
         "scores": score(data.outputs, outcome.predicted, task.outputs),
@@ -254,18 +249,21 @@ def _draw(
     folder: Path,
     found: SearchResult | None,
 ) -> None:
-    task, source = problem.task, problem.source
-    frequencies_hz = problem.settings.frequencies_hz()
+    task, source = model.task, problem.source
+    frequencies_hz = source.observer.frequencies_hz
     example = source.curves(outcome.data.ratios[:1], TEST, 0)
-    table = task.extractor.extract(example, frequencies_hz.to(example.device))
-    features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))
     data = outcome.data
     figures = {
         "bode": plots.bode(problem.generator, frequencies_hz),
         "degradation": plots.degradation(problem.generator, frequencies_hz),
-        "peaks": plots.peak_fits(frequencies_hz.numpy(), example[0].cpu().numpy(), features),
         "features": plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs),
     }
+    if isinstance(task.extractor, PeakFeatures):
+        table = task.extractor.extract(example, frequencies_hz.to(example.device))
+        features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))
+        figures["peaks"] = plots.peak_fits(
+            frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
+        )
     objectives = getattr(model.estimator, "objectives_", [])
     if len(objectives) > 2:
         figures["convergence"] = plots.convergence(objectives)

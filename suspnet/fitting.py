@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from tqdm import tqdm
 
 from suspnet.checkpoint import ESTIMATORS, TrainedModel, parameters
 from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
-from suspnet.data.curves import BLOCK, quiet, used_responses
-from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.source import BLOCK, quiet, used_responses
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
 from suspnet.learning import CurveFit, Scaling
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
@@ -34,22 +36,22 @@ class Problem:
 
     Parameters
     ----------
-    vehicle : Vehicle
+    generator : QuarterCar or VerticalVehicle
+        The source of frequency responses.
     task : Task
-    settings : CurveSettings
+    settings : CurveSettings or EstimateSettings
+        Where the band is left to the vehicle, it is bound to the generator's.
     seed : int
     threads : int
         Blocks of curves made at the same time, and threads of torch.
-    device : str
     progress : bool
     """
 
-    vehicle: Vehicle
+    generator: QuarterCar | VerticalVehicle
     task: Task
-    settings: CurveSettings
+    settings: CurveSettings | EstimateSettings
     seed: int = 0
     threads: int = 1
-    device: str = "cpu"
     progress: bool = True
 
     def __post_init__(self) -> None:
@@ -57,18 +59,14 @@ class Problem:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < low:
                 raise ValueError(f"`{name}` must be a whole number >= {low}, got {value!r}")
-        try:
-            torch.empty(0, device=self.device)
-        except (RuntimeError, AssertionError) as error:
-            reason = str(error).splitlines()[0]
-            raise ValueError(f"`device`={self.device!r} cannot be used here: {reason}") from error
+        object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
 
     @property
-    def generator(self) -> ResponseGenerator:
-        """The source of frequency responses."""
-        return QuarterCar(self.vehicle, self.device)
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
 
-    @property
+    @cached_property
     def source(self) -> CurveSource:
         """The source of noisy curves and features."""
         return CurveSource(
@@ -136,10 +134,13 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
     """Return the estimator fitted to the training curves, with its scaling and a summary."""
     source = problem.source
     name = method_name(estimator)
-    settings = asdict(problem.settings)
-    del settings["cache_dir"]
     model = TrainedModel(
-        name, estimator, problem.task, problem.vehicle, settings, source.healthy_features()
+        name,
+        estimator,
+        replace(problem.task, extractor=source.extractor),
+        problem.generator,
+        replace(problem.settings, cache_dir=None),
+        source.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     if not isinstance(estimator, CurveFit):
@@ -165,8 +166,8 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
 
 def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
     """Return the scaling of inputs and outputs that a task asks for, from complete curves."""
-    inputs, outputs = (Scaling.of(v, task.log_ratios) for v in (data.inputs, data.outputs))
-    return inputs, outputs
+    log_inputs = task.log_ratios and task.extractor.positive
+    return Scaling.of(data.inputs, log_inputs), Scaling.of(data.outputs, task.log_ratios)
 
 
 def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcome:
@@ -175,6 +176,10 @@ def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcom
     kept = data.complete()
     start = time.perf_counter()
     if isinstance(model.estimator, CurveFit):
+        if not isinstance(problem.settings, CurveSettings):
+            raise ValueError(
+                "model=curve_fit fits magnitudes with white noise; it cannot be used with data=trips"
+            )
         predicted = _fit_curves(problem, model.estimator, data, stream)[data.valid]
     else:
         predicted = model.predict(kept.inputs)

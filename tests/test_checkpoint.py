@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from suspnet.checkpoint import ESTIMATORS, ModelFileError, TrainedModel, load_model, save_model
-from suspnet.data import Protocol
+from suspnet.data import CurveSettings, Protocol
 from suspnet.dynamics import QuarterCar, Vehicle
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 
@@ -34,8 +34,8 @@ def trained(estimator):
         name,
         estimator,
         Protocol("paper", GROUPS).task("primary"),
-        Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3),
-        {"snr_db": 34.0, "n_train": 60},
+        QuarterCar(Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)),
+        CurveSettings(n_train=60),
         np.array([5.4, 2.1, 0.7]),
         *scalings,
         training={"seed": 0},
@@ -61,8 +61,8 @@ def test_loaded_model_predicts_bit_for_bit(estimator, tmp_path):
 def test_loaded_model_knows_what_it_was_trained_for(saved):
     model, loaded = trained(MSVR(n_components=64)), load_model(saved)
     assert loaded.task == model.task
-    assert loaded.vehicle == model.vehicle
-    assert loaded.curve_settings == model.curve_settings
+    assert loaded.generator == model.generator
+    assert loaded.settings == model.settings
     assert loaded.training == model.training
     np.testing.assert_array_equal(loaded.healthy_features, model.healthy_features)
 

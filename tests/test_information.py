@@ -18,7 +18,8 @@ from suspnet.evaluation.information import (
     scale_ambiguity_limit,
 )
 
-FREQUENCIES = CurveSettings().frequencies_hz()
+OBSERVED = CurveSettings()
+FREQUENCIES = OBSERVED.frequencies_hz()
 DEGRADED = np.array([0.8, 1.3, 1.2, 0.9, 1.1])
 
 
@@ -264,7 +265,7 @@ def test_knowing_the_mass_never_hurts(task, quarter_car):
 
 def best(quarter_car, problem, n=400):
     ratios = problem.sample(n, seed=0, stream=TEST)
-    bounds = output_bounds(problem, quarter_car, ratios, FREQUENCIES, 34.0)
+    bounds = output_bounds(problem, OBSERVED.observer(quarter_car), ratios)
     return best_possible(problem, bounds, ratios), ratios
 
 
@@ -329,9 +330,9 @@ def test_ambiguity_has_a_limit_for_the_mass_too(task, quarter_car):
 def test_output_bounds_are_infinite_where_nothing_can_be_told(task, quarter_car):
     ratios = np.ones((1, 5))
     secondary = task("paper", "secondary")
-    bounds = output_bounds(secondary, quarter_car, ratios, FREQUENCIES, 34.0)
+    bounds = output_bounds(secondary, OBSERVED.observer(quarter_car), ratios)
     assert np.isinf(bounds).all()
     known = task("paper", "secondary", mass_known=True)
-    bounds = output_bounds(known, quarter_car, 2 * ratios, FREQUENCIES, 34.0)
+    bounds = output_bounds(known, OBSERVED.observer(quarter_car), 2 * ratios)
     assert np.isfinite(bounds).all()
     np.testing.assert_allclose(relative_percent(known, bounds, 2 * ratios), 50 * bounds[0])

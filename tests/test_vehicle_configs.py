@@ -39,6 +39,7 @@ PAPER = {"am96": (1725, 6300, 1.30e6, 3.7e3, 0.69e6, 22.6e3)}
 
 def load(file):
     values = OmegaConf.to_container(OmegaConf.load(file))  # plain YAML 1.1 reads 1.3e6 as text
+    values = values.get("vehicle", values)  # a road vehicle's file sets speed and track too
     assert values.pop("_target_") == "suspnet.dynamics.Vehicle"
     return Vehicle(**values)
 

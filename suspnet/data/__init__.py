@@ -1,6 +1,17 @@
-"""Training data: protocols, degraded vehicles, noisy curves and their features."""
+"""Data: protocols, noisy curves and estimates, simulated and recorded trips."""
 
-from suspnet.data.curves import TEST, TRAIN, CurveSettings, CurveSource, FeatureData
+from suspnet.data.curves import CurveSettings
+from suspnet.data.estimates import EstimateSettings
 from suspnet.data.protocols import Protocol, Task
+from suspnet.data.source import TEST, TRAIN, CurveSource, FeatureData
 
-__all__ = ["TEST", "TRAIN", "CurveSettings", "CurveSource", "FeatureData", "Protocol", "Task"]
+__all__ = [
+    "TEST",
+    "TRAIN",
+    "CurveSettings",
+    "CurveSource",
+    "EstimateSettings",
+    "FeatureData",
+    "Protocol",
+    "Task",
+]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from suspnet.dynamics.vehicle import PARAMETERS
-from suspnet.features.extraction import PeakFeatures
+from suspnet.features import CurveFeatures, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
 FloatArray = NDArray[np.float64]
@@ -31,10 +31,12 @@ class Task:
         Parameters that are asked for.
     responses : tuple of str
         From ``RESPONSES``: the curves that may be used.
-    extractor : PeakFeatures
+    extractor : PeakFeatures or CurveFeatures
     sampling : {"grid", "sobol"}
     lower, upper : float
-        Range of every ratio, [-].
+        Range of the suspension's ratios, [-].
+    mass_lower, mass_upper : float
+        Range of the car-body mass ratio, [-].
     step, mass_step : float
         Grid steps of the suspension's parameters and of the mass, [-].
     mass_known : bool
@@ -48,10 +50,12 @@ class Task:
     varied: tuple[str, ...]
     outputs: tuple[str, ...]
     responses: tuple[str, ...]
-    extractor: PeakFeatures
+    extractor: PeakFeatures | CurveFeatures
     sampling: Literal["grid", "sobol"]
     lower: float
     upper: float
+    mass_lower: float
+    mass_upper: float
     step: float
     mass_step: float
     mass_known: bool
@@ -76,8 +80,13 @@ class Task:
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
         step = self.mass_step if name == "M_s" else self.step
-        n_steps = math.floor((self.upper - self.lower) / step + 1e-9)
-        return np.asarray(np.round(self.lower + step * np.arange(n_steps + 1), 10))
+        lower, upper = self.limits(name)
+        n_steps = math.floor((upper - lower) / step + 1e-9)
+        return np.asarray(np.round(lower + step * np.arange(n_steps + 1), 10))
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the range of a parameter's ratio, [-]."""
+        return (self.mass_lower, self.mass_upper) if name == "M_s" else (self.lower, self.upper)
 
     @property
     def grid_size(self) -> int:
@@ -133,7 +142,8 @@ class Task:
         rng = np.random.default_rng([seed, stream])
         sampler = qmc.Sobol(len(self.varied), rng=rng)
         points = sampler.random_base2(max(1, math.ceil(math.log2(n_curves))))[:n_curves]
-        return np.asarray(self.lower + (self.upper - self.lower) * points)
+        limits = np.array([self.limits(name) for name in self.varied])
+        return np.asarray(limits[:, 0] + (limits[:, 1] - limits[:, 0]) * points)
 
 
 @dataclass(frozen=True)
@@ -145,11 +155,13 @@ class Protocol:
     name : str
     groups : mapping from group name to a mapping
         Keys `outputs`, `responses` and `peaks`: names from ``PARAMETERS``, ``RESPONSES`` and
-        ``PEAK_NAMES``.
+        ``PEAK_NAMES``; the feature set `curve` needs no peaks.
     sampling : {"grid", "sobol"}
         Table IV's grid, or Sobol points in all five parameters.
     lower, upper, step, mass_step : float
         Range and grid steps of the ratios to healthy, [-].
+    mass_lower, mass_upper : float, optional
+        Range of the car-body mass ratio if it is another one, [-].
     mass_known : bool
         Give the model the measured car-body mass ratio as one more input.
     estimate_mass : bool
@@ -157,8 +169,11 @@ class Protocol:
     log_ratios : bool
         Give the model logarithms of the ratios to healthy, inputs and outputs alike; False is the
         paper's relative changes.
+    feature_set : {"peaks", "curve"}
     features : mapping, optional
         Further arguments of ``PeakFeatures``.
+    curve : mapping, optional
+        Arguments of ``CurveFeatures``.
 
     Raises
     ------
@@ -173,16 +188,25 @@ class Protocol:
     upper: float = 2.0
     step: float = 0.01
     mass_step: float = 0.1
+    mass_lower: float | None = None
+    mass_upper: float | None = None
     mass_known: bool = False
     estimate_mass: bool = False
     log_ratios: bool = True
+    feature_set: Literal["peaks", "curve"] = "peaks"
     features: Mapping[str, Any] = field(default_factory=dict)
+    curve: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.sampling not in ("grid", "sobol"):
             raise ValueError(f"`sampling` must be 'grid' or 'sobol', got {self.sampling!r}")
         if not 0 < self.lower < 1 < self.upper:
             raise ValueError(f"need 0 < lower < 1 < upper, got {self.lower} and {self.upper}")
+        if self.feature_set not in ("peaks", "curve"):
+            raise ValueError(f"`feature_set` must be 'peaks' or 'curve', got {self.feature_set!r}")
+        low, high = self._mass_limits()
+        if not 0 < low < 1 < high:
+            raise ValueError(f"need 0 < mass_lower < 1 < mass_upper, got {low} and {high}")
         if not (self.step > 0 and self.mass_step > 0):
             raise ValueError(f"steps must be > 0, got {self.step} and {self.mass_step}")
         if self.mass_known and self.estimate_mass:
@@ -203,7 +227,8 @@ class Protocol:
                 f"protocol {self.name!r} has no group {group!r}; choose from {sorted(self.groups)}"
             )
         entry = self.groups[group]
-        missing = {"outputs", "responses", "peaks"} - set(entry)
+        peaks_needed = {"peaks"} if self.feature_set == "peaks" else set()
+        missing = {"outputs", "responses", *peaks_needed} - set(entry)
         if missing:
             raise ValueError(f"group {group!r} of protocol {self.name!r} lacks {sorted(missing)}")
         outputs = tuple(_known(entry["outputs"], PARAMETERS[:4], "outputs"))
@@ -213,15 +238,26 @@ class Protocol:
             varied=(*outputs, "M_s"),
             outputs=(*outputs, "M_s") if self.estimate_mass else outputs,
             responses=tuple(_known(entry["responses"], RESPONSES, "responses")),
-            extractor=PeakFeatures(peaks=tuple(entry["peaks"]), **self.features),
+            extractor=self._extractor(entry),
             sampling=self.sampling,
             lower=self.lower,
             upper=self.upper,
+            mass_lower=self._mass_limits()[0],
+            mass_upper=self._mass_limits()[1],
             step=self.step,
             mass_step=self.mass_step,
             mass_known=self.mass_known,
             log_ratios=self.log_ratios,
         )
+
+    def _extractor(self, entry: Mapping[str, Sequence[str]]) -> PeakFeatures | CurveFeatures:
+        if self.feature_set == "curve":
+            return CurveFeatures(**self.curve)
+        return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
+
+    def _mass_limits(self) -> tuple[float, float]:
+        low = self.lower if self.mass_lower is None else self.mass_lower
+        return low, self.upper if self.mass_upper is None else self.mass_upper
 
 
 def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:

@@ -3,5 +3,13 @@
 from suspnet.dynamics.generator import ResponseGenerator
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
+from suspnet.dynamics.vertical_vehicle import VerticalVehicle, best_generator
 
-__all__ = ["PARAMETERS", "QuarterCar", "ResponseGenerator", "Vehicle"]
+__all__ = [
+    "PARAMETERS",
+    "QuarterCar",
+    "ResponseGenerator",
+    "Vehicle",
+    "VerticalVehicle",
+    "best_generator",
+]

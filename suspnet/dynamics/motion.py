@@ -144,8 +144,8 @@ def _foh_weights(eigenvalues: ComplexArray, step_s: float) -> tuple[ComplexArray
     z = eigenvalues * step_s
     small = np.abs(z) < SERIES_BELOW
     safe = np.where(small, 1.0, z)
-    phi_1 = np.where(small, _series(z, 1), np.expm1(safe) / safe)
-    phi_2 = np.where(small, _series(z, 2), (np.expm1(safe) - safe) / safe**2)
+    phi_1: ComplexArray = np.where(small, _series(z, 1), np.expm1(safe) / safe)
+    phi_2: ComplexArray = np.where(small, _series(z, 2), (np.expm1(safe) - safe) / safe**2)
     return step_s * (phi_1 - phi_2), step_s * phi_2
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from torch import Tensor
 
-from suspnet.dynamics.generator import check_ratios
+from suspnet.dynamics.generator import check_device, check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
 
@@ -37,6 +37,11 @@ class QuarterCar:
     device : str
         Torch device of the tensors that come back.
 
+    Raises
+    ------
+    ValueError
+        If torch cannot use the device here.
+
     Examples
     --------
     >>> am96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
@@ -47,6 +52,9 @@ class QuarterCar:
 
     vehicle: Vehicle
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        check_device(self.device)
 
     def parameters(self, ratios: Tensor) -> Tensor:
         """Return (k_p, c_p, k_s, c_s, M_s) in SI units, shape (5, n_vehicles, 1).

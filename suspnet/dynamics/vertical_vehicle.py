@@ -20,15 +20,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.dynamics.generator import check_ratios
+from suspnet.dynamics.generator import check_device, check_ratios
 from suspnet.dynamics.motion import LinearSystem
+from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
 
 UNMEASURED = (
@@ -90,6 +91,7 @@ class VerticalVehicle:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_device(self.device)
         missing = [name for name in GEOMETRY if getattr(self.vehicle, name) is None]
         if missing:
             raise ValueError(
@@ -128,7 +130,9 @@ class VerticalVehicle:
         source = torch.Generator().manual_seed(seed)
         draws = torch.rand(len(ratios), len(half), generator=source, dtype=torch.float64)
         columns = self._complete(ratios.to("cpu", torch.float64))[:, len(PARAMETERS) :]
-        return torch.cat([ratios.cpu().to(torch.float64), columns * (1 + half * (2 * draws - 1))], 1)
+        return torch.cat(
+            [ratios.cpu().to(torch.float64), columns * (1 + half * (2 * draws - 1))], 1
+        )
 
     def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
         """Return complex G_p (axle box to frame sensor) and G_s (frame to body sensor).
@@ -243,6 +247,23 @@ class VerticalVehicle:
         return [*own, *(apart * wheel for wheel in own)]
 
 
+def best_generator(
+    vehicle: Vehicle, device: str = "cpu", **settings: Any
+) -> QuarterCar | VerticalVehicle:
+    """Return the richest model that a vehicle's numbers allow.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    device : str
+    settings
+        Of ``VerticalVehicle``; a vehicle without geometry (a road vehicle) has no use for them.
+    """
+    if all(getattr(vehicle, name) is None for name in GEOMETRY):
+        return QuarterCar(vehicle, device)
+    return VerticalVehicle(vehicle, device, **settings)
+
+
 @dataclass(frozen=True)
 class _Bogie:
     """One bogie with its bounce eliminated: z_i = link y_i + free, force on body f - r y_i."""
@@ -254,9 +275,7 @@ class _Bogie:
     pitch: Tensor
 
 
-def _bogie(
-    p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tensor]
-) -> _Bogie:
+def _bogie(p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tensor]) -> _Bogie:
     primary = torch.complex(*torch.broadcast_tensors(p[which + "k_p"], omega * p[which + "c_p"]))
     secondary = torch.complex(*torch.broadcast_tensors(p[which + "k_s"], omega * p[which + "c_s"]))
     inertia = p["bogie_mass"] * omega**2

@@ -15,6 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from suspnet.data.curves import CurveObserver
+from suspnet.data.estimates import EstimateObserver
 from suspnet.data.noise import noise_rms
 from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
@@ -123,20 +125,71 @@ def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str,
     }
 
 
+def estimate_information(
+    observer: EstimateObserver, ratios: FloatArray, parameters: Sequence[str]
+) -> FloatArray:
+    """Return the information on some parameters of transfer functions estimated from a trip.
+
+    With J the derivative of (log G_p, log G_s) and Sigma the covariance of their estimate::
+
+        I = 2 / r sum over bins of Re(J^H Sigma^-1 J),   r = rho_0 + 2 (rho_1 + rho_2 + ...)
+
+    where rho is the correlation of neighbouring bins, which says how many of them are independent.
+
+    Parameters
+    ----------
+    observer : EstimateObserver
+    ratios : array of shape (n_vehicles, 5), [-]
+    parameters : sequence of str
+        From ``PARAMETERS``; the others are known.
+
+    Returns
+    -------
+    array of shape (n_vehicles, n_parameters, n_parameters)
+    """
+    columns = [PARAMETERS.index(name) for name in parameters]
+    correlation = observer.settings.welch.correlation()
+    per_bin = 2 / float(2 * correlation.sum() - correlation[0])
+    blocks = []
+    for rows in torch.as_tensor(ratios).split(ROWS):
+        covariance = observer.covariance(rows).movedim(-1, 1)  # (n, n_freq, 2, 2)
+        derivatives = []
+        for column in columns:
+            tangent = torch.zeros_like(rows)
+            tangent[:, column] = 1
+            pair = torch.func.jvp(lambda r: observer.noise_free(r).log(), (rows,), (tangent,))
+            derivatives.append(pair[1])
+        jacobian = torch.stack(derivatives, dim=-1).movedim(1, 2)  # (n, n_freq, 2, n_parameters)
+        weighted = torch.linalg.solve(covariance, jacobian)
+        information = per_bin * (jacobian.mH @ weighted).real.sum(dim=1)
+        blocks.append(information.cpu().numpy())
+    return np.concatenate(blocks)
+
+
 def output_bounds(
-    task: Task,
-    generator: ResponseGenerator,
-    ratios: FloatArray,
-    frequencies_hz: Tensor,
-    snr_db: float,
+    task: Task, observer: CurveObserver | EstimateObserver, ratios: FloatArray
 ) -> FloatArray:
     """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
 
     All that varies and is not measured has to be estimated along, from the task's own curves.
+
+    Parameters
+    ----------
+    task : Task
+    observer : CurveObserver or EstimateObserver
+    ratios : array of shape (n_vehicles, 5), [-]
     """
-    information = fisher_information(
-        generator, ratios, frequencies_hz, snr_db, task.unknown, task.responses
-    )
+    if isinstance(observer, EstimateObserver):
+        information = estimate_information(observer, ratios, task.unknown)
+    else:
+        information = fisher_information(
+            observer.generator,
+            ratios,
+            observer.frequencies_hz,
+            observer.settings.snr_db,
+            task.unknown,
+            task.responses,
+        )
     return cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
 
 

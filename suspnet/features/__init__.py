@@ -1,6 +1,19 @@
-"""Module 2 of the paper: from frequency-response curves to features."""
+"""Module 2 of the paper: from recordings and frequency-response curves to features."""
 
-from suspnet.features.extraction import FeatureTable, PeakFeatures
+from suspnet.features.curve import CurveFeatures
+from suspnet.features.extraction import FeatureSet, FeatureTable, PeakFeatures
 from suspnet.features.peaks import PeakFit, PeakReason, Peaks, findpeaks
+from suspnet.features.transfer_estimate import Welch, tfestimate
 
-__all__ = ["FeatureTable", "PeakFeatures", "PeakFit", "PeakReason", "Peaks", "findpeaks"]
+__all__ = [
+    "CurveFeatures",
+    "FeatureSet",
+    "FeatureTable",
+    "PeakFeatures",
+    "PeakFit",
+    "PeakReason",
+    "Peaks",
+    "Welch",
+    "findpeaks",
+    "tfestimate",
+]

@@ -7,15 +7,18 @@ is the car body's frequency, near which abs(G_p) dips.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar, Literal, Protocol, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.features.peaks import PeakFit, PeakReason, Peaks, findpeaks
 
+FloatArray = NDArray[np.float64]
 PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
 MEASURES = ("position", "height", "width")
 LOWER_PEAK_ENDS = 1.2
@@ -47,6 +50,39 @@ class FeatureTable:
 
     values: Tensor
     reasons: Tensor
+
+
+class FeatureSet(Protocol):
+    """What turns curves into the inputs of a regression."""
+
+    kind: ClassVar[str]
+    positive: ClassVar[bool]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What each column of the reasons is about."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature."""
+        ...
+
+    def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+        """Return the features of curves (n_curves, 2, n_freq)."""
+        ...
+
+    def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
+        """Return features relative to the healthy vehicle's."""
+        ...
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return what was learnt from training curves, for storage."""
+        ...
+
+    def restored(self, arrays: Mapping[str, FloatArray]) -> Self:
+        """Return the feature set with what was stored."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -84,18 +120,39 @@ class PeakFeatures:
         if not 0 < self.low_hz < self.high_hz:
             raise ValueError(f"need 0 < low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
 
+    kind: ClassVar[str] = "peaks"
+    positive: ClassVar[bool] = True
+    """Features are positive: their logarithms may be taken."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What each column of the reasons is about."""
+        return tuple(self.peaks)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Name of each feature, in the order of the columns of `extract`."""
         return tuple(f"{peak}_{measure}" for peak in self.peaks for measure in MEASURES)
 
-    def extract(self, magnitudes: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+    def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
+        """Return features relative to the healthy vehicle's: their quotient."""
+        return values / healthy
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return nothing: it learns no arrays."""
+        return {}
+
+    def restored(self, arrays: Mapping[str, FloatArray]) -> PeakFeatures:
+        """Return the same: it learns no arrays."""
+        return self
+
+    def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
         """Return the features of curves.
 
         Parameters
         ----------
-        magnitudes : tensor of shape (n_curves, 2, n_freq), [-]
-            abs(G_p) and abs(G_s).
+        curves : tensor of shape (n_curves, 2, n_freq), [-]
+            G_p and G_s, or their magnitudes.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
 
         Returns
@@ -104,6 +161,7 @@ class PeakFeatures:
         """
         inside = (frequencies_hz >= self.low_hz) & (frequencies_hz <= self.high_hz)
         frequencies = frequencies_hz[inside]
+        magnitudes = curves.abs() if curves.is_complex() else curves
         primary, secondary = magnitudes[:, :, inside].unbind(1)
         found: dict[str, Peaks] = {}
         if set(self.peaks) - {"primary_largest"}:

@@ -10,7 +10,7 @@ from scipy.optimize import curve_fit
 from scipy.signal import find_peaks, savgol_filter
 
 from suspnet.data import TRAIN, CurveSettings, CurveSource, Protocol
-from suspnet.data.curves import BLOCK
+from suspnet.data.source import BLOCK
 from suspnet.dynamics import QuarterCar, Vehicle
 
 PEAKS = ["secondary", "primary_lower", "primary_upper"]

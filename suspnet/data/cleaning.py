@@ -1,0 +1,257 @@
+"""Faults of one accelerometer: found in its samples, repaired where short, otherwise marked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from suspnet.data.faults import (
+    FloatArray,
+    Mask,
+    fill,
+    find_clipping,
+    find_constant,
+    find_gaps,
+    find_saturation,
+    find_spikes,
+    local_level,
+    paint,
+    runs,
+)
+
+KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift")
+
+CORE_SAMPLES = 2**18
+"""About how many samples are looked at together; few enough to stay in cache."""
+
+SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
+"""Level and spread are those of one second, and of no fewer samples than this."""
+
+
+@dataclass(frozen=True)
+class CleaningSettings:
+    """When samples count as faulty.
+
+    Parameters
+    ----------
+    spike_deviations : float
+        A spike stands out from the level on both sides by more than this many robust standard
+        deviations (1.4826 times the median absolute deviation of one second).
+    spike_samples : int
+        The longest spike; anything longer is taken for motion.
+    gap_samples : int
+        The longest gap that is repaired.
+    saturation_fraction : float
+        A sample is saturated if its magnitude reaches this fraction of the sensor's range.
+    saturation_samples : int
+        Where no range is given, this many equal samples at the highest or lowest value around.
+    constant_s : float, [s]
+        Identical values for longer than this come from a dead sensor.
+    drift_fraction : float
+        A mean, or a change of level between the first and the last tenth, is reported if it is
+        larger than this fraction of the root mean square about the mean.
+
+    Raises
+    ------
+    ValueError
+        If a setting is not positive and finite.
+    """
+
+    spike_deviations: float = 25.0
+    spike_samples: int = 3
+    gap_samples: int = 3
+    saturation_fraction: float = 0.999
+    saturation_samples: int = 4
+    constant_s: float = 0.1
+    drift_fraction: float = 0.25
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"`{field.name}` must be positive and finite, got {value}")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """All samples of one channel that share one kind of fault.
+
+    Parameters
+    ----------
+    channel, kind : str
+        `kind` is one of ``KINDS``.
+    n_samples : int
+    seconds, first_s : float, [s]
+        How long together, and when first on the trip's clock.
+    repaired : bool
+        True where the samples were interpolated, or where a later high-pass filter removes the
+        fault (offset and drift); False where they are marked as unusable.
+    size_m_per_s2 : float or None, [m/s2]
+        The mean, or the change of level; None for other kinds.
+    """
+
+    channel: str
+    kind: str
+    n_samples: int
+    seconds: float
+    first_s: float
+    repaired: bool
+    size_m_per_s2: float | None = None
+
+    def __str__(self) -> str:
+        if self.size_m_per_s2 is not None:
+            return f"{self.channel}: {self.kind} of {self.size_m_per_s2:.3g} m/s2, harmless"
+        fate = "repaired" if self.repaired else "not usable"
+        return (
+            f"{self.channel}: {self.kind} of {self.n_samples} samples ({self.seconds:.3g} s) from "
+            f"{self.first_s:.3f} s on, {fate}"
+        )
+
+
+class Cleaner:
+    """Cleans one channel as it streams by, and counts what it found.
+
+    What is found does not depend on how the channel is cut into blocks.
+
+    Parameters
+    ----------
+    channel : str
+    rate_hz : float, [Hz]
+    range_m_per_s2 : float, optional, [m/s2]
+        Largest magnitude that the sensor can give.
+    settings : CleaningSettings, optional
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        rate_hz: float,
+        range_m_per_s2: float | None = None,
+        settings: CleaningSettings | None = None,
+    ) -> None:
+        self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
+        self.settings = CleaningSettings() if settings is None else settings
+        self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
+        self.n_samples, self.n_bad = 0, 0
+        self.lowest, self.highest = math.inf, -math.inf
+        self._found: dict[tuple[str, bool], tuple[int, int]] = {}  # (how many, the first)
+        self._levels: list[FloatArray] = []
+        self._sum = self._sum_of_squares = 0.0
+
+    def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, Mask]]:
+        """Yield values without NaN [m/s2] and where they are bad, in blocks of another size.
+
+        Parameters
+        ----------
+        blocks : iterable of arrays of shape (n_samples,), [m/s2]
+        """
+        longest_constant = int(self.settings.constant_s * self.rate_hz + 1e-9)
+        n_segments = math.ceil(max(longest_constant, 1) / self.segment)
+        context = n_segments * self.segment
+        core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
+        for window, lead, length in _windows(blocks, core, context):
+            values, bad, masks, centre = self._check(window, longest_constant)
+            inside = slice(lead, lead + length)
+            for (kind, repaired), mask in masks.items():
+                self._count(kind, repaired, mask[inside])
+            first = lead // self.segment
+            self._levels.append(centre[first : first + math.ceil(length / self.segment)])
+            self._add(values[inside], bad[inside])
+            yield values[inside], bad[inside]
+
+    def _check(
+        self, window: FloatArray, longest_constant: int
+    ) -> tuple[FloatArray, Mask, dict[tuple[str, bool], Mask], FloatArray]:
+        """Return filled values, bad samples, masks by kind and repair, and local levels."""
+        settings = self.settings
+        gap = find_gaps(window)
+        filled = fill(window, gap)
+        centre, spread = local_level(filled, self.segment)
+        padded = np.pad(spread, 1, mode="edge")
+        widest = np.maximum(np.maximum(padded[:-2], spread), padded[2:])
+        reach = settings.spike_deviations * widest
+        spike = find_spikes(filled, self.segment, centre, reach, settings.spike_samples)
+        constant = find_constant(window, longest_constant)
+        if self.range_m_per_s2 is None:
+            saturation = find_clipping(filled, settings.saturation_samples) & ~(gap | constant)
+        else:
+            limit = settings.saturation_fraction * self.range_m_per_s2
+            saturation = find_saturation(filled, limit) & ~gap
+        short = paint(len(gap), *runs(gap, at_most=settings.gap_samples))
+        bad = (gap & ~short) | saturation | constant
+        masks = {
+            ("gap", True): short,
+            ("gap", False): gap & ~short,
+            ("spike", True): spike & ~(bad | gap),
+            ("saturation", False): saturation,
+            ("constant", False): constant,
+        }
+        return fill(filled, bad | spike), bad, masks, centre
+
+    def _count(self, kind: str, repaired: bool, mask: Mask) -> None:
+        count = int(np.count_nonzero(mask))
+        if count:
+            before, first = self._found.get(
+                (kind, repaired), (0, self.n_samples + int(mask.argmax()))
+            )
+            self._found[kind, repaired] = (before + count, first)
+
+    def _add(self, values: FloatArray, bad: Mask) -> None:
+        n_bad = int(np.count_nonzero(bad))
+        self.n_samples += len(values)
+        self.n_bad += n_bad
+        self.lowest = min(self.lowest, float(values.min()))
+        self.highest = max(self.highest, float(values.max()))
+        good = values[~bad] if n_bad else values
+        self._sum += float(good.sum())
+        self._sum_of_squares += float(good @ good)
+
+    def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
+        """Return what was found so far, in the order of ``KINDS``; the first sample at `start_s`."""
+        found = [
+            Fault(self.channel, kind, n, n / self.rate_hz, start_s + first / self.rate_hz, repaired)
+            for (kind, repaired), (n, first) in self._found.items()
+        ]
+        n_good = self.n_samples - self.n_bad
+        if n_good:
+            mean = self._sum / n_good
+            rms = math.sqrt(max(self._sum_of_squares / n_good - mean * mean, 0.0))
+            seconds = self.n_samples / self.rate_hz
+            for kind, size in (("offset", mean), ("drift", self._drift())):
+                if abs(size) > self.settings.drift_fraction * rms:
+                    found.append(
+                        Fault(self.channel, kind, self.n_samples, seconds, start_s, True, size)
+                    )
+        return tuple(sorted(found, key=lambda f: (KINDS.index(f.kind), not f.repaired)))
+
+    def _drift(self) -> float:
+        """Return the median level of the last tenth minus that of the first, [m/s2]."""
+        levels = np.concatenate(self._levels)
+        tenth = math.ceil(len(levels) / 10)
+        return float(np.median(levels[-tenth:]) - np.median(levels[:tenth]))
+
+
+def _windows(
+    blocks: Iterable[FloatArray], core: int, context: int
+) -> Iterator[tuple[FloatArray, int, int]]:
+    """Yield windows that follow each other with an overlap of `context` on either side.
+
+    Each is (window, samples before its core, samples of its core); the cores are the signal.
+    """
+    pending: list[FloatArray] = []
+    held = lead = 0
+    for block in blocks:
+        pending.append(block)
+        held += len(block)
+        if held < lead + core + context:
+            continue
+        buffer = np.concatenate(pending)
+        while len(buffer) >= lead + core + context:
+            yield buffer[: lead + core + context], lead, core
+            buffer, lead = buffer[lead + core - context :], context
+        pending, held = [buffer], len(buffer)
+    if held > lead:
+        yield np.concatenate(pending), lead, held - lead

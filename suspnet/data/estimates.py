@@ -1,0 +1,307 @@
+"""Training curves that look like estimates from a trip: same bins, leakage, averages and noise.
+
+The spectra of the three sensors follow from the track, the speed and the vehicle. Their estimate
+from n independent averages is n^-1 times a complex Wishart matrix (Goodman 1963), whose mean is
+the true matrix smeared over neighbouring bins by the window. It is sampled by Bartlett's
+decomposition, and the very estimator that the recording goes through is applied to it, so that
+bias (H1 in noise), leakage and the noise of each bin are those of the trip.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from suspnet.data.curves import check_count
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.dynamics.generator import sample_unmeasured
+from suspnet.dynamics.track import acceleration_density, track_spectrum
+from suspnet.features.transfer_estimate import METHODS, CrossSpectra, Method, Welch
+
+FloatArray = NDArray[np.float64]
+LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
+"""The band reaches from this multiple of the first natural frequency to that of the second."""
+WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
+"""Where, and on how many points, the rms of a channel is integrated."""
+
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """How trips are recorded and their transfer functions estimated.
+
+    Parameters
+    ----------
+    n_train, n_test : int or "all"
+        Curves for training and testing.
+    speed_m_per_s : float, [m/s]
+    track : str
+        A name of ``suspnet.dynamics.track.TRACKS``.
+    short_waves : bool
+    snr_db : float, [dB]
+        White noise of each sensor, relative to the rms of the healthy vehicle's signal over the
+        sensor's whole band.
+    minutes : float, [min]
+        Usable recording.
+    method : {"H1", "H2", "Hv", "IV"}
+    segment_s, overlap, window
+        Of ``Welch``.
+    low_hz, high_hz : float, optional, [Hz]
+        Band; None is 0.45 times the vehicle's first natural frequency, 1.8 times its second.
+    rates_hz : sequence of 3 floats, [Hz]
+        Sampling rates of axle box, bogie and body.
+    cache_dir : str or None
+        Where feature tables are kept between runs.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting has the wrong type or is out of range.
+    """
+
+    n_train: int | str = 20_000
+    n_test: int | str = 4_000
+    speed_m_per_s: float = 70.0
+    track: str = "german_low"
+    short_waves: bool = False
+    snr_db: float = 34.0
+    minutes: float = 20.0
+    method: Method = "IV"
+    segment_s: float = 20.0
+    overlap: float = 0.5
+    window: str = "hann"
+    low_hz: float | None = None
+    high_hz: float | None = None
+    rates_hz: tuple[float, float, float] = (5000.0, 2000.0, 2000.0)
+    cache_dir: str | None = ".cache/suspnet"
+
+    def __post_init__(self) -> None:
+        for name in ("n_train", "n_test"):
+            check_count(name, getattr(self, name))
+        numbers = ("speed_m_per_s", "snr_db", "minutes")
+        limits = {"speed_m_per_s": (0.1, 200), "snr_db": (-20, 200), "minutes": (0, 1e5)}
+        for name in (*numbers, "low_hz", "high_hz"):
+            value = getattr(self, name)
+            if value is None and name not in numbers:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise TypeError(f"`data.{name}` must be a number, got {value!r}")
+            low, high = limits.get(name, (0, 1e4))
+            if not low < value < high:
+                raise ValueError(f"`data.{name}` must lie between {low} and {high}, got {value}")
+        if self.method not in METHODS:
+            raise ValueError(f"`data.method` must be one of {METHODS}, got {self.method!r}")
+        if len(self.rates_hz) != 3 or not all(rate > 0 for rate in self.rates_hz):
+            raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
+        track_spectrum(self.track, self.short_waves)
+        if self.n_averages < 4:
+            raise ValueError(
+                f"`data.minutes`={self.minutes:g} is too short: {self.n_averages:.1f} averages of "
+                f"{self.segment_s:g} s; at least 4 are needed"
+            )
+
+    @property
+    def welch(self) -> Welch:
+        """How recordings are cut into segments."""
+        return Welch(self.segment_s, self.overlap, self.window)
+
+    @property
+    def n_averages(self) -> float:
+        """Independent averages of a trip."""
+        step_s = self.segment_s * (1 - self.overlap)
+        n_segments = max(0.0, (self.minutes * 60 - self.segment_s) / step_s + 1)
+        return self.welch.n_averages(n_segments) if n_segments >= 1 else 0.0
+
+    def bound(self, vehicle: Vehicle) -> EstimateSettings:
+        """Return the settings with a band of numbers: what was None follows from the vehicle."""
+        modes, _ = QuarterCar(vehicle).natural_modes()
+        low = LOWEST_MODE * float(modes[0]) if self.low_hz is None else self.low_hz
+        high = HIGHEST_MODE * float(modes[1]) if self.high_hz is None else self.high_hz
+        bound = replace(self, low_hz=low, high_hz=high)
+        if len(bound.frequencies_hz()) < 8:
+            raise ValueError(
+                f"between data.low_hz={low:.3g} and data.high_hz={high:.3g} Hz lie "
+                f"{len(bound.frequencies_hz())} bins; at least 8 are needed"
+            )
+        return bound
+
+    def frequencies_hz(self) -> Tensor:
+        """Return the bins of the estimate, multiples of 1 / segment_s, shape (n_freq,), [Hz].
+
+        Raises
+        ------
+        ValueError
+            If the band is not bound to a vehicle yet.
+        """
+        if self.low_hz is None or self.high_hz is None:
+            raise ValueError("the band follows from the vehicle: call `bound` first")
+        first = max(
+            math.ceil(self.low_hz * self.segment_s - 1e-9), 1 + len(self.welch.smear()) // 2
+        )
+        last = math.floor(self.high_hz * self.segment_s + 1e-9)
+        return torch.arange(first, last + 1, dtype=torch.float64) / self.segment_s
+
+    def observer(self, generator: ResponseGenerator) -> EstimateObserver:
+        """Return the source of estimates of a generator's vehicles."""
+        return EstimateObserver(self, generator)
+
+
+class EstimateObserver:
+    """Estimates of G_p and G_s, as trips of a generator's vehicles would give them.
+
+    Parameters
+    ----------
+    settings : EstimateSettings
+        Bound to a vehicle.
+    generator : ResponseGenerator
+    """
+
+    def __init__(self, settings: EstimateSettings, generator: ResponseGenerator) -> None:
+        self.settings = settings
+        self.generator = generator
+        welch = settings.welch
+        self.frequencies_hz = settings.frequencies_hz()
+        self._smear = welch.smear()
+        self._correlating = moving_average_with(welch.correlation().numpy())
+        more = torch.arange(1, len(self._smear) // 2 + 1, dtype=torch.float64) / welch.segment_s
+        bins = self.frequencies_hz
+        self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
+        self._spectrum = track_spectrum(settings.track, settings.short_waves)
+        self._track = torch.as_tensor(self._track_density(self._bins.numpy()))
+        self._noise = self._noise_densities()
+
+    def noise_free(self, ratios: Tensor) -> Tensor:
+        """Return what the estimate of G_p and G_s tends to for very long trips.
+
+        Leakage, and the bias that the sensors' noise gives to H1, H2 and Hv, are in it.
+
+        Parameters
+        ----------
+        ratios : tensor of shape (n_vehicles, 5), [-]
+
+        Returns
+        -------
+        complex tensor of shape (n_vehicles, 2, n_freq), [-]
+        """
+        return self._expected(ratios).responses(self.settings.method)
+
+    def observe(self, ratios: Tensor, seed: int) -> Tensor:
+        """Return estimates of G_p and G_s, one trip of each vehicle.
+
+        What the generator holds uncertain is drawn too.
+
+        Parameters
+        ----------
+        ratios : tensor of shape (n_vehicles, 5), [-]
+        seed : int
+
+        Returns
+        -------
+        complex tensor of shape (n_vehicles, 2, n_freq), [-]
+        """
+        unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
+        rows = sample_unmeasured(self.generator, ratios, int(unmeasured >> np.uint64(1)))
+        expected = self._expected(rows)
+        source = torch.Generator(expected.auto.device).manual_seed(int(noise >> np.uint64(1)))
+        return self._sampled(expected, source).responses(self.settings.method)
+
+    def covariance(self, ratios: Tensor) -> Tensor:
+        """Return the covariance of one trip's (log G_p, log G_s), complex (n_vehicles, 2, 2, n_freq)."""
+        return self._expected(ratios).covariance(self.settings.method)
+
+    def _expected(self, ratios: Tensor) -> CrossSpectra:
+        """Return the mean of the estimated spectra of each vehicle."""
+        primary, secondary = self.generator.responses(ratios, self._bins)
+        track = self._track.to(primary.device)
+        body = primary * secondary
+        auto = torch.stack([primary.abs().square(), body.abs().square()], dim=1) * track
+        auto = torch.cat([track.expand(len(auto), 1, -1), auto], dim=1)
+        cross = torch.stack([primary, body, primary.conj() * body], dim=1) * track
+        noise = self._noise.to(auto)[:, None]
+        return CrossSpectra(
+            self._smeared(auto) + noise, self._smeared(cross), self.settings.n_averages
+        )
+
+    def _smeared(self, spectra: Tensor) -> Tensor:
+        """Return spectra on the inner bins, each the weighted sum of its neighbours."""
+        n_inner = spectra.shape[-1] - len(self._smear) + 1
+        return sum(  # type: ignore[return-value]
+            float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
+        )
+
+    def _sampled(self, mean: CrossSpectra, source: torch.Generator) -> CrossSpectra:
+        """Return one draw of the estimate around its mean: M M^H / n with M = L T.
+
+        L L^H is the mean, T lower triangular with Gamma(n - i) squares on the diagonal and unit
+        complex normals below it.
+        """
+        n = mean.n_averages
+        l11 = mean.auto[:, 0].sqrt()
+        l21, l31 = (mean.cross[:, k].conj() / l11 for k in (0, 1))
+        l22 = (mean.auto[:, 1] - l21.abs().square()).sqrt()
+        l32 = (mean.cross[:, 2].conj() - l31 * l21.conj()) / l22
+        l33 = (mean.auto[:, 2] - l31.abs().square() - l32.abs().square()).sqrt()
+        g = self._normals((9, *l11.shape), source)
+        t11, t22, t33 = (_gamma(n - i, g[i]).sqrt() for i in range(3))
+        t21, t31, t32 = (torch.complex(g[i], g[i + 1]) / math.sqrt(2) for i in (3, 5, 7))
+        m11, m21, m22 = l11 * t11, l21 * t11 + l22 * t21, l22 * t22
+        m31, m32, m33 = l31 * t11 + l32 * t21 + l33 * t31, l32 * t22 + l33 * t32, l33 * t33
+        auto = [m11.square(), m21.abs().square() + m22.square()]
+        auto.append(m31.abs().square() + m32.abs().square() + m33.square())
+        cross = [m11 * m21.conj(), m11 * m31.conj(), m21 * m31.conj() + m22 * m32.conj()]
+        return CrossSpectra(torch.stack(auto, 1) / n, torch.stack(cross, 1) / n, n)
+
+    def _normals(self, shape: tuple[int, ...], source: torch.Generator) -> Tensor:
+        """Return unit normals, correlated over neighbouring bins as averaged spectra are."""
+        taps = self._correlating
+        wide = torch.empty(
+            *shape[:-1], shape[-1] + len(taps) - 1, dtype=torch.float64, device=source.device
+        ).normal_(generator=source)
+        return sum(  # type: ignore[return-value]
+            float(tap) * wide[..., k : k + shape[-1]] for k, tap in enumerate(taps)
+        )
+
+    def _track_density(self, frequencies_hz: FloatArray) -> FloatArray:
+        """Return the power density of the axle box's acceleration, [(m/s^2)^2/Hz]."""
+        return acceleration_density(self._spectrum, frequencies_hz, self.settings.speed_m_per_s)
+
+    def _noise_densities(self) -> Tensor:
+        """Return each sensor's noise density, shape (3,), [(m/s^2)^2/Hz]: see `snr_db`."""
+        densities = []
+        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+        for channel, rate_hz in enumerate(self.settings.rates_hz):
+            grid = np.geomspace(WIDE_BAND_LOW_HZ, rate_hz / 2, WIDE_BAND_POINTS)
+            primary, secondary = self.generator.responses(healthy, torch.as_tensor(grid))
+            links = (torch.ones_like(primary), primary, primary * secondary)
+            response = links[channel][0].abs().square().cpu().numpy()
+            power = np.trapezoid(response * self._track_density(grid), grid)
+            densities.append(10 ** (-self.settings.snr_db / 10) * power / (rate_hz / 2))
+        return torch.tensor(densities, dtype=torch.float64)
+
+
+def moving_average_with(correlation: FloatArray) -> FloatArray:
+    """Return taps h with sum_i h_i h_(i+k) = correlation[k], by spectral factorisation.
+
+    Parameters
+    ----------
+    correlation : array of shape (n_lags,)
+        From lag 0 on; its spectrum must not be negative.
+
+    Returns
+    -------
+    array of shape (n_lags,)
+    """
+    roots = np.roots(np.concatenate([correlation[:0:-1], correlation]))
+    inside = roots[np.argsort(np.abs(roots))][: len(correlation) - 1]
+    taps = np.real(np.poly(inside))
+    return np.asarray(taps * np.sqrt(correlation[0] / (taps @ taps)))
+
+
+def _gamma(shape: float, normal: Tensor) -> Tensor:
+    """Return Gamma(shape, 1) draws from unit normals by Wilson and Hilferty's cube."""
+    root = 1 - 1 / (9 * shape) + normal / (3 * math.sqrt(shape))
+    return shape * root.clamp(min=0) ** 3

@@ -1,0 +1,177 @@
+"""Where samples of an acceleration are faulty: one function for each kind, without loops over them.
+
+All take one piece of a signal; ``cleaning`` cuts a channel into pieces and puts them together.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+LARGEST_M_PER_S2 = 1e30
+"""Loggers write 3.4e38 or infinity where they have no value; what is larger is a gap."""
+
+STRIDE = 7
+"""Level and spread are estimated from every 7th sample."""
+
+SIDE_SAMPLES, CALM = 8, 0.25
+"""A spike is isolated if, of this many samples on either side, all but one stay within this
+fraction of its height; the ringing after an impact does not."""
+
+CLIP_STEPS = 4
+"""A signal reaches its clipping level with a jump of more than this many quantisation steps; the
+rounded top of a slow wave is as flat, but is reached in small steps."""
+
+
+def find_gaps(values: FloatArray) -> Mask:
+    """Return where there is no value: NaN, infinite or absurd; shape (n_samples,)."""
+    return np.asarray(~(np.abs(values) < LARGEST_M_PER_S2))
+
+
+def find_constant(values: FloatArray, longest: int) -> Mask:
+    """Return the runs of more than `longest` identical values, shape (n_samples,).
+
+    NaN is not identical to NaN.
+    """
+    coarse = values[:: max((longest + 1) // 2, 1)]  # every run that is too long holds two of these
+    if not (coarse[1:] == coarse[:-1]).any():
+        return np.zeros(len(values), dtype=np.bool_)
+    starts, stops = runs(values[1:] == values[:-1], at_least=longest)
+    return paint(len(values), starts, stops + 1)
+
+
+def find_saturation(values: FloatArray, limit: float) -> Mask:
+    """Return where the magnitude reaches a limit, shape (n_samples,)."""
+    if -limit < values.min() and values.max() < limit:
+        return np.zeros(len(values), dtype=np.bool_)
+    return np.asarray(np.abs(values) >= limit)
+
+
+def find_clipping(values: FloatArray, shortest: int) -> Mask:
+    """Return runs of at least `shortest` equal values at the extremes of `values`, (n_samples,).
+
+    For sensors of unknown range. A run counts if the signal jumps to or from it.
+    """
+    mask = np.zeros(len(values), dtype=np.bool_)
+    for extreme in (values.min(), values.max()):
+        at = values == extreme
+        if np.count_nonzero(at) < shortest:
+            continue
+        starts, stops = runs(at, at_least=shortest)
+        step = np.abs(np.diff(values))
+        smallest_step = step.min(where=step > 0, initial=math.inf)
+        before = np.abs(values[np.maximum(starts - 1, 0)] - extreme)
+        after = np.abs(values[np.minimum(stops, len(values) - 1)] - extreme)
+        sharp = np.maximum(before, after) > CLIP_STEPS * smallest_step
+        mask |= paint(len(values), starts[sharp], stops[sharp])
+    return mask
+
+
+def local_level(values: FloatArray, segment: int) -> tuple[FloatArray, FloatArray]:
+    """Return median and robust standard deviation of each segment, shape (n_segments,), [m/s2].
+
+    The deviation is 1.4826 times the median absolute one; where that is zero, 1.2533 times the
+    mean absolute one. A shorter last segment gets the numbers of the one before it.
+    """
+    n_whole = len(values) // segment
+    rows = values[: n_whole * segment].reshape(n_whole, segment) if n_whole else values[None]
+    rows = np.ascontiguousarray(rows[:, ::STRIDE])
+    centre = np.median(rows, axis=1)
+    distance = np.abs(rows - centre[:, None])
+    spread = 1.4826 * np.median(distance, axis=1)
+    rounded = spread == 0  # more than half of the values are equal
+    spread[rounded] = 1.2533 * distance[rounded].mean(axis=1)
+    if n_whole and len(values) % segment:
+        return np.append(centre, centre[-1]), np.append(spread, spread[-1])
+    return centre, spread
+
+
+def find_spikes(
+    values: FloatArray, segment: int, centre: FloatArray, reach: FloatArray, longest: int
+) -> Mask:
+    """Return the isolated spikes of at most `longest` samples, shape (n_samples,).
+
+    Parameters
+    ----------
+    values : array of shape (n_samples,), [m/s2]
+        Without NaN.
+    segment : int
+        Samples of a segment.
+    centre, reach : arrays of shape (n_segments,), [m/s2]
+        Level of each segment, and how far a spike stands out at least: from the segment, and from
+        the samples on either side of it. The latter are missing at the ends of `values`, where
+        nothing is found.
+    longest : int
+    """
+    borders = np.arange(0, len(values), segment)
+    highest, lowest = (f.reduceat(values, borders) for f in (np.maximum, np.minimum))
+    far = np.zeros(len(values), dtype=np.bool_)
+    for i in np.flatnonzero(np.maximum(highest - centre, centre - lowest) > reach):
+        part = slice(borders[i], borders[i] + segment)
+        far[part] = np.abs(values[part] - centre[i]) > reach[i]
+    starts, stops = runs(far, at_most=longest)
+    inside = (starts >= SIDE_SAMPLES) & (stops + SIDE_SAMPLES <= len(values))
+    starts, stops = starts[inside], stops[inside]
+    if len(starts) == 0:
+        return np.zeros(len(values), dtype=np.bool_)
+    height, calm = _height(values, starts, stops)
+    isolated = (height > reach[starts // segment]) & (calm < CALM * height)
+    return paint(len(values), starts[isolated], stops[isolated])
+
+
+def _height(
+    values: FloatArray, starts: IndexArray, stops: IndexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far runs stand out from both sides, and how far the sides do from themselves."""
+    width = int((stops - starts).max())
+    peak = values[np.minimum(starts[:, None] + np.arange(width), stops[:, None] - 1)]
+    above, below, spread = [], [], []
+    for border, side in ((starts, np.arange(-SIDE_SAMPLES, 0)), (stops, np.arange(SIDE_SAMPLES))):
+        beside = values[border[:, None] + side]  # (n_runs, SIDE_SAMPLES)
+        level = np.median(beside, axis=1, keepdims=True)
+        above.append((peak - level).min(axis=1))
+        below.append((level - peak).min(axis=1))
+        spread.append(np.partition(np.abs(beside - level), -2, axis=1)[:, -2])
+    height = np.maximum(np.minimum(*above), np.minimum(*below))
+    return height, np.maximum(*spread)
+
+
+def runs(
+    mask: Mask, at_least: int = 1, at_most: int | None = None
+) -> tuple[IndexArray, IndexArray]:
+    """Return first and one past the last index of the runs of True that have such a length."""
+    if not mask.any():
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    starts, stops = edges[::2], edges[1::2]
+    kept = stops - starts >= at_least
+    if at_most is not None:
+        kept &= stops - starts <= at_most
+    return starts[kept], stops[kept]
+
+
+def paint(n_samples: int, starts: IndexArray, stops: IndexArray) -> Mask:
+    """Return True from each start up to its stop, which may be the next start; (n_samples,)."""
+    steps = np.zeros(n_samples + 1, dtype=np.int8)
+    steps[starts] += 1
+    steps[stops] -= 1
+    return np.cumsum(steps[:-1], dtype=np.int8).view(np.bool_)
+
+
+def fill(values: FloatArray, holes: Mask) -> FloatArray:
+    """Return values with holes filled linearly, at the ends by the nearest value, else by zero."""
+    if not holes.any():
+        return values
+    good = np.flatnonzero(~holes)
+    if len(good) == 0:
+        return np.zeros_like(values)
+    filled = values.copy()
+    index = np.flatnonzero(holes)
+    filled[index] = np.interp(index, good, values[good])
+    return filled

@@ -1,0 +1,319 @@
+"""What one trip is: where each accelerometer is stored, in which unit and at which rate."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import date, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from suspnet.data.storage import write_atomically
+from suspnet.dynamics import PARAMETERS
+
+FORMAT = "suspnet-trip-1"
+
+CHANNELS = ("axle_box", "bogie", "body")
+"""The three vertical accelerometers, in the order of every array of signals."""
+
+ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
+"""What one unit is in m/s2."""
+
+SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
+"""What one unit is in m/s."""
+
+
+class TripError(ValueError):
+    """Something is wrong with one trip: its manifest, or the files that it names."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one measured quantity is stored.
+
+    Parameters
+    ----------
+    file : str
+        Absolute, or relative to the manifest's folder.
+    unit : str
+        One of ``ACCELERATION_UNITS``, or for the speed of ``SPEED_UNITS``.
+    column : str, optional
+        Column, MAT or HDF5 variable, or TDMS "group/channel"; None if the file has only one.
+    rate_hz : float, optional, [Hz]
+        Sampling rate. If `time` is given too, the two must agree within 1 %.
+    time : str, optional
+        Name of a column of times [s]; a time step may be missing there, and is then a gap.
+    start_s : float, [s]
+        Time of the first sample on the trip's clock; with `time`, what is added to those times.
+    """
+
+    file: str
+    unit: str
+    column: str | None = None
+    rate_hz: float | None = None
+    time: str | None = None
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class SpeedSource(Source):
+    """Where the speed of the train is stored."""
+
+
+@dataclass(frozen=True)
+class Channel(Source):
+    """Where one accelerometer is stored.
+
+    Parameters
+    ----------
+    sign : int
+        -1 turns a sensor that was mounted upside down.
+    range : float, optional, [unit]
+        Largest magnitude that the sensor can give.
+    """
+
+    sign: int = 1
+    range: float | None = None
+
+
+@dataclass(frozen=True)
+class TripManifest:
+    """One trip: a recording of three accelerometers and the speed.
+
+    Parameters
+    ----------
+    path : Path
+        The YAML file.
+    name : str
+        The file's name without its suffix.
+    vehicle, suspension : str
+        Which vehicle, and which of its suspensions, in free text.
+    mileage_km : float, [km]
+    start : datetime or None
+    speed : float, [m/s], or SpeedSource
+    channels : dict of Channel
+        One for each of ``CHANNELS``.
+    truth : dict of float, [-]
+        Known values of a simulated trip relative to healthy; keys from ``PARAMETERS``.
+    """
+
+    path: Path
+    name: str
+    vehicle: str
+    suspension: str
+    mileage_km: float
+    start: datetime | None
+    speed: float | SpeedSource
+    channels: dict[str, Channel]
+    truth: dict[str, float] = field(default_factory=dict)
+
+    def file_of(self, source: Source) -> Path:
+        """Return the path of a channel's or the speed's data file."""
+        return self.path.parent / source.file
+
+
+def read_manifest(path: Path) -> TripManifest:
+    """Return a trip's manifest, checked.
+
+    Raises
+    ------
+    TripError
+        If it cannot be read, holds anything unknown, misses something or has a value of the wrong
+        type or out of range, or if a data file that it names is missing or not a plain file.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise TripError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
+    manifest = _parse(path, content)
+    sources: dict[str, Source] = {f"channels.{k}": c for k, c in manifest.channels.items()}
+    if isinstance(manifest.speed, SpeedSource):
+        sources["speed"] = manifest.speed
+    for key, source in sources.items():
+        if not manifest.file_of(source).is_file():
+            raise TripError(
+                f"{path}: `{key}.file` must name an existing plain file, got {source.file!r}"
+            )
+    return manifest
+
+
+def write_manifest(manifest: TripManifest) -> Path:
+    """Write a manifest to its own path, atomically, and return that path.
+
+    Raises
+    ------
+    TripError
+        If it would not be read back: a wrong value, or a name that is not the file's.
+    OSError
+        If the folder cannot be written.
+    """
+    speed = manifest.speed
+    content = {
+        "format": FORMAT,
+        "vehicle": manifest.vehicle,
+        "suspension": manifest.suspension,
+        "mileage_km": manifest.mileage_km,
+        "start": manifest.start,
+        "speed": _without_none(asdict(speed)) if isinstance(speed, SpeedSource) else speed,
+        "channels": {name: _without_none(asdict(c)) for name, c in manifest.channels.items()},
+        "truth": manifest.truth or None,
+    }
+    content = _without_none(content)
+    if _parse(manifest.path, content).name != manifest.name:
+        raise TripError(f"{manifest.path}: `name` must be that of the file, got {manifest.name!r}")
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    return write_atomically(manifest.path, text)
+
+
+def find_manifests(folder: Path) -> list[Path]:
+    """Return the ``*.yaml`` files directly in a folder, sorted.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no such file in it.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the trips")
+    manifests = sorted(path for path in folder.glob("*.yaml") if path.is_file())
+    if not manifests:
+        raise FileNotFoundError(f"{folder} holds no *.yaml file; each trip needs one")
+    return manifests
+
+
+class _Section:
+    """One mapping of a manifest: hands out checked values and knows where they stand."""
+
+    def __init__(
+        self, path: Path, where: str, content: Any, required: Sequence[str], optional: Sequence[str]
+    ) -> None:
+        self.path, self.where, self.content = path, where, content
+        if not isinstance(content, dict):
+            raise TripError(f"{path}: {self._name()} must be a mapping, got {_short(content)}")
+        allowed = (*required, *optional)
+        for key in content:
+            if key not in allowed:
+                raise TripError(f"{path}: {self._name(key)} is not known; allowed are {allowed}")
+        for key in required:
+            if content.get(key) is None:
+                raise TripError(f"{path}: {self._name(key)} is missing")
+
+    def has(self, key: str) -> bool:
+        """Return whether an optional key has a value."""
+        return self.content.get(key) is not None
+
+    def refuse(self, key: str, rule: str) -> TripError:
+        """Return the error that names file, key, rule and value."""
+        value = _short(self.content[key])
+        return TripError(f"{self.path}: {self._name(key)} must be {rule}, got {value}")
+
+    def text(self, key: str) -> str:
+        value = self.content[key]
+        if not isinstance(value, str) or not value.strip():
+            raise self.refuse(key, "text (put it in quotes if it looks like anything else)")
+        return value
+
+    def choice(self, key: str, allowed: Sequence[str]) -> str:
+        if self.content[key] not in list(allowed):
+            raise self.refuse(key, f"one of {list(allowed)}")
+        return str(self.content[key])
+
+    def number(self, key: str, rule: str = "a finite number", low: float = -math.inf) -> float:
+        """Return a number above `low`; `rule` is what the message says of it."""
+        value = self.content[key]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refuse(key, f"{rule} (written like 5000.0)")
+        if not low < value < math.inf or abs(value) > 1e300:
+            raise self.refuse(key, rule)
+        return float(value)
+
+    def positive(self, key: str) -> float:
+        return self.number(key, "a number > 0", 0.0)
+
+    def _name(self, key: object = None) -> str:
+        parts = [str(part) for part in (self.where or None, key) if part is not None]
+        return f"`{'.'.join(parts)}`" if parts else "the manifest"
+
+
+_SOURCE = ("column", "rate_hz", "time", "start_s")
+
+
+def _parse(path: Path, content: Any) -> TripManifest:
+    required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
+    top = _Section(path, "", content, required, ("start", "truth"))
+    top.choice("format", [FORMAT])
+    channels = _Section(path, "channels", content["channels"], CHANNELS, ()).content
+    return TripManifest(
+        path=path,
+        name=path.stem,
+        vehicle=top.text("vehicle"),
+        suspension=top.text("suspension"),
+        mileage_km=top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)),
+        start=_parse_start(top) if top.has("start") else None,
+        speed=_parse_speed(top),
+        channels={name: _parse_channel(path, name, channels[name]) for name in CHANNELS},
+        truth=_parse_truth(path, content["truth"]) if top.has("truth") else {},
+    )
+
+
+def _parse_start(top: _Section) -> datetime:
+    value = top.content["start"]
+    if isinstance(value, date) and not isinstance(value, datetime):
+        return datetime(value.year, value.month, value.day)
+    try:
+        return value if isinstance(value, datetime) else datetime.fromisoformat(value)
+    except (TypeError, ValueError) as error:
+        raise top.refuse("start", "a time like 2015-08-03T08:00:00") from error
+
+
+def _parse_speed(top: _Section) -> float | SpeedSource:
+    if not isinstance(top.content["speed"], dict):
+        return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
+    section = _Section(top.path, "speed", top.content["speed"], ("file", "unit"), _SOURCE)
+    return SpeedSource(unit=section.choice("unit", list(SPEED_UNITS)), **_parse_source(section))
+
+
+def _parse_channel(path: Path, name: str, content: Any) -> Channel:
+    optional = (*_SOURCE, "sign", "range")
+    section = _Section(path, f"channels.{name}", content, ("file", "unit"), optional)
+    sign = section.number("sign", "1 or -1") if section.has("sign") else 1.0
+    if sign not in (1.0, -1.0):
+        raise section.refuse("sign", "1 or -1")
+    return Channel(
+        unit=section.choice("unit", list(ACCELERATION_UNITS)),
+        sign=int(sign),
+        range=section.positive("range") if section.has("range") else None,
+        **_parse_source(section),
+    )
+
+
+def _parse_source(section: _Section) -> dict[str, Any]:
+    """Return the fields that a channel and the speed have in common."""
+    if not section.has("rate_hz") and not section.has("time"):
+        raise TripError(f"{section.path}: `{section.where}` needs `rate_hz` or `time` (a column)")
+    return {
+        "file": section.text("file"),
+        "column": section.text("column") if section.has("column") else None,
+        "rate_hz": section.positive("rate_hz") if section.has("rate_hz") else None,
+        "time": section.text("time") if section.has("time") else None,
+        "start_s": section.number("start_s") if section.has("start_s") else 0.0,
+    }
+
+
+def _parse_truth(path: Path, content: Any) -> dict[str, float]:
+    section = _Section(path, "truth", content, (), PARAMETERS)
+    return {key: section.positive(key) for key in section.content}
+
+
+def _short(value: Any) -> str:
+    return " ".join(reprlib.repr(value).split())
+
+
+def _without_none(content: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in content.items() if value is not None}

@@ -1,0 +1,79 @@
+"""How a suspension degrades along the mileage, trip by trip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.dynamics import PARAMETERS
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Ratios to healthy as functions of the mileage.
+
+    Parameters
+    ----------
+    name : str
+    changes : mapping
+        From a name of ``PARAMETERS`` to `from_km`, `to_km` and `ratio`: 1 before, in a straight
+        line between, `ratio` after. A step where the two mileages are equal.
+    spread : float, [-]
+        k_p, c_p, k_s and c_s are besides multiplied by a factor uniform in 1 +- spread on each
+        trip.
+    mass_low, mass_high : float, [-]
+        The car-body mass is uniform between these on each trip: pay-load.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a name is unknown or a number is out of range.
+    """
+
+    name: str
+    changes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    spread: float = 0.0
+    mass_low: float = 0.9
+    mass_high: float = 1.2
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.spread < 1:
+            raise ValueError(f"scenario `spread` must lie in 0 <= spread < 1, got {self.spread}")
+        if not 0 < self.mass_low <= self.mass_high:
+            raise ValueError(
+                f"need 0 < mass_low <= mass_high, got {self.mass_low} and {self.mass_high}"
+            )
+        for name, change in self.changes.items():
+            if name not in PARAMETERS:
+                raise ValueError(f"scenario `changes` must be named as in {PARAMETERS}: {name!r}")
+            if set(change) != {"from_km", "to_km", "ratio"}:
+                raise ValueError(
+                    f"scenario change of {name!r} needs from_km, to_km, ratio: {sorted(change)}"
+                )
+            if change["from_km"] > change["to_km"] or not change["ratio"] > 0:
+                raise ValueError(f"scenario change of {name!r}: need from_km <= to_km, ratio > 0")
+
+    def ratios(self, mileage_km: FloatArray, seed: int) -> FloatArray:
+        """Return the parameters of each trip relative to healthy, shape (n_trips, 5), [-].
+
+        Parameters
+        ----------
+        mileage_km : array of shape (n_trips,), [km]
+        seed : int
+            Of spread and pay-load.
+        """
+        rng = np.random.default_rng(seed)
+        ratios = np.ones((len(mileage_km), len(PARAMETERS)))
+        ratios[:, :4] += self.spread * rng.uniform(-1, 1, size=(len(mileage_km), 4))
+        ratios[:, 4] = rng.uniform(self.mass_low, self.mass_high, size=len(mileage_km))
+        for name, change in self.changes.items():
+            begin, end = change["from_km"], change["to_km"]
+            span = end - begin
+            after = mileage_km > end if span == 0 else np.clip((mileage_km - begin) / span, 0, 1)
+            ratios[:, PARAMETERS.index(name)] *= 1 + (change["ratio"] - 1) * after
+        return ratios

@@ -1,0 +1,306 @@
+"""Training data from a vehicle alone: degraded vehicles -> noisy curves -> features."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from tqdm import tqdm
+
+import suspnet
+from suspnet.data.curves import CurveObserver, CurveSettings
+from suspnet.data.estimates import EstimateObserver, EstimateSettings
+from suspnet.data.protocols import RESPONSES, Task
+from suspnet.data.storage import (
+    DamagedFileError,
+    content_hash,
+    dump_arrays,
+    read_arrays,
+    write_atomically,
+)
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.features import CurveFeatures, PeakFeatures
+
+LEARN_FROM = 4096
+"""Training curves from which a feature set learns what it has to."""
+BLOCK = 128
+"""Curves made at once: small enough to stay in cache, and the unit of reproducible noise."""
+TRAIN, TEST = 0, 1
+log = logging.getLogger(__name__)
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FeatureData:
+    """Inputs and outputs of a learning problem, one row a curve.
+
+    Attributes
+    ----------
+    inputs : array of shape (n_curves, n_inputs), [-]
+        Features relative to the healthy vehicle's (and the mass ratio where it is known); NaN
+        where a peak is missing.
+    outputs : array of shape (n_curves, n_outputs), [-]
+        Parameters relative to healthy.
+    ratios : array of shape (n_curves, 5), [-]
+        All parameters relative to healthy, in the order of ``PARAMETERS``.
+    reasons : array of shape (n_curves, n_peaks)
+        A ``PeakReason`` for each peak.
+    """
+
+    inputs: FloatArray
+    outputs: FloatArray
+    ratios: FloatArray
+    reasons: NDArray[np.int64]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """True where every feature was found, shape (n_curves,)."""
+        return np.asarray(np.isfinite(self.inputs).all(axis=1))
+
+    def complete(self) -> FeatureData:
+        """Return the curves on which every feature was found.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        kept = self.valid
+        if not kept.any():
+            raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
+        return FeatureData(
+            self.inputs[kept], self.outputs[kept], self.ratios[kept], self.reasons[kept]
+        )
+
+
+@dataclass(frozen=True)
+class CurveSource:
+    """Noisy curves of a task's degraded vehicles, and their features.
+
+    Parameters
+    ----------
+    generator : ResponseGenerator
+    task : Task
+    settings : CurveSettings
+    seed : int
+        Chooses vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
+    threads : int
+        Blocks made at the same time.
+    progress : bool
+        Show a progress bar.
+    """
+
+    generator: ResponseGenerator
+    task: Task
+    settings: CurveSettings | EstimateSettings
+    seed: int = 0
+    threads: int = 1
+    progress: bool = False
+
+    @cached_property
+    def observer(self) -> CurveObserver | EstimateObserver:
+        """The source of curves."""
+        return self.settings.observer(self.generator)
+
+    @cached_property
+    def extractor(self) -> PeakFeatures | CurveFeatures:
+        """The task's feature set; what it has not learnt yet, it learns from training curves.
+
+        Raises
+        ------
+        ValueError
+            If it needs phases and there are magnitudes only.
+        """
+        extractor = self.task.extractor
+        if not isinstance(extractor, CurveFeatures) or extractor.basis is not None:
+            return extractor
+        ratios = self.ratios(TRAIN)[:LEARN_FROM]
+        blocks = range(self.n_blocks(len(ratios)))
+        noisy = torch.cat([self.curves(ratios, TRAIN, block) for block in blocks])
+        clean = torch.cat([self.noise_free(part) for part in np.array_split(ratios, len(blocks))])
+        if not noisy.is_complex():
+            raise ValueError(
+                "the feature set `curve` needs phases, these curves are magnitudes: use data=trips "
+                "or another protocol"
+            )
+        healthy = self.noise_free(np.ones((1, len(PARAMETERS))))[0]
+        bins = self.observer.frequencies_hz.to(healthy.device)
+        return extractor.fitted(clean, noisy, healthy, bins)
+
+    def features(self, stream: int) -> FeatureData:
+        """Return training (stream 0) or test (stream 1) features, from the cache if it has them.
+
+        Raises
+        ------
+        ValueError
+            If more curves are asked for than there are, or the healthy vehicle lacks a peak.
+        """
+        path = self._cache_path(stream)
+        if path is not None:
+            cached = _read_cache(path)
+            if cached is not None:
+                return cached
+        data = self._make_features(stream)
+        if path is not None:
+            write_atomically(path, dump_arrays(asdict(data)))
+        return data
+
+    def ratios(self, stream: int) -> FloatArray:
+        """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
+        wanted = self.settings.n_test if stream == TEST else self.settings.n_train
+        n_curves = None if wanted == "all" else int(wanted)
+        return self.task.sample(n_curves, self.seed, stream)
+
+    def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:
+        """Return the noisy curves of one block of vehicles, shape (<= BLOCK, 2, n_freq)."""
+        rows = torch.as_tensor(ratios[block * BLOCK : (block + 1) * BLOCK])
+        noise_seed = np.random.SeedSequence([self.seed, stream, block]).generate_state(1, np.uint64)
+        return self.observer.observe(rows, int(noise_seed[0] >> np.uint64(1)))
+
+    def noise_free(self, ratios: FloatArray) -> Tensor:
+        """Return curves without noise, shape (n_curves, 2, n_freq)."""
+        return self.observer.noise_free(torch.as_tensor(ratios))
+
+    def healthy_features(self) -> FloatArray:
+        """Return the healthy vehicle's features, shape (n_features,).
+
+        Raises
+        ------
+        ValueError
+            If one of its peaks is missing.
+        """
+        curves = self.noise_free(np.ones((1, len(PARAMETERS))))
+        table = self.extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+        missing = [
+            name
+            for name, reason in zip(self.extractor.parts, table.reasons[0], strict=True)
+            if reason
+        ]
+        if missing:
+            raise ValueError(
+                f"the healthy vehicle has no peak {missing} between {self.settings.low_hz} and "
+                f"{self.settings.high_hz} Hz; check the vehicle, data.low_hz and data.high_hz"
+            )
+        return np.asarray(table.values[0].cpu().numpy())
+
+    def n_blocks(self, n_curves: int) -> int:
+        """Return the number of blocks that hold `n_curves`."""
+        return -(-n_curves // BLOCK)
+
+    def _make_features(self, stream: int) -> FeatureData:
+        ratios = self.ratios(stream)
+        healthy = self.healthy_features()
+        values = np.empty((len(ratios), len(healthy)))
+        extractor = self.extractor
+        reasons = np.empty((len(ratios), len(extractor.parts)), dtype=np.int64)
+
+        def make(block: int) -> None:
+            rows = slice(block * BLOCK, (block + 1) * BLOCK)
+            curves = self.curves(ratios, stream, block)
+            table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+            values[rows] = extractor.relative(table.values.cpu().numpy(), healthy)
+            reasons[rows] = table.reasons.cpu().numpy()
+
+        name = f"{self.task.protocol}/{self.task.group} {'test' if stream else 'training'} curves"
+        bar = tqdm(total=len(ratios), desc=name, unit="curve", disable=quiet(self.progress))
+        with bar, _single_threaded_torch(self.threads), _pool(self.threads) as pool:
+            for _ in pool.map(make, range(self.n_blocks(len(ratios)))):
+                bar.update(min(BLOCK, len(ratios) - bar.n))
+        mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
+        inputs = np.column_stack([values, *mass])
+        return FeatureData(inputs, ratios[:, self.task.output_indices], ratios, reasons)
+
+    def _cache_path(self, stream: int) -> Path | None:
+        if self.settings.cache_dir is None:
+            return None
+        name = content_hash(self.describe(stream))
+        return Path(self.settings.cache_dir) / f"features-{name[:32]}.safetensors"
+
+    def describe(self, stream: int) -> dict[str, Any]:
+        """Return everything that the features depend on, as JSON-able values."""
+        settings = asdict(self.settings)
+        del settings["cache_dir"], settings["n_train"], settings["n_test"]
+        wanted = self.settings.n_test if stream == TEST else self.settings.n_train
+        description = {
+            "generator": [type(self.generator).__name__, asdict(self.generator)],  # type: ignore[call-overload]
+            "task": describe_task(self.task),
+            "settings": [type(self.settings).__name__, settings],
+            "n_curves": wanted,
+            "seed": self.seed,
+            "stream": stream,
+            "version": suspnet.__version__,
+            "code": _code_hash(),
+        }
+        plain: dict[str, Any] = json.loads(json.dumps(description))
+        return plain
+
+
+def describe_task(task: Task) -> dict[str, Any]:
+    """Return a task as JSON-able values, without the arrays its feature set has learnt."""
+    extractor = task.extractor
+    if isinstance(extractor, CurveFeatures):
+        extractor = replace(extractor, basis=None)
+    plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(task, extractor=extractor))))
+    plain["extractor"]["kind"] = extractor.kind
+    return plain
+
+
+def quiet(progress: bool) -> bool | None:
+    """Return tqdm's `disable`: no bar if not wanted, nor where there is no terminal to draw on."""
+    return None if progress else True
+
+
+def used_responses(task: Task) -> list[int]:
+    """Return which of the two responses a task may use, as indices."""
+    return [RESPONSES.index(name) for name in task.responses]
+
+
+def _read_cache(path: Path) -> FeatureData | None:
+    try:
+        return FeatureData(**read_arrays(path))
+    except FileNotFoundError:
+        return None
+    except (DamagedFileError, TypeError) as error:
+        log.warning("ignoring a damaged cache file: %s", error)
+        return None
+
+
+def _code_hash() -> str:
+    package = Path(suspnet.__file__).parent
+    files = sorted(
+        f for part in ("dynamics", "features", "data") for f in (package / part).glob("*.py")
+    )
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+@contextmanager
+def _single_threaded_torch(workers: int) -> Iterator[None]:
+    """Let blocks, not operations, share the cores: the arrays of a block are too small to split."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if workers > 1 else before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Yield a pool that drops what is still waiting when it is left by an error or Ctrl-C."""
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -1,0 +1,254 @@
+"""The feature set `curve`: principal components of log-magnitude and phase of both responses.
+
+With G relative to the healthy vehicle's, v = (log abs, phase) over the bins of a band, mu and s the
+mean of v and the spread of its noise over training curves, B the leading principal directions of
+the noise-free (v - mu) / s::
+
+    features = B ((v - mu) / s)
+
+so that the noise of every feature has about unit variance and the leading features are those that
+stand out of it most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from suspnet.features.extraction import FeatureTable
+
+FloatArray = NDArray[np.float64]
+MISSING = 1
+"""Reason of a curve that is not finite or lies on other bins."""
+
+
+@dataclass(frozen=True)
+class CurveBasis:
+    """What `CurveFeatures` learns from training curves.
+
+    Attributes
+    ----------
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    healthy : complex tensor of shape (2, n_freq), [-]
+        G_p and G_s of the healthy vehicle.
+    mean, noise : tensors of shape (4 n_freq,)
+        mu and s: log-magnitude and phase [rad] of G_p, then of G_s.
+    directions : tensor of shape (n_components, 4 n_freq)
+        B, orthonormal rows.
+    explained : tensor of shape (n_components,)
+        Share of the noise-free variance along each direction.
+    """
+
+    frequencies_hz: Tensor
+    healthy: Tensor
+    mean: Tensor
+    noise: Tensor
+    directions: Tensor
+    explained: Tensor
+
+
+@dataclass(frozen=True)
+class CurveFeatures:
+    """Principal components of both complex responses, relative to the healthy vehicle's.
+
+    Parameters
+    ----------
+    n_components : int, optional
+        Their number; None takes as many as `explained` asks for.
+    explained : float, [-]
+        Share of the noise-free variance (in units of the noise) that is kept, if `n_components`
+        is None.
+    low_hz, high_hz : float, optional, [Hz]
+        Band; None is all of the estimate's.
+    basis : CurveBasis, optional
+        What `fitted` has learnt.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range.
+    """
+
+    n_components: int | None = None
+    explained: float = 0.9999
+    low_hz: float | None = None
+    high_hz: float | None = None
+    basis: CurveBasis | None = field(default=None, compare=False)
+
+    kind: ClassVar[str] = "curve"
+    positive: ClassVar[bool] = False
+    """Features may have any sign: no logarithm is taken of them."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What each column of the reasons is about."""
+        return ("curve",)
+
+    def __post_init__(self) -> None:
+        n = self.n_components
+        if n is not None and (isinstance(n, bool) or not isinstance(n, int) or n < 1):
+            raise ValueError(f"`n_components` must be a whole number >= 1 or null, got {n!r}")
+        if not 0 < self.explained < 1:
+            raise ValueError(f"`explained` must lie between 0 and 1, got {self.explained}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature.
+
+        Raises
+        ------
+        ValueError
+            If their number is not known before the basis is fitted.
+        """
+        count = self.n_components if self.basis is None else len(self.basis.directions)
+        if count is None:
+            raise ValueError("how many components there are is only known once they are fitted")
+        return tuple(f"component_{i + 1}" for i in range(count))
+
+    def fitted(
+        self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
+    ) -> CurveFeatures:
+        """Return the feature set with a basis learnt from training curves.
+
+        Parameters
+        ----------
+        clean, noisy : complex tensors of shape (n_curves, 2, n_freq), [-]
+            The same curves without and with the noise of the estimate.
+        healthy : complex tensor of shape (2, n_freq), [-]
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+        Raises
+        ------
+        ValueError
+            If the band holds no bin or fewer curves are given than components are asked for.
+        """
+        inside = self._inside(frequencies_hz)
+        frequencies, healthy = frequencies_hz[inside], healthy[:, inside]
+        rows = _relative_rows(clean[..., inside], healthy)
+        noise = (_relative_rows(noisy[..., inside], healthy) - rows).square().mean(dim=0).sqrt()
+        mean = rows.mean(dim=0)
+        _, singular, directions = torch.linalg.svd((rows - mean) / noise, full_matrices=False)
+        share = singular.square() / singular.square().sum()
+        count = self.n_components
+        if count is None:
+            count = int((share.cumsum(dim=0) < self.explained).sum()) + 1
+        if count > len(directions):
+            raise ValueError(
+                f"{count} components were asked for, {len(clean)} curves on {len(frequencies)} "
+                f"bins have {len(directions)}"
+            )
+        basis = CurveBasis(frequencies, healthy, mean, noise, directions[:count], share[:count])
+        return replace(self, basis=basis)
+
+    def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+        """Return the features of curves.
+
+        Parameters
+        ----------
+        responses : complex tensor of shape (n_curves, 2, n_freq), [-]
+            G_p and G_s.
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+            Bins that hold those of the basis.
+
+        Returns
+        -------
+        FeatureTable
+            NaN, and the reason 1, where a curve is not finite.
+
+        Raises
+        ------
+        ValueError
+            If the basis is not fitted or the bins are others.
+        """
+        basis = self._fitted()
+        inside = self._inside(frequencies_hz)
+        bins = frequencies_hz[inside]
+        if bins.shape != basis.frequencies_hz.shape or not torch.allclose(
+            bins, basis.frequencies_hz.to(bins), rtol=0, atol=1e-6
+        ):
+            raise ValueError(
+                "the curves lie on other bins than those the features were learnt on: "
+                f"{_span(bins)} instead of {_span(basis.frequencies_hz)}"
+            )
+        rows = _relative_rows(responses[..., inside], basis.healthy.to(responses))
+        values = ((rows - basis.mean.to(rows)) / basis.noise.to(rows)) @ basis.directions.to(rows).T
+        missing = ~torch.isfinite(values).all(dim=1)
+        return FeatureTable(
+            torch.where(missing[:, None], torch.nan, values), (missing * MISSING)[:, None].long()
+        )
+
+    def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
+        """Return features relative to the healthy vehicle's: their difference."""
+        return values - healthy
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the basis as real arrays, for storage."""
+        basis = self._fitted()
+        arrays = {f.name: getattr(basis, f.name) for f in fields(basis)}
+        arrays["healthy"] = torch.view_as_real(basis.healthy)
+        return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
+
+    def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
+        """Return the feature set with a stored basis.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit together.
+        """
+        expected = {f.name for f in fields(CurveBasis)}
+        if set(arrays) != expected:
+            raise ValueError(f"the basis must hold {sorted(expected)}, got {sorted(arrays)}")
+        tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
+        n_freq, n = len(tensors["frequencies_hz"]), len(tensors["directions"])
+        shapes = {
+            "healthy": (2, n_freq, 2),
+            "mean": (4 * n_freq,),
+            "noise": (4 * n_freq,),
+            "directions": (n, 4 * n_freq),
+            "explained": (n,),
+        }
+        for name, shape in shapes.items():
+            if tuple(tensors[name].shape) != shape:
+                raise ValueError(f"`{name}` must have shape {shape}, got {arrays[name].shape}")
+        tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
+        return replace(self, basis=CurveBasis(**tensors))
+
+    def _fitted(self) -> CurveBasis:
+        if self.basis is None:
+            raise ValueError("the feature set `curve` is not fitted to training curves yet")
+        return self.basis
+
+    def _inside(self, frequencies_hz: Tensor) -> Tensor:
+        low = 0.0 if self.low_hz is None else self.low_hz
+        high = torch.inf if self.high_hz is None else self.high_hz
+        inside = (frequencies_hz >= low - 1e-9) & (frequencies_hz <= high + 1e-9)
+        if not bool(inside.any()):
+            raise ValueError(f"no bin lies between {low} and {high} Hz: {_span(frequencies_hz)}")
+        return inside
+
+
+def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
+    """Return log-magnitude and phase relative to `healthy`, shape (n_curves, 4 n_freq).
+
+    The phase relative to healthy starts near 0 at low frequency and is followed from there.
+    """
+    ratio = responses / healthy
+    phase = ratio.angle()
+    steps = torch.diff(phase, dim=-1)
+    turns = -torch.round(steps / (2 * torch.pi)).cumsum(dim=-1) * 2 * torch.pi
+    phase = phase + torch.nn.functional.pad(turns, (1, 0))
+    return torch.stack([ratio.abs().log(), phase], dim=2).flatten(1)
+
+
+def _span(frequencies_hz: Tensor) -> str:
+    if not len(frequencies_hz):
+        return "no bins"
+    low, high = float(frequencies_hz[0]), float(frequencies_hz[-1])
+    return f"{len(frequencies_hz)} bins, {low:g} to {high:g} Hz"

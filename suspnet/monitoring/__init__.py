@@ -1,0 +1,1 @@
+"""From recordings of trips to stiffness and damping along the mileage."""

@@ -1,0 +1,284 @@
+"""Figures of trips: signals, responses, health along the mileage and quality of the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from suspnet.monitoring.records import OK, TripCurves, TripResult
+from suspnet.plots import SUSPENSIONS, SYMBOLS
+
+FloatArray = NDArray[np.float64]
+CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
+ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
+MILEAGE_LABEL = "mileage [1000 km]"
+LEAST_SPAN_PERCENT = 2.0
+"""No axis of a parameter is finer than this, so that mere spread looks like spread."""
+BAND = 1.96
+"""Standard deviations on each side of 95 % of normally distributed values."""
+
+
+def trip_signals(result: TripResult) -> Figure:
+    """Range and mean of the three accelerations of a trip, and its speed (Fig. 4).
+
+    Parameters
+    ----------
+    result : TripResult
+        Without curves, the axes are empty.
+    """
+    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+    axes: list[Axes] = list(figure.subplots(4, 1, sharex=True))
+    for axis, channel in zip(axes, CHANNEL_TITLES, strict=False):
+        axis.set_ylabel(f"{channel}\n[m/s²]")
+    axes[3].set_ylabel("speed\n[km/h]")
+    curves = result.curves
+    if curves is None or not np.isfinite(curves.overview_mean).any():
+        for axis in axes:
+            _say(axis, "no signals")
+        axes[3].set_xlabel("time")
+        return figure
+    minutes = curves.overview_s.max() > 300
+    time = curves.overview_s / (60 if minutes else 1)
+    for i, axis in enumerate(axes[:3]):
+        low, high, mean = (
+            part[i] for part in (curves.overview_low, curves.overview_high, curves.overview_mean)
+        )
+        axis.fill_between(
+            time, low, high, step="mid", color="0.6", lw=0.8, label="least to largest value"
+        )
+        axis.plot(time, mean, color="tab:red", lw=1, label="mean", **_lone_point(time))
+    axes[3].plot(time, 3.6 * curves.overview_speed, **_lone_point(time))
+    axes[3].set_xlabel(f"time [{'min' if minutes else 's'}]")
+    axes[3].set_ylim(bottom=0)
+    for axis in axes:
+        axis.margins(x=0.01)
+        axis.grid(True, alpha=0.3)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def trip_responses(results: Sequence[TripResult]) -> Figure:
+    """Magnitude and coherence of both responses, one line for each trip (Fig. 9).
+
+    Colours give the mileage; the last trip has its 95 % band, as far as its spread is known.
+    """
+    figure = Figure(figsize=(8.4, 5.6), layout="constrained")
+    axes = figure.subplots(2, 2, sharex=True, sharey="row")
+    shown = [(r.mileage_km / 1000, r.curves) for r in _by_mileage(results) if r.curves is not None]
+    mileage = np.array([km for km, _ in shown])
+    distinct = len(np.unique(mileage[np.isfinite(mileage)]))
+    scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if distinct > 1 else None
+    for i, (title, (upper, lower)) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
+        upper.set(title=title)
+        lower.set(xlabel="frequency [Hz]", ylim=(0, 1.05))
+        for km, curves in shown:
+            colour = colormaps["viridis"](scale(km)) if scale and np.isfinite(km) else "0.4"
+            magnitude = np.abs(curves.responses[i])
+            upper.semilogy(curves.frequencies_hz, magnitude, color=colour, lw=0.8)
+            lower.plot(curves.frequencies_hz, curves.coherences[i], color=colour, lw=0.8)
+        if shown:
+            _band(upper, shown[-1][1], i)
+        for axis in (upper, lower):
+            axis.margins(x=0)
+            axis.grid(True, which="both", alpha=0.3)
+            if not shown:
+                _say(axis, "no trip has curves")
+    axes[0][0].set_ylabel("magnitude")
+    axes[1][0].set_ylabel("coherence")
+    if scale is not None:
+        figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, label=MILEAGE_LABEL)
+    return figure
+
+
+def health_trend(results: Sequence[TripResult], outputs: Sequence[str]) -> Figure:
+    """Each parameter in % of healthy along the mileage (Fig. 10).
+
+    Dots are trips, the line is their running median; a red tick at the bottom is a trip without
+    an estimate, a thin black line the truth of simulated trips. Trips without a mileage are left
+    out, and counted in the title.
+
+    Parameters
+    ----------
+    results : sequence of TripResult
+        In any order.
+    outputs : sequence of str
+        From ``SYMBOLS``.
+    """
+    figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
+    axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
+    placed = _by_mileage(r for r in results if np.isfinite(r.mileage_km))
+    mileage = np.array([r.mileage_km / 1000 for r in placed])
+    for axis, name in zip(axes, outputs, strict=True):
+        axis.set_ylabel(f"{SYMBOLS[name]} [% of healthy]")
+        values = _percent([r.estimates.get(name, np.nan) for r in placed])
+        truth = _percent([r.truth.get(name, np.nan) for r in placed])
+        known, known_truth = np.isfinite(values), np.isfinite(truth)
+        if known.any():
+            _points(axis, mileage[known], values[known])
+        else:
+            _say(axis, "no trip with an estimate")
+        if known_truth.any():
+            style = {"lw": 0.8} if known_truth.sum() > 1 else {"marker": "x", "ls": ""}
+            axis.plot(
+                mileage[known_truth],
+                truth[known_truth],
+                color=TRUTH_COLOUR,
+                label="truth (simulated)",
+                **style,
+            )
+        _mark_missing(axis, mileage[~known])
+        if known.any() or known_truth.any():
+            _widen(axis)
+    axes[-1].set_xlabel(MILEAGE_LABEL)
+    figure.align_ylabels(axes)
+    _legend(figure, axes, len(results) - len(placed))
+    return figure
+
+
+def quality(results: Sequence[TripResult]) -> Figure:
+    """Averages, coherence and usable share of each trip along the mileage.
+
+    Trips without an estimate are hollow.
+    """
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axes: list[Axes] = list(figure.subplots(3, 1, sharex=True))
+    placed = _by_mileage(r for r in results if np.isfinite(r.mileage_km))
+    mileage = np.array([r.mileage_km / 1000 for r in placed])
+    done = np.array([r.status == OK for r in placed], dtype=bool)
+    panels = (
+        (axes[0], "n_averages", "", "o", "tab:blue"),
+        (axes[1], "coherence_p", "primary suspension", "o", "tab:blue"),
+        (axes[1], "coherence_s", "secondary suspension", "s", "tab:orange"),
+        (axes[2], "usable_percent", "", "o", "tab:blue"),
+    )
+    for axis, field, label, marker, colour in panels:
+        values = np.array([getattr(r.quality, field) for r in placed], dtype=float)
+        style = {"color": colour, "marker": marker, "ls": "", "ms": 4}
+        axis.plot(mileage[done], values[done], label=label or None, **style)
+        axis.plot(mileage[~done], values[~done], mfc="none", **style)
+    axes[0].set(ylabel="independent\naverages")
+    axes[1].set(ylabel="mean\ncoherence", ylim=(0, 1.05))
+    axes[2].set(ylabel="usable share\n[%]", ylim=(0, 105), xlabel=MILEAGE_LABEL)
+    for axis in axes:
+        axis.grid(True, alpha=0.3)
+        if not placed:
+            _say(axis, "no trip with a mileage")
+    axes[0].set_ylim(bottom=0)
+    axes[1].legend(loc="lower left", ncols=2, fontsize="small")
+    if not done.all():
+        figure.suptitle("hollow: trips without an estimate", fontsize="small")
+    figure.align_ylabels(axes)
+    return figure
+
+
+def running_median(values: FloatArray, window: int = 5) -> FloatArray:
+    """Return the median of the `window` values around each; the window shrinks at the ends.
+
+    Parameters
+    ----------
+    values : array of shape (n_trips,)
+        In the order of the mileage, without NaN.
+    window : int
+        Odd.
+    """
+    half = window // 2
+    return np.array(
+        [np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))]
+    )
+
+
+def _by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
+    """Return trips in ascending order; those without a mileage first."""
+    return sorted(results, key=lambda r: r.mileage_km if np.isfinite(r.mileage_km) else -np.inf)
+
+
+def _percent(ratios: Sequence[float]) -> FloatArray:
+    return 100 * np.array(ratios, dtype=float)
+
+
+def _points(axis: Axes, mileage: FloatArray, values: FloatArray) -> None:
+    axis.plot(mileage, values, ".", ms=6, color=ESTIMATE_COLOUR, label="trip")
+    if len(values) > 2:
+        axis.plot(
+            mileage,
+            running_median(values),
+            color=ESTIMATE_COLOUR,
+            alpha=0.6,
+            label="median of five neighbouring trips",
+        )
+
+
+def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
+    if len(mileage):
+        axis.plot(
+            mileage,
+            np.zeros(len(mileage)),
+            "|",
+            ms=12,
+            mew=2,
+            color=MISSING_COLOUR,
+            transform=axis.get_xaxis_transform(),
+            clip_on=False,
+            label="trip without an estimate",
+        )
+
+
+def _widen(axis: Axes) -> None:
+    """Give the axis at least ``LEAST_SPAN_PERCENT``, and plain numbers."""
+    low, high = axis.get_ylim()
+    half = max(high - low, LEAST_SPAN_PERCENT) / 2
+    axis.set_ylim((low + high) / 2 - half, (low + high) / 2 + half)
+    axis.ticklabel_format(axis="y", useOffset=False)
+    axis.axhline(100, color="0.6", lw=0.8, ls=":", zorder=0, scaley=False)
+    axis.grid(True, alpha=0.3)
+
+
+def _legend(figure: Figure, axes: Sequence[Axes], n_unplaced: int) -> None:
+    """Name every kind of mark once, above the axes."""
+    marks = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            marks.setdefault(label, handle)
+    if marks:
+        figure.legend(
+            list(marks.values()), list(marks), loc="outside upper center", ncols=4, fontsize="small"
+        )
+    if n_unplaced:
+        axes[0].set_title(f"without a mileage, not shown: {n_unplaced}", fontsize="small")
+
+
+def _band(axis: Axes, curves: TripCurves, link: int) -> None:
+    """Shade 95 % around a magnitude."""
+    magnitude, deviation = np.abs(curves.responses[link]), curves.deviations[link]
+    known = np.isfinite(deviation) & np.isfinite(magnitude)
+    if known.any():
+        axis.fill_between(
+            curves.frequencies_hz,
+            magnitude * np.exp(-BAND * np.where(known, deviation, np.nan)),
+            magnitude * np.exp(BAND * np.where(known, deviation, np.nan)),
+            color="tab:red",
+            alpha=0.25,
+            lw=0,
+            label="95 % band of the last trip",
+        )
+        axis.legend(loc="best", fontsize="small")
+
+
+def _lone_point(time: FloatArray) -> dict[str, str]:
+    """Return what makes a line of one point visible."""
+    return {"marker": "o"} if len(time) == 1 else {}
+
+
+def _say(axis: Axes, text: str) -> None:
+    """Write on empty axes why they are empty."""
+    axis.text(0.5, 0.5, text, ha="center", va="center", color="0.4", transform=axis.transAxes)
+    axis.set_xticks([])
+    axis.set_yticks([])

@@ -1,0 +1,112 @@
+"""What physics says about the channels: order of their power, gain and sign at low frequency.
+
+Slowly, everything moves with the track: G_p and G_s tend to 1. Fast, each suspension isolates:
+the axle box shakes more than the bogie, the bogie more than the body.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from suspnet.data.manifest import CHANNELS, TripError
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.features.transfer_estimate import CrossSpectra
+
+SLOW = (0.2, 0.4)
+"""Band of the gain, in multiples of the first natural frequency."""
+FAST_LOW_HZ, FAST_LOW_MODE = 10.0, 2.0
+"""The band of the power begins here, or at this multiple of the second natural frequency."""
+GAIN_TOLERANCE = 2.0
+"""A gain within this factor of the healthy vehicle's is plausible for any suspension."""
+GRAVITY = 9.80665
+COHERENT = 0.5
+"""Below this coherence the gain says nothing."""
+
+
+def check_channels(
+    spectra: CrossSpectra, frequencies_hz: Tensor, generator: ResponseGenerator, vehicle: Vehicle
+) -> list[str]:
+    """Raise TripError where a channel has the wrong unit or sign, or two are swapped.
+
+    Parameters
+    ----------
+    spectra : CrossSpectra
+        Of the whole trip, axle box, bogie, body.
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    generator : ResponseGenerator
+        Says what gain to expect of the healthy vehicle.
+    vehicle : Vehicle
+
+    Returns
+    -------
+    list of str
+        What could not be checked, and why.
+
+    Raises
+    ------
+    TripError
+        The message names the channel and what seems wrong.
+    """
+    modes, _ = QuarterCar(vehicle).natural_modes()
+    doubts = _check_order(spectra, frequencies_hz, float(modes[1]))
+    slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
+    coherence = spectra.coherences()[:, slow].mean(dim=1)
+    if not bool(slow.any()) or bool((coherence < COHERENT).any()):
+        return [*doubts, "units and signs not checked: too little coherence at low frequency"]
+    healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+    expected = torch.stack(generator.responses(healthy, frequencies_hz[slow]), dim=1)[0].cpu()
+    gains = (spectra.responses("Hv")[:, slow] / expected).mean(dim=1)
+    _check_gains([complex(gain) for gain in gains])
+    return doubts
+
+
+def _check_order(spectra: CrossSpectra, frequencies_hz: Tensor, upper_mode_hz: float) -> list[str]:
+    fast = frequencies_hz >= max(FAST_LOW_HZ, FAST_LOW_MODE * upper_mode_hz)
+    if not bool(fast.any()):
+        return ["order of the channels not checked: no bins above 10 Hz"]
+    rms = spectra.auto[:, fast].mean(dim=1).sqrt().tolist()
+    names = list(CHANNELS)
+    if rms != sorted(rms, reverse=True):
+        order = [name for _, name in sorted(zip(rms, names, strict=True), reverse=True)]
+        raise TripError(
+            f"channels look swapped: above {float(frequencies_hz[fast][0]):.0f} Hz the axle box "
+            f"must shake most and the body least, but the order is {' > '.join(order)}"
+        )
+    return []
+
+
+def _check_gains(gains: list[complex]) -> None:
+    """Raise TripError if the gain of a link, relative to the expected one, is impossible."""
+    for (link, sink, source), gain in zip(
+        (("G_p", "bogie", "axle_box"), ("G_s", "body", "bogie")), gains, strict=True
+    ):
+        size = abs(gain)
+        suspect = _suspect(gains, sink, source)
+        if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
+            slip = _slip(size)
+            raise TripError(
+                f"{suspect}: the gain {link} from {source} to {sink} at low frequency is "
+                f"{size:.3g} times that expected{slip}; check unit and sensitivity in the manifest"
+            )
+        if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
+            raise TripError(
+                f"{suspect}: {source} and {sink} move against each other at low frequency; turn "
+                f"the sign of {suspect} in the manifest"
+            )
+
+
+def _suspect(gains: list[complex], sink: str, source: str) -> str:
+    """Name the channel: the bogie if both links are off, else the one at the outer end."""
+    off = [not 1 / GAIN_TOLERANCE < abs(gain) < GAIN_TOLERANCE or gain.real < 0 for gain in gains]
+    return "bogie" if all(off) else (source if source == "axle_box" else sink)
+
+
+def _slip(size: float) -> str:
+    for factor, words in ((GRAVITY, "m/s2 and g are mixed up"), (1000.0, "mm/s2 or mg?")):
+        for candidate in (factor, 1 / factor):
+            if 0.5 < size / candidate < 2:
+                return f" ({words})"
+    return ""

@@ -1,0 +1,160 @@
+"""What is known of each trip once it has been evaluated."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well a trip's transfer functions are known.
+
+    Attributes
+    ----------
+    coherence_p, coherence_s : float, [-]
+        Mean over the band, axle box - bogie and bogie - body.
+    n_averages : float
+        Independent averages.
+    segments_used, segments_total : int
+    duration_s : float, [s]
+        Common to all channels.
+    usable_percent : float, [%]
+        Share of the duration without a fault.
+    speed_m_per_s : float, [m/s]
+        Mean over the segments used.
+    speed_bins : str
+        Each bin with its averages.
+    features_found : str
+    faults : str
+        What cleaning found in each channel.
+    warnings : str
+    """
+
+    coherence_p: float = np.nan
+    coherence_s: float = np.nan
+    n_averages: float = 0.0
+    segments_used: int = 0
+    segments_total: int = 0
+    duration_s: float = np.nan
+    usable_percent: float = np.nan
+    speed_m_per_s: float = np.nan
+    speed_bins: str = ""
+    features_found: str = ""
+    faults: str = ""
+    warnings: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TripCurves:
+    """Curves behind one trip's estimate, and an overview of its signals.
+
+    Attributes
+    ----------
+    frequencies_hz : array of shape (n_freq,), [Hz]
+    responses : complex array of shape (2, n_freq), [-]
+        G_p and G_s.
+    coherences, deviations : arrays of shape (2, n_freq), [-]
+        Deviation: standard deviation of the log-magnitude.
+    overview_s : array of shape (n_windows,), [s]
+        Begin of each window.
+    overview_low, overview_high, overview_mean : arrays of shape (3, n_windows), [m/s^2]
+        Least, largest and mean value of axle box, bogie and body in each window.
+    overview_speed : array of shape (n_windows,), [m/s]
+    """
+
+    frequencies_hz: FloatArray
+    responses: NDArray[np.complex128]
+    coherences: FloatArray
+    deviations: FloatArray
+    overview_s: FloatArray
+    overview_low: FloatArray
+    overview_high: FloatArray
+    overview_mean: FloatArray
+    overview_speed: FloatArray
+
+
+@dataclass(frozen=True)
+class TripResult:
+    """One trip: its estimate, or the reason why there is none.
+
+    Attributes
+    ----------
+    trip, manifest, vehicle, suspension : str
+    mileage_km : float, [km]
+    start : str
+        ISO 8601, or empty.
+    status : {"ok", "no estimate", "error"}
+    reason : str
+        Empty if there is an estimate.
+    estimates : dict of float, [-]
+        Parameters relative to healthy; 1 is healthy.
+    raw : dict of float, [-]
+        The same relative to the vehicle's nominal parameters.
+    truth : dict of float, [-]
+        Of simulated trips.
+    quality : Quality
+    seconds : float, [s]
+        Time the evaluation took.
+    curves : TripCurves, optional
+    """
+
+    trip: str
+    manifest: str
+    vehicle: str = ""
+    suspension: str = ""
+    mileage_km: float = np.nan
+    start: str = ""
+    status: str = OK
+    reason: str = ""
+    estimates: dict[str, float] = field(default_factory=dict)
+    raw: dict[str, float] = field(default_factory=dict)
+    truth: dict[str, float] = field(default_factory=dict)
+    quality: Quality = field(default_factory=Quality)
+    seconds: float = 0.0
+    curves: TripCurves | None = None
+
+    def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
+        """Return the trip as one flat row of a table; the same columns for every trip."""
+        head = {
+            f: getattr(self, f)
+            for f in ("trip", "mileage_km", "start", "status", "reason", "vehicle", "suspension")
+        }
+        numbers = {name: self.estimates.get(name, np.nan) for name in outputs}
+        numbers |= {f"{name}_raw": self.raw.get(name, np.nan) for name in outputs}
+        numbers |= {f"{name}_truth": self.truth.get(name, np.nan) for name in outputs}
+        return (
+            head
+            | numbers
+            | asdict(self.quality)
+            | {"seconds": self.seconds, "manifest": self.manifest}
+        )
+
+
+def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
+    """Return results whose k and c are relative to the median of the vehicle's first trips.
+
+    The car-body mass stays relative to nominal: pay-load varies from the first trip on.
+
+    Raises
+    ------
+    ValueError
+        If fewer than `n_first` trips have an estimate.
+    """
+    done = sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
+    if len(done) < n_first:
+        raise ValueError(
+            f"the healthy reference asks for {n_first} first trips, {len(done)} have an estimate"
+        )
+    names = [name for name in done[0].raw if name != "M_s"]
+    reference = {name: float(np.median([r.raw[name] for r in done])) for name in names}
+    return [
+        replace(r, estimates={k: v / reference.get(k, 1.0) for k, v in r.raw.items()})
+        for r in results
+    ]

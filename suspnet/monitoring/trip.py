@@ -1,0 +1,346 @@
+"""One trip: recording -> segments -> transfer functions in speed bins -> stiffness and damping."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from suspnet.checkpoint import TrainedModel
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.manifest import TripError, TripManifest, read_manifest
+from suspnet.data.recordings import Recording, load_recording
+from suspnet.dynamics import VerticalVehicle
+from suspnet.features import PeakReason
+from suspnet.features.transfer_estimate import (
+    CHAIN,
+    CrossSpectra,
+    SegmentSpectra,
+    Welch,
+    segment_spectra,
+)
+from suspnet.monitoring.plausibility import check_channels
+from suspnet.monitoring.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
+
+log = logging.getLogger(__name__)
+FloatArray = NDArray[np.float64]
+LOUD = 30.0
+"""Segments with more than this multiple of the median power are left out from the start."""
+ROUNDS = 3
+"""How often segments of low coherence are left out and the average is taken anew."""
+WINDOWS = 600
+"""Windows of a trip's overview."""
+
+
+@dataclass(frozen=True)
+class TripSettings:
+    """How trips are read and what an estimate asks for.
+
+    Parameters
+    ----------
+    rate_hz : float, [Hz]
+        Common rate of the three channels.
+    speed_tolerance : float, [-]
+        A segment belongs to a model's speed bin if its speed stays within 1 +- this of it.
+    min_speed_m_per_s : float, [m/s]
+        Least speed for models that do not depend on it.
+    min_coherence : float, [-]
+        Segments whose response is explained less than this by the trip's are left out.
+    min_averages : float
+        Below this many independent averages in a bin there is no estimate from it.
+    check_channels : bool
+        Look for wrong units, signs and swapped channels.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    rate_hz: float = 100.0
+    speed_tolerance: float = 0.02
+    min_speed_m_per_s: float = 10.0
+    min_coherence: float = 0.3
+    min_averages: float = 10.0
+    check_channels: bool = True
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("rate_hz", 20, 1000),
+            ("speed_tolerance", 0, 0.5),
+            ("min_speed_m_per_s", 0, 200),
+            ("min_coherence", 0, 1),
+            ("min_averages", 3, 1e6),
+        ):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise TypeError(f"`trips.{name}` must be a number, got {value!r}")
+            if not low <= value <= high:
+                raise ValueError(f"`trips.{name}` must lie between {low} and {high}, got {value}")
+
+
+@dataclass(frozen=True)
+class _Bin:
+    """One model's view of a trip."""
+
+    model: TrainedModel
+    spectra: CrossSpectra
+    segments: SegmentSpectra
+    chosen: Tensor
+    speed_m_per_s: float
+    values: FloatArray
+
+
+class _NoEstimateError(Exception):
+    """The trip is sound, but nothing can be estimated from it; the message says why."""
+
+
+def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
+    """Return a trip's estimate, or the reason why there is none; it never fails.
+
+    Parameters
+    ----------
+    path : Path
+        The manifest.
+    models : sequence of TrainedModel
+        One for each speed bin, all with the same outputs.
+    settings : TripSettings
+    """
+    start = time.perf_counter()
+    result = TripResult(trip=path.stem, manifest=str(path), status=ERROR)
+    try:
+        manifest = read_manifest(path)
+        result = _described(result, manifest)
+        result = _estimated(result, manifest, models, settings)
+    except _NoEstimateError as reason:
+        result = replace(result, status=NO_ESTIMATE, reason=str(reason))
+    except TripError as error:
+        result = replace(result, reason=str(error).removeprefix(f"{path}: "))
+    except Exception as error:  # a fault in one trip must not end the run of a fleet
+        log.debug("trip %s failed", path, exc_info=True)
+        result = replace(result, reason=f"{type(error).__name__}: {error}")
+    return replace(result, seconds=time.perf_counter() - start)
+
+
+def _described(result: TripResult, manifest: TripManifest) -> TripResult:
+    return replace(
+        result,
+        vehicle=manifest.vehicle,
+        suspension=manifest.suspension,
+        mileage_km=manifest.mileage_km,
+        start=manifest.start.isoformat() if manifest.start else "",
+        truth=dict(manifest.truth),
+    )
+
+
+def _estimated(
+    result: TripResult,
+    manifest: TripManifest,
+    models: Sequence[TrainedModel],
+    settings: TripSettings,
+) -> TripResult:
+    for name in sorted({model.vehicle.name for model in models}):
+        if name != manifest.vehicle:
+            raise TripError(
+                f"the trip is of vehicle {manifest.vehicle!r}, the model was trained for {name!r}"
+            )
+    recording = load_recording(manifest, settings.rate_hz)
+    quality = Quality(
+        duration_s=recording.duration_s,
+        usable_percent=100 * float(recording.usable.mean()),
+        faults="; ".join(str(fault) for fault in recording.faults),
+    )
+    segments = {m.settings.welch: _segments(recording, m.settings.welch) for m in models}
+    if settings.check_channels:
+        whole = next(iter(segments.values()))
+        doubts = _checked(recording, whole, models[0], settings)
+        quality = replace(quality, warnings="; ".join(doubts))
+    bins, reasons = [], []
+    for model in models:
+        try:
+            found = segments[model.settings.welch]
+            bins.append(_bin(recording, found, model, settings))
+        except _NoEstimateError as reason:
+            reasons.append(str(reason))
+    n_total = max(len(found.values) for found in segments.values())
+    quality = replace(quality, segments_total=n_total)
+    if not bins:
+        raise _NoEstimateError("; ".join(dict.fromkeys(reasons)))
+    return _combined(replace(result, quality=quality), recording, bins)
+
+
+def _segments(recording: Recording, welch: Welch) -> SegmentSpectra:
+    return segment_spectra(
+        torch.as_tensor(recording.signals),
+        recording.rate_hz,
+        welch,
+        high_hz=recording.rate_hz / 4,
+        usable=torch.as_tensor(recording.usable),
+    )
+
+
+def _checked(
+    recording: Recording, segments: SegmentSpectra, model: TrainedModel, settings: TripSettings
+) -> list[str]:
+    speeds = _speeds(recording, segments)
+    moving = (speeds >= settings.min_speed_m_per_s).all(dim=1)
+    if not bool(moving.any()):
+        raise _NoEstimateError(
+            f"none of {len(moving)} segments without faults is at {settings.min_speed_m_per_s:g} "
+            "m/s or faster throughout"
+        )
+    spectra = segments.average(_not_loud(segments, moving))
+    return check_channels(spectra, segments.frequencies_hz, model.generator, model.vehicle)
+
+
+def _speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
+    """Return the speed in each segment, shape (n_segments, n_samples of a segment), [m/s]."""
+    length, _ = segments.welch.sizes(recording.rate_hz)
+    return torch.as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
+
+
+def _not_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:
+    """Return the chosen segments without those far louder than their median."""
+    if not bool(chosen.any()):
+        return chosen
+    power = segments.values.abs().square().mean(dim=2)
+    return chosen & (power <= LOUD * power[chosen].median(dim=0).values).all(dim=1)
+
+
+def _bin(
+    recording: Recording, segments: SegmentSpectra, model: TrainedModel, settings: TripSettings
+) -> _Bin:
+    """Return a model's estimate from the segments at its speed."""
+    assert isinstance(model.settings, EstimateSettings)
+    low, high, words = _speed_range(model, settings)
+    speeds = _speeds(recording, segments)
+    within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high)
+    band = _band(segments, model.settings.frequencies_hz())
+    chosen, n_incoherent = _coherent(band, _not_loud(band, within), settings.min_coherence)
+    n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
+    if n_averages < settings.min_averages:
+        raise _NoEstimateError(
+            f"{int(within.sum())} of {len(within)} segments without faults are {words}, "
+            f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, "
+            f"at least {settings.min_averages:g} are needed"
+        )
+    spectra = band.average(chosen)
+    responses = spectra.responses(model.settings.method)
+    inputs = model.relative_features(responses[None].numpy(), band.frequencies_hz.numpy())
+    if not np.isfinite(inputs).all():
+        raise _NoEstimateError(f"features are missing: {_missing(model, responses, band)}")
+    speed = float(speeds[chosen].mean())
+    return _Bin(model, spectra, band, chosen, speed, model.predict(inputs)[0])
+
+
+def _speed_range(model: TrainedModel, settings: TripSettings) -> tuple[float, float, str]:
+    if isinstance(model.generator, VerticalVehicle):
+        speed, tolerance = model.generator.speed_m_per_s, settings.speed_tolerance
+        low, high = speed * (1 - tolerance), speed * (1 + tolerance)
+        return low, high, f"at {low:.1f} to {high:.1f} m/s throughout"
+    low = settings.min_speed_m_per_s
+    return low, np.inf, f"at {low:g} m/s or faster throughout"
+
+
+def _band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
+    if float(frequencies_hz[-1]) > float(segments.frequencies_hz[-1]) + 1e-9:
+        raise _NoEstimateError(
+            f"the model's band reaches {float(frequencies_hz[-1]):g} Hz, the recording is read up "
+            f"to {float(segments.frequencies_hz[-1]):g} Hz: raise trips.rate_hz"
+        )
+    inside = (segments.frequencies_hz >= frequencies_hz[0] - 1e-6) & (
+        segments.frequencies_hz <= frequencies_hz[-1] + 1e-6
+    )
+    return replace(
+        segments,
+        frequencies_hz=segments.frequencies_hz[inside],
+        values=segments.values[..., inside],
+    )
+
+
+def _coherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tuple[Tensor, int]:
+    """Leave out the segments that the average of the others does not explain.
+
+    A segment's coherence is 1 - mean over bins of abs(Y - H1 X)^2 / S_yy, the lower of both links.
+    """
+    n_before = int(chosen.sum())
+    for _ in range(ROUNDS):
+        if not bool(chosen.any()):
+            break
+        spectra = band.average(chosen)
+        explained = []
+        for x, y, _ in CHAIN:
+            residual = band.values[:, y] - spectra.transfer(x, y, "H1") * band.values[:, x]
+            explained.append(1 - (residual.abs().square() / spectra.auto[y]).mean(dim=1))
+        chosen = chosen & (torch.stack(explained).amin(dim=0) >= least)
+    return chosen, n_before - int(chosen.sum())
+
+
+def _missing(model: TrainedModel, responses: Tensor, band: SegmentSpectra) -> str:
+    extractor = model.task.extractor
+    table = extractor.extract(responses[None], band.frequencies_hz)
+    return ", ".join(
+        f"{part} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
+        for part, reason in zip(extractor.parts, table.reasons[0], strict=True)
+        if reason
+    )
+
+
+def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) -> TripResult:
+    """Average the bins' logarithms, each weighted by its averages."""
+    weights = np.array([b.spectra.n_averages for b in bins])
+    weights = weights / weights.sum()
+    values = np.exp(weights @ np.log(np.stack([b.values for b in bins])))
+    outputs = bins[0].model.task.outputs
+    estimates = dict(zip(outputs, values.tolist(), strict=True))
+    coherence = sum(
+        w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
+    )
+    names = bins[0].model.task.extractor.names
+    quality = replace(
+        result.quality,
+        coherence_p=float(coherence[0]),
+        coherence_s=float(coherence[1]),
+        n_averages=float(sum(b.spectra.n_averages for b in bins)),
+        segments_used=sum(int(b.chosen.sum()) for b in bins),
+        speed_m_per_s=float(weights @ [b.speed_m_per_s for b in bins]),
+        speed_bins="; ".join(
+            f"{b.speed_m_per_s:.1f} m/s: {b.spectra.n_averages:.0f} averages" for b in bins
+        ),
+        features_found=f"{len(names)} of {len(names)}",
+    )
+    best = bins[int(np.argmax(weights))]
+    return replace(
+        result,
+        status=OK,
+        estimates=estimates,
+        raw=dict(estimates),
+        quality=quality,
+        curves=_curves(best, recording),
+    )
+
+
+def _curves(best: _Bin, recording: Recording) -> TripCurves:
+    method = best.model.settings.method
+    n_windows = min(WINDOWS, recording.signals.shape[1])
+    size = recording.signals.shape[1] // n_windows
+    windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)
+    speed = recording.speed_m_per_s[: n_windows * size].reshape(n_windows, size)
+    return TripCurves(
+        frequencies_hz=best.segments.frequencies_hz.numpy(),
+        responses=best.spectra.responses(method).numpy(),
+        coherences=best.spectra.coherences().numpy(),
+        deviations=best.spectra.deviations(method).numpy(),
+        overview_s=np.arange(n_windows) * size / recording.rate_hz,
+        overview_low=windows.min(axis=2),
+        overview_high=windows.max(axis=2),
+        overview_mean=windows.mean(axis=2),
+        overview_speed=speed.mean(axis=1),
+    )
