@@ -178,7 +178,8 @@ def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcom
     if isinstance(model.estimator, CurveFit):
         if not isinstance(problem.settings, CurveSettings):
             raise ValueError(
-                "model=curve_fit fits magnitudes with white noise; it cannot be used with data=trips"
+                "model=curve_fit fits magnitudes with white noise; it cannot be used with "
+                "data=trips"
             )
         predicted = _fit_curves(problem, model.estimator, data, stream)[data.valid]
     else:

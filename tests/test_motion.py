@@ -75,7 +75,7 @@ def test_outputs_are_those_of_a_first_order_hold(name):
     system, rate_hz = SYSTEMS[name], 250.0
     inputs = noise(system, 1000, first=0.0)  # scipy's hold ramps up to the first sample
     discrete = cont2discrete(system.state_space(), 1 / rate_hz, method="foh")
-    _, expected = dlsim(discrete, inputs.T)
+    _, expected, _ = dlsim(discrete, inputs.T)
     found = SampledMotion(system, rate_hz).advance(list(inputs))
     assert relative_error(found, expected.T) < 1e-9
 
@@ -119,7 +119,7 @@ def test_series_and_closed_weights_meet(sign):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_track_that_stays_raised_lifts_every_sensor_by_as_much(name):
     system, rate_hz = SYSTEMS[name], 100.0
-    found = SampledMotion(system, rate_hz).advance([np.ones(6000)] * len(system.behind_m))
+    found = SampledMotion(system, rate_hz).advance([np.ones(20_000)] * len(system.behind_m))
     np.testing.assert_allclose(found[:, -1], [1.0, 1.0], rtol=1e-9)
 
 
@@ -197,12 +197,12 @@ def test_ten_minutes_at_5000_hz_do_not_drift():
         rms.append(outputs.std(axis=1))
         # the mean of a minute of white noise, times the gain 1 at zero frequency
         assert (np.abs(outputs.mean(axis=1)) < 5 / math.sqrt(block)).all()
-    # slow modes: a minute's rms is known to about 10 %
-    assert np.ptp(np.array(rms), axis=0).max() < 0.5 * np.mean(rms)
-    # what happened before the last minute but one is forgotten
+    # the body swings for 3 s: the rms of its 20 swings in a minute is known to about 16 %
+    assert (np.max(rms, axis=0) < 2 * np.min(rms, axis=0)).all()
+    # what happened before the last two minutes is forgotten, exp(-0.31 * 60) of it is left
     late = SampledMotion(system, rate_hz)
     late.advance(list(noise(system, block, seed=8)))
-    assert relative_error(outputs, late.advance(list(noise(system, block, seed=9)))) < 1e-10
+    assert relative_error(outputs, late.advance(list(noise(system, block, seed=9)))) < 1e-7
 
 
 def test_motion_is_linear_in_its_inputs():

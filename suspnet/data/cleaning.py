@@ -210,7 +210,7 @@ class Cleaner:
         self._sum_of_squares += float(good @ good)
 
     def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
-        """Return what was found so far, in the order of ``KINDS``; the first sample at `start_s`."""
+        """Return what was found so far, by ``KINDS``; `start_s` is the time of the first sample."""
         found = [
             Fault(self.channel, kind, n, n / self.rate_hz, start_s + first / self.rate_hz, repaired)
             for (kind, repaired), (n, first) in self._found.items()

@@ -210,7 +210,7 @@ class EstimateObserver:
         return self._sampled(expected, source).responses(self.settings.method)
 
     def covariance(self, ratios: Tensor) -> Tensor:
-        """Return the covariance of one trip's (log G_p, log G_s), complex (n_vehicles, 2, 2, n_freq)."""
+        """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
         return self._expected(ratios).covariance(self.settings.method)
 
     def _expected(self, ratios: Tensor) -> CrossSpectra:

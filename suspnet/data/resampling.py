@@ -87,7 +87,7 @@ def decimate(
 def support(oversampling: float) -> int:
     """Return how many samples on either side the second stage needs."""
     n_taps, _ = kaiserord(ATTENUATION_DB, 2 * (STOP - PASS) / oversampling)
-    return math.ceil(n_taps / 2)
+    return math.ceil(int(n_taps) / 2)
 
 
 def interpolate(

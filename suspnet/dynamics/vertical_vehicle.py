@@ -9,9 +9,9 @@ y_1 = z + phi and y_2 = z - phi above the bogies), psi the bogie's pitch times t
     2 M_s omega^2 z = sum_i kappa_si (y_i - z_i),
     2 M_s (rho_c / L)^2 omega^2 phi = kappa_s1 (y_1 - z_1) - kappa_s2 (y_2 - z_2)
 
-k_p, c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. Bogie pitch
-stands alone and the bounces can be eliminated, so that two equations in z and phi remain: their
-closed solution costs a few products for each frequency, no 6 x 6 system. All wheelsets follow the
+k_p, c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. Bogie
+pitch stands alone and the bounces can be eliminated, so that two equations in z and phi remain;
+their closed solution costs a few products for each frequency, no 6 x 6 system. All wheelsets follow the
 same track, each delayed by its distance over the speed.
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from suspnet.monitoring.records import OK, TripCurves, TripResult
+from suspnet.monitoring.trend import PAYLOAD
 from suspnet.plots import SUSPENSIONS, SYMBOLS
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +25,8 @@ LEAST_SPAN_PERCENT = 2.0
 """No axis of a parameter is finer than this, so that mere spread looks like spread."""
 BAND = 1.96
 """Standard deviations on each side of 95 % of normally distributed values."""
+LARGEST_BAND = 3.0
+"""Bands are cut off at exp(3) times the magnitude, or the rest of the axis becomes a flat line."""
 
 
 def trip_signals(result: TripResult) -> Figure:
@@ -93,6 +97,9 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
                 _say(axis, "no trip has curves")
     axes[0][0].set_ylabel("magnitude")
     axes[1][0].set_ylabel("coherence")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside upper center", fontsize="small")
     if scale is not None:
         figure.colorbar(ScalarMappable(scale, "viridis"), ax=axes, label=MILEAGE_LABEL)
     return figure
@@ -117,16 +124,18 @@ def health_trend(results: Sequence[TripResult], outputs: Sequence[str]) -> Figur
     placed = _by_mileage(r for r in results if np.isfinite(r.mileage_km))
     mileage = np.array([r.mileage_km / 1000 for r in placed])
     for axis, name in zip(axes, outputs, strict=True):
-        axis.set_ylabel(f"{SYMBOLS[name]} [% of healthy]")
+        axis.set_ylabel(f"{SYMBOLS[name]} [% of {'nominal' if name == PAYLOAD else 'healthy'}]")
         values = _percent([r.estimates.get(name, np.nan) for r in placed])
         truth = _percent([r.truth.get(name, np.nan) for r in placed])
         known, known_truth = np.isfinite(values), np.isfinite(truth)
         if known.any():
             _points(axis, mileage[known], values[known])
         else:
-            _say(axis, "no trip with an estimate")
-        if known_truth.any():
-            style = {"lw": 0.8} if known_truth.sum() > 1 else {"marker": "x", "ls": ""}
+            _say(axis, "no trip with an estimate and a mileage", keep_x=len(mileage) > 0)
+        if known.any() and known_truth.any():
+            style: dict[str, Any] = (
+                {"lw": 0.8} if known_truth.sum() > 1 else {"marker": "x", "ls": ""}
+            )
             axis.plot(
                 mileage[known_truth],
                 truth[known_truth],
@@ -135,7 +144,7 @@ def health_trend(results: Sequence[TripResult], outputs: Sequence[str]) -> Figur
                 **style,
             )
         _mark_missing(axis, mileage[~known])
-        if known.any() or known_truth.any():
+        if known.any():
             _widen(axis)
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
@@ -161,7 +170,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     )
     for axis, field, label, marker, colour in panels:
         values = np.array([getattr(r.quality, field) for r in placed], dtype=float)
-        style = {"color": colour, "marker": marker, "ls": "", "ms": 4}
+        style: dict[str, Any] = {"color": colour, "marker": marker, "ls": "", "ms": 4}
         axis.plot(mileage[done], values[done], label=label or None, **style)
         axis.plot(mileage[~done], values[~done], mfc="none", **style)
     axes[0].set(ylabel="independent\naverages")
@@ -171,8 +180,10 @@ def quality(results: Sequence[TripResult]) -> Figure:
         axis.grid(True, alpha=0.3)
         if not placed:
             _say(axis, "no trip with a mileage")
-    axes[0].set_ylim(bottom=0)
-    axes[1].legend(loc="lower left", ncols=2, fontsize="small")
+    most = np.nan_to_num([r.quality.n_averages for r in placed]).max(initial=0.0)
+    axes[0].set_ylim(0, 1.1 * most or 1.0)
+    if placed:
+        axes[1].legend(loc="lower left", ncols=2, fontsize="small")
     if not done.all():
         figure.suptitle("hollow: trips without an estimate", fontsize="small")
     figure.align_ylabels(axes)
@@ -237,13 +248,13 @@ def _widen(axis: Axes) -> None:
     half = max(high - low, LEAST_SPAN_PERCENT) / 2
     axis.set_ylim((low + high) / 2 - half, (low + high) / 2 + half)
     axis.ticklabel_format(axis="y", useOffset=False)
-    axis.axhline(100, color="0.6", lw=0.8, ls=":", zorder=0, scaley=False)
+    axis.axhline(100, color="0.6", lw=0.8, ls=":", zorder=0)
     axis.grid(True, alpha=0.3)
 
 
 def _legend(figure: Figure, axes: Sequence[Axes], n_unplaced: int) -> None:
     """Name every kind of mark once, above the axes."""
-    marks = {}
+    marks: dict[str, Any] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             marks.setdefault(label, handle)
@@ -259,26 +270,27 @@ def _band(axis: Axes, curves: TripCurves, link: int) -> None:
     """Shade 95 % around a magnitude."""
     magnitude, deviation = np.abs(curves.responses[link]), curves.deviations[link]
     known = np.isfinite(deviation) & np.isfinite(magnitude)
+    factor = np.exp(np.minimum(BAND * np.where(known, deviation, 0.0), LARGEST_BAND))
     if known.any():
         axis.fill_between(
             curves.frequencies_hz,
-            magnitude * np.exp(-BAND * np.where(known, deviation, np.nan)),
-            magnitude * np.exp(BAND * np.where(known, deviation, np.nan)),
+            np.where(known, magnitude / factor, np.nan),
+            np.where(known, magnitude * factor, np.nan),
             color="tab:red",
             alpha=0.25,
             lw=0,
             label="95 % band of the last trip",
         )
-        axis.legend(loc="best", fontsize="small")
 
 
-def _lone_point(time: FloatArray) -> dict[str, str]:
+def _lone_point(time: FloatArray) -> dict[str, Any]:
     """Return what makes a line of one point visible."""
     return {"marker": "o"} if len(time) == 1 else {}
 
 
-def _say(axis: Axes, text: str) -> None:
+def _say(axis: Axes, text: str, keep_x: bool = False) -> None:
     """Write on empty axes why they are empty."""
     axis.text(0.5, 0.5, text, ha="center", va="center", color="0.4", transform=axis.transAxes)
-    axis.set_xticks([])
     axis.set_yticks([])
+    if not keep_x:
+        axis.set_xticks([])
