@@ -13,6 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from matplotlib.figure import Figure
 
@@ -80,7 +81,8 @@ def train(
         }
         if found is not None:
             metrics["search"] = asdict(found) | {"best": found.best}
-        save_model(folder, model)
+        accuracy = {"test_rms_percent": rms_percent(problem.task, outcome)}
+        save_model(folder, replace(model, training=training | accuracy))
         _log_hyperparameters(run_log, metrics, training["parameters"])
         _draw(problem, model, outcome, run_log, folder / "figures", found)
     write_json(folder / "environment.json", environment())
@@ -147,6 +149,12 @@ def evaluate(
     write_json(output / "metrics.json", metrics)
     _report(metrics, output)
     return metrics
+
+
+def rms_percent(task: Task, outcome: Outcome) -> dict[str, float]:
+    """Return the rms relative error of each output, [%]."""
+    error = 100 * (outcome.predicted / outcome.data.outputs - 1)
+    return dict(zip(task.outputs, np.sqrt(np.mean(error**2, axis=0)).tolist(), strict=True))
 
 
 def find_runs(path: Path) -> list[Path]:

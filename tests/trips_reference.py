@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+
 def pitching_numbers(vehicle, ratios, speed_m_per_s, other_bogie="healthy"):
     """Return every number of a pitching vehicle by name, from 5 or 15 ratios."""
     ratios = [float(r) for r in ratios]

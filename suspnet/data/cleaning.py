@@ -66,7 +66,7 @@ class CleaningSettings:
     saturation_fraction: float = 0.999
     saturation_samples: int = 4
     constant_s: float = 0.1
-    drift_fraction: float = 0.25
+    drift_fraction: float = 0.5
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -207,7 +207,8 @@ class Cleaner:
         self.highest = max(self.highest, float(values.max()))
         good = values[~bad] if n_bad else values
         self._sum += float(good.sum())
-        self._sum_of_squares += float(good @ good)
+        # BLAS would start threads for this, and wait for them longer than the sum takes.
+        self._sum_of_squares += float(np.einsum("i,i->", good, good))
 
     def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
         """Return what was found so far, by ``KINDS``; `start_s` is the time of the first sample."""

@@ -24,9 +24,10 @@ SIDE_SAMPLES, CALM = 8, 0.25
 """A spike is isolated if, of this many samples on either side, all but one stay within this
 fraction of its height; the ringing after an impact does not."""
 
-CLIP_STEPS = 4
-"""A signal reaches its clipping level with a jump of more than this many quantisation steps; the
-rounded top of a slow wave is as flat, but is reached in small steps."""
+COARSE_STEPS = 4
+"""A signal reaches its clipping level with a jump of more than this many quantisation steps, while
+the rounded top of a slow wave is as flat but is reached in small steps. A spike is higher than
+this, too: the last digit of a sensor at rest flickers."""
 
 
 def find_gaps(values: FloatArray) -> Mask:
@@ -64,11 +65,9 @@ def find_clipping(values: FloatArray, shortest: int) -> Mask:
         if np.count_nonzero(at) < shortest:
             continue
         starts, stops = runs(at, at_least=shortest)
-        step = np.abs(np.diff(values))
-        smallest_step = step.min(where=step > 0, initial=math.inf)
         before = np.abs(values[np.maximum(starts - 1, 0)] - extreme)
         after = np.abs(values[np.minimum(stops, len(values) - 1)] - extreme)
-        sharp = np.maximum(before, after) > CLIP_STEPS * smallest_step
+        sharp = np.maximum(before, after) > COARSE_STEPS * _smallest_step(values)
         mask |= paint(len(values), starts[sharp], stops[sharp])
     return mask
 
@@ -121,8 +120,15 @@ def find_spikes(
     if len(starts) == 0:
         return np.zeros(len(values), dtype=np.bool_)
     height, calm = _height(values, starts, stops)
-    isolated = (height > reach[starts // segment]) & (calm < CALM * height)
+    least = np.maximum(reach[starts // segment], COARSE_STEPS * _smallest_step(values))
+    isolated = (height > least) & (calm < CALM * height)
     return paint(len(values), starts[isolated], stops[isolated])
+
+
+def _smallest_step(values: FloatArray) -> float:
+    """Return the smallest change from one sample to the next, an estimate of the quantisation."""
+    steps = np.abs(np.diff(values))
+    return float(steps.min(where=steps > 0, initial=math.inf))
 
 
 def _height(
@@ -165,12 +171,15 @@ def paint(n_samples: int, starts: IndexArray, stops: IndexArray) -> Mask:
 
 
 def fill(values: FloatArray, holes: Mask) -> FloatArray:
-    """Return values with holes filled linearly, at the ends by the nearest value, else by zero."""
+    """Return values with holes filled linearly, and at the ends by the nearest value.
+
+    If all are holes they stay as they are, but for gaps, which become zero.
+    """
     if not holes.any():
         return values
     good = np.flatnonzero(~holes)
     if len(good) == 0:
-        return np.zeros_like(values)
+        return np.where(find_gaps(values), 0.0, values)
     filled = values.copy()
     index = np.flatnonzero(holes)
     filled[index] = np.interp(index, good, values[good])

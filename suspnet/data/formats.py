@@ -30,7 +30,8 @@ except ImportError:
 BLOCK = 2**20
 """The most samples of a column that are handed out at once."""
 
-CSV_BLOCK_BYTES = 2**23
+CSV_BLOCK_BYTES = 2**22
+PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**18, 2**20
 LISTED = 20
 """The most columns that an error message lists."""
 
@@ -87,13 +88,14 @@ def open_columns(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _read_parquet(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
-    with pa.parquet.ParquetFile(path) as file:
+    # Reading ahead, the default, is no faster here and takes as much memory as the whole column.
+    with pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=PARQUET_BUFFER_BYTES) as file:
         names = _choose(path, columns, file.schema_arrow.names)
         for name in names:
             kind = file.schema_arrow.field(name).type
             if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
                 raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
-        for batch in file.iter_batches(BLOCK, columns=names, use_threads=False):
+        for batch in file.iter_batches(PARQUET_ROWS, columns=names, use_threads=False):
             yield tuple(_to_numpy(batch.column(name)) for name in names)
 
 
@@ -164,7 +166,10 @@ def _take_hdf5(dataset: Any) -> Take:
 def _read_tdms(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
     if nptdms is None:
         raise TripError(f'{path}: a TDMS file needs npTDMS; run: pip install "suspnet[tdms]"')
-    with nptdms.TdmsFile.open(path) as file:
+    # Opened here because npTDMS does not close what it fails to read.
+    with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
+        if file.file_status.incomplete_final_segment:
+            raise TripError(f"{path} is cut off: its last segment is incomplete")
         channels = {
             f"{group.name}/{channel.name}": channel
             for group in file.groups()
@@ -200,7 +205,7 @@ _DAMAGE = (
     TypeError,
     LookupError,
     AttributeError,
-    NotImplementedError,
+    RuntimeError,
     OverflowError,
     MemoryError,
 )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import reprlib
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import date, datetime
 from pathlib import Path
@@ -12,8 +10,24 @@ from typing import Any
 
 import yaml
 
+from suspnet.data.checked_mapping import CheckedMapping, TripError
 from suspnet.data.storage import write_atomically
 from suspnet.dynamics import PARAMETERS
+
+__all__ = [
+    "ACCELERATION_UNITS",
+    "CHANNELS",
+    "FORMAT",
+    "SPEED_UNITS",
+    "Channel",
+    "Source",
+    "SpeedSource",
+    "TripError",
+    "TripManifest",
+    "find_manifests",
+    "read_manifest",
+    "write_manifest",
+]
 
 FORMAT = "suspnet-trip-1"
 
@@ -25,10 +39,6 @@ ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
 
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
 """What one unit is in m/s."""
-
-
-class TripError(ValueError):
-    """Something is wrong with one trip: its manifest, or the files that it names."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +164,7 @@ def write_manifest(manifest: TripManifest) -> Path:
         If the folder cannot be written.
     """
     speed = manifest.speed
+    channels = {name: _without_none(asdict(c)) for name, c in manifest.channels.items()}
     content = {
         "format": FORMAT,
         "vehicle": manifest.vehicle,
@@ -161,7 +172,7 @@ def write_manifest(manifest: TripManifest) -> Path:
         "mileage_km": manifest.mileage_km,
         "start": manifest.start,
         "speed": _without_none(asdict(speed)) if isinstance(speed, SpeedSource) else speed,
-        "channels": {name: _without_none(asdict(c)) for name, c in manifest.channels.items()},
+        "channels": channels,
         "truth": manifest.truth or None,
     }
     content = _without_none(content)
@@ -187,68 +198,14 @@ def find_manifests(folder: Path) -> list[Path]:
     return manifests
 
 
-class _Section:
-    """One mapping of a manifest: hands out checked values and knows where they stand."""
-
-    def __init__(
-        self, path: Path, where: str, content: Any, required: Sequence[str], optional: Sequence[str]
-    ) -> None:
-        self.path, self.where, self.content = path, where, content
-        if not isinstance(content, dict):
-            raise TripError(f"{path}: {self._name()} must be a mapping, got {_short(content)}")
-        allowed = (*required, *optional)
-        for key in content:
-            if key not in allowed:
-                raise TripError(f"{path}: {self._name(key)} is not known; allowed are {allowed}")
-        for key in required:
-            if content.get(key) is None:
-                raise TripError(f"{path}: {self._name(key)} is missing")
-
-    def has(self, key: str) -> bool:
-        """Return whether an optional key has a value."""
-        return self.content.get(key) is not None
-
-    def refuse(self, key: str, rule: str) -> TripError:
-        """Return the error that names file, key, rule and value."""
-        value = _short(self.content[key])
-        return TripError(f"{self.path}: {self._name(key)} must be {rule}, got {value}")
-
-    def text(self, key: str) -> str:
-        value = self.content[key]
-        if not isinstance(value, str) or not value.strip():
-            raise self.refuse(key, "text (put it in quotes if it looks like anything else)")
-        return value
-
-    def choice(self, key: str, allowed: Sequence[str]) -> str:
-        if self.content[key] not in list(allowed):
-            raise self.refuse(key, f"one of {list(allowed)}")
-        return str(self.content[key])
-
-    def number(self, key: str, rule: str = "a finite number", low: float = -math.inf) -> float:
-        """Return a number above `low`; `rule` is what the message says of it."""
-        value = self.content[key]
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.refuse(key, f"{rule} (written like 5000.0)")
-        if not low < value < math.inf or abs(value) > 1e300:
-            raise self.refuse(key, rule)
-        return float(value)
-
-    def positive(self, key: str) -> float:
-        return self.number(key, "a number > 0", 0.0)
-
-    def _name(self, key: object = None) -> str:
-        parts = [str(part) for part in (self.where or None, key) if part is not None]
-        return f"`{'.'.join(parts)}`" if parts else "the manifest"
-
-
 _SOURCE = ("column", "rate_hz", "time", "start_s")
 
 
 def _parse(path: Path, content: Any) -> TripManifest:
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
-    top = _Section(path, "", content, required, ("start", "truth"))
+    top = CheckedMapping(path, "", content, required, ("start", "truth"))
     top.choice("format", [FORMAT])
-    channels = _Section(path, "channels", content["channels"], CHANNELS, ()).content
+    channels = CheckedMapping(path, "channels", content["channels"], CHANNELS, ()).content
     return TripManifest(
         path=path,
         name=path.stem,
@@ -262,7 +219,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
     )
 
 
-def _parse_start(top: _Section) -> datetime:
+def _parse_start(top: CheckedMapping) -> datetime:
     value = top.content["start"]
     if isinstance(value, date) and not isinstance(value, datetime):
         return datetime(value.year, value.month, value.day)
@@ -272,16 +229,16 @@ def _parse_start(top: _Section) -> datetime:
         raise top.refuse("start", "a time like 2015-08-03T08:00:00") from error
 
 
-def _parse_speed(top: _Section) -> float | SpeedSource:
+def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
     if not isinstance(top.content["speed"], dict):
         return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
-    section = _Section(top.path, "speed", top.content["speed"], ("file", "unit"), _SOURCE)
+    section = CheckedMapping(top.path, "speed", top.content["speed"], ("file", "unit"), _SOURCE)
     return SpeedSource(unit=section.choice("unit", list(SPEED_UNITS)), **_parse_source(section))
 
 
 def _parse_channel(path: Path, name: str, content: Any) -> Channel:
     optional = (*_SOURCE, "sign", "range")
-    section = _Section(path, f"channels.{name}", content, ("file", "unit"), optional)
+    section = CheckedMapping(path, f"channels.{name}", content, ("file", "unit"), optional)
     sign = section.number("sign", "1 or -1") if section.has("sign") else 1.0
     if sign not in (1.0, -1.0):
         raise section.refuse("sign", "1 or -1")
@@ -293,7 +250,7 @@ def _parse_channel(path: Path, name: str, content: Any) -> Channel:
     )
 
 
-def _parse_source(section: _Section) -> dict[str, Any]:
+def _parse_source(section: CheckedMapping) -> dict[str, Any]:
     """Return the fields that a channel and the speed have in common."""
     if not section.has("rate_hz") and not section.has("time"):
         raise TripError(f"{section.path}: `{section.where}` needs `rate_hz` or `time` (a column)")
@@ -307,12 +264,8 @@ def _parse_source(section: _Section) -> dict[str, Any]:
 
 
 def _parse_truth(path: Path, content: Any) -> dict[str, float]:
-    section = _Section(path, "truth", content, (), PARAMETERS)
+    section = CheckedMapping(path, "truth", content, (), PARAMETERS)
     return {key: section.positive(key) for key in section.content}
-
-
-def _short(value: Any) -> str:
-    return " ".join(reprlib.repr(value).split())
 
 
 def _without_none(content: dict[str, Any]) -> dict[str, Any]:

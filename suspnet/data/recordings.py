@@ -105,7 +105,7 @@ def load_recording(
     """Return a trip, cleaned and resampled to one clock.
 
     Files are read block by block, the channels at the same time. Only the time that all channels
-    cover is kept, less about ``13 / rate_hz`` at both ends, where the low-pass is not complete.
+    cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not complete.
 
     Parameters
     ----------

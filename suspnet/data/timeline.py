@@ -57,11 +57,11 @@ class Timeline:
             disagree with the stated rate by more than ``RATE_TOLERANCE``.
         """
         for times, values in _recut(blocks):
-            before = self._last_s if self._n_steps else times[0]
-            if not self._n_steps:
+            before = self._last_s if self._n_steps else None
+            check_rising(self.where, times, before)
+            if before is None:
                 self.first_s = float(times[0])
-            steps = np.diff(times, prepend=before)
-            check_rising(self.where, times, before if self._n_steps else None)
+            steps = np.diff(times, prepend=times[0] if before is None else before)
             if np.isnan(self._usual_s) and len(times) > 1:
                 self._usual_s = float(np.median(steps[1:]))
             gaps = np.flatnonzero(steps > GAP_STEPS * self._usual_s)

@@ -125,6 +125,10 @@ class CrossSpectra:
     cross: Tensor
     n_averages: float
 
+    def at(self, bins: Tensor) -> CrossSpectra:
+        """Return the spectra on chosen bins, a bool tensor (n_freq,)."""
+        return CrossSpectra(self.auto[..., bins], self.cross[..., bins], self.n_averages)
+
     def between(self, x: int, y: int) -> Tensor:
         """Return S_xy, shape (..., n_freq)."""
         if x == y:
@@ -297,7 +301,7 @@ def segment_spectra(
         whole = usable.unfold(0, length, step).all(dim=1)
         pieces, first = pieces[whole], first[whole]
     blocks = [torch.empty(0, len(signals), int(inside.sum()), dtype=torch.complex128)]
-    for block in pieces.split(SEGMENTS):
+    for block in pieces.split(SEGMENTS) if len(pieces) else ():
         windowed = (block - block.mean(dim=-1, keepdim=True)) * window
         blocks.append(torch.fft.rfft(windowed)[..., inside] * scale[inside])
     return SegmentSpectra(frequencies[inside], torch.cat(blocks), first, welch)

@@ -65,6 +65,10 @@ def trip_signals(result: TripResult) -> Figure:
         axis.margins(x=0.01)
         axis.grid(True, alpha=0.3)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    if np.isfinite(result.mileage_km):
+        axes[0].set_title(
+            f"trip at {result.mileage_km:,.0f} km".replace(",", " "), fontsize="medium"
+        )
     figure.align_ylabels(axes)
     return figure
 

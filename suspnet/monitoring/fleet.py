@@ -28,7 +28,7 @@ from suspnet.data.storage import write_atomically, write_json
 from suspnet.monitoring import figures
 from suspnet.monitoring.records import OK, TripResult, relative_to_first
 from suspnet.monitoring.report import write_report
-from suspnet.monitoring.trend import Trend, trend
+from suspnet.monitoring.trend import LEAST_PERCENT, Trend, trend
 from suspnet.monitoring.trip import TripSettings, evaluate_trip
 from suspnet.tracking import RunLog
 
@@ -39,6 +39,8 @@ except ImportError:  # the extra `cluster` is not installed
 
 log = logging.getLogger(__name__)
 KNOWN_ERROR_PERCENT = "rms error %"
+RESOLVED = 2.0
+"""A change must exceed this multiple of the model's rms error on its test curves."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,8 @@ def evaluate_fleet(
     if settings.reference == "first_trips":
         results = relative_to_first(results, settings.n_reference)
     _write_tables(results, outputs, output)
-    _write_pages(results, outputs, output, _details(folder, models, settings))
+    trends = _trends(results, outputs, models)
+    _write_pages(results, outputs, trends, output, _details(folder, models, settings))
     log.info("%s\n-> %s", summary(results, outputs), output)
     return results
 
@@ -243,17 +246,27 @@ def _write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], outpu
         write_atomically(output / "responses.parquet", stream.getvalue())
 
 
+def _trends(
+    results: Sequence[TripResult], outputs: tuple[str, ...], models: Sequence[TrainedModel]
+) -> list[Trend]:
+    """Return each parameter's trend; what the models cannot resolve does not stand out."""
+    mileage = np.array([r.mileage_km for r in results])
+    trends = []
+    for name in outputs:
+        rms = max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
+        least = max(LEAST_PERCENT, RESOLVED * rms)
+        values = np.array([r.estimates.get(name, np.nan) for r in results])
+        trends.append(trend(name, mileage, values, least_percent=least))
+    return trends
+
+
 def _write_pages(
     results: Sequence[TripResult],
     outputs: tuple[str, ...],
+    trends: Sequence[Trend],
     output: Path,
     details: Mapping[str, str],
 ) -> None:
-    mileage = np.array([r.mileage_km for r in results])
-    trends: list[Trend] = [
-        trend(name, mileage, np.array([r.estimates.get(name, np.nan) for r in results]))
-        for name in outputs
-    ]
     done = [r for r in results if r.status == OK]
     drawn = {
         "trend": figures.health_trend(results, outputs),

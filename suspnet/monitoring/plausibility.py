@@ -1,11 +1,13 @@
-"""What physics says about the channels: order of their power, gain and sign at low frequency.
+"""What physics says about the channels: their order, and gain and sign at low frequency.
 
 Slowly, everything moves with the track: G_p and G_s tend to 1. Fast, each suspension isolates:
-the axle box shakes more than the bogie, the bogie more than the body.
+the axle box shakes more than the bogie, the bogie more than the body, so that the responses get
+another shape when channels are swapped.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import torch
@@ -17,8 +19,8 @@ from suspnet.features.transfer_estimate import CrossSpectra
 
 SLOW = (0.2, 0.4)
 """Band of the gain, in multiples of the first natural frequency."""
-FAST_LOW_HZ, FAST_LOW_MODE = 10.0, 2.0
-"""The band of the power begins here, or at this multiple of the second natural frequency."""
+LOWEST_MODE = 0.45
+"""The order of the channels is looked at above this multiple of the first natural frequency."""
 GAIN_TOLERANCE = 2.0
 """A gain within this factor of the healthy vehicle's is plausible for any suspension."""
 GRAVITY = 9.80665
@@ -51,31 +53,44 @@ def check_channels(
         The message names the channel and what seems wrong.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
-    doubts = _check_order(spectra, frequencies_hz, float(modes[1]))
+    healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+    expected = torch.stack(generator.responses(healthy, frequencies_hz), dim=1)[0].cpu()
+    band = frequencies_hz >= LOWEST_MODE * modes[0]
+    _check_order(spectra.at(band), expected[:, band])
     slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
     coherence = spectra.coherences()[:, slow].mean(dim=1)
     if not bool(slow.any()) or bool((coherence < COHERENT).any()):
-        return [*doubts, "units and signs not checked: too little coherence at low frequency"]
-    healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-    expected = torch.stack(generator.responses(healthy, frequencies_hz[slow]), dim=1)[0].cpu()
-    gains = (spectra.responses("Hv")[:, slow] / expected).mean(dim=1)
+        return ["units and signs not checked: too little coherence at low frequency"]
+    gains = (spectra.responses("Hv")[:, slow] / expected[:, slow]).mean(dim=1)
     _check_gains([complex(gain) for gain in gains])
-    return doubts
-
-
-def _check_order(spectra: CrossSpectra, frequencies_hz: Tensor, upper_mode_hz: float) -> list[str]:
-    fast = frequencies_hz >= max(FAST_LOW_HZ, FAST_LOW_MODE * upper_mode_hz)
-    if not bool(fast.any()):
-        return ["order of the channels not checked: no bins above 10 Hz"]
-    rms = spectra.auto[:, fast].mean(dim=1).sqrt().tolist()
-    names = list(CHANNELS)
-    if rms != sorted(rms, reverse=True):
-        order = [name for _, name in sorted(zip(rms, names, strict=True), reverse=True)]
-        raise TripError(
-            f"channels look swapped: above {float(frequencies_hz[fast][0]):.0f} Hz the axle box "
-            f"must shake most and the body least, but the order is {' > '.join(order)}"
-        )
     return []
+
+
+def _check_order(spectra: CrossSpectra, expected: Tensor) -> None:
+    """Raise TripError if another order of the channels fits the healthy vehicle's curves better.
+
+    Only the shape of the log-magnitudes is compared, so that neither unit nor sign matters.
+    """
+    healthy = expected.abs().log()
+    distances = {}
+    for order in itertools.permutations(range(len(CHANNELS))):
+        box, bogie, body = order
+        links = [(box, bogie, body), (bogie, body, box)]
+        measured = torch.stack([spectra.transfer(x, y, "IV", z).abs().log() for x, y, z in links])
+        difference = measured - healthy
+        shape = difference - difference.mean(dim=1, keepdim=True)
+        distances[order] = float(shape.square().mean().sqrt())
+    best = min(distances, key=distances.__getitem__)
+    if best != tuple(range(len(CHANNELS))):
+        said = ", ".join(
+            f"{name} is in the place of {CHANNELS[place]}"
+            for place, name in zip(best, CHANNELS, strict=True)
+            if CHANNELS[place] != name
+        )
+        raise TripError(
+            f"channels look swapped: the responses have the shape expected if {said}; check files "
+            "and columns in the manifest"
+        )
 
 
 def _check_gains(gains: list[complex]) -> None:

@@ -60,6 +60,7 @@ CAPTIONS = {
 SVG_LIMIT = 400_000
 """Figures whose SVG has more bytes than this are embedded as PNG."""
 PNG_DPI = 130
+NO_NUMBER = "\N{EN DASH}"
 
 
 def write_report(
@@ -182,15 +183,15 @@ def _embedded(name: str, figure: Figure) -> dict[str, Any]:
 def _number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
     """Return a number with a true minus sign, or a dash if there is none."""
     if value is None or not math.isfinite(value):
-        return "–"
+        return NO_NUMBER
     text = f"{value * scale:.{digits}f}"
-    return text.replace("-", "−") if float(text) else text.replace("-", "")  # noqa: RUF001
+    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
 
 
 def _thousands(value: float) -> str:
     """Return a whole number with no-break spaces between thousands, or a dash."""
     if not math.isfinite(value):
-        return "–"
+        return NO_NUMBER
     return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
 
 

@@ -248,11 +248,11 @@ def _verdict(
         amount = f"{verb} to {100 * last_median:.0f} % of healthy"
     if step is None:
         return f"{amount} from the first to the last trips"
-    sides = (values[: step.n_before], values[step.n_before :])
-    slopes = [_drifts(side, change, limit) for side in sides]
-    if all(slopes):
+    after = values[step.n_before :]
+    slopes = [_slope(side, change, limit) for side in (values[: step.n_before], after)]
+    if slopes[0] > 0.5 * slopes[1] > 0 and _is_line(values, limit):
         return f"{amount}, steadily along the mileage"
-    if slopes[1]:
+    if _slope(after[-max(5, len(after) // 2) :], change, limit) > 0:
         return f"{amount}, gradually around {_km(step)}, and was still {going_on} at the end"
     return f"{amount} at about {_km(step)}"
 
@@ -265,13 +265,24 @@ def _no_change(values: FloatArray, spread: float) -> str:
     return verdict
 
 
-def _drifts(values: FloatArray, change: float, limit: float) -> bool:
-    """Tell whether one side of a step itself goes the way of the change, by more than `limit`."""
+def _slope(values: FloatArray, change: float, limit: float) -> float:
+    """Return how fast one side of a step itself goes the way of the change, in % for each trip.
+
+    Zero, if it goes the other way, by less than `limit` in all, or not significantly.
+    """
     if len(values) < 5 or np.ptp(values) == 0:
-        return False
+        return 0.0
     line = stats.linregress(np.arange(len(values)), values)
-    drift = 100 * line.slope * (len(values) - 1)
-    return bool(line.pvalue < LEVEL and drift * change > 0 and abs(drift) > limit)
+    slope = 100 * float(np.copysign(line.slope, line.slope * change))
+    return slope if line.pvalue < LEVEL and slope * (len(values) - 1) > limit else 0.0
+
+
+def _is_line(values: FloatArray, limit: float) -> bool:
+    """Tell whether most trips lie within `limit` percent of one straight line."""
+    trips = np.arange(len(values))
+    line = stats.linregress(trips, values)
+    deviations = values - line.intercept - line.slope * trips
+    return 100 * float(np.median(np.abs(deviations))) < limit
 
 
 def _percent(value: float) -> str:

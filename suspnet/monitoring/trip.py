@@ -35,6 +35,8 @@ LOUD = 30.0
 """Segments with more than this multiple of the median power are left out from the start."""
 ROUNDS = 3
 """How often segments of low coherence are left out and the average is taken anew."""
+ODD = 3.0
+"""A segment this many times less explained than the median one is odd."""
 WINDOWS = 600
 """Windows of a trip's overview."""
 
@@ -52,9 +54,13 @@ class TripSettings:
     min_speed_m_per_s : float, [m/s]
         Least speed for models that do not depend on it.
     min_coherence : float, [-]
-        Segments whose response is explained less than this by the trip's are left out.
+        Segments whose coherence with the trip's response is lower, and much lower than that of
+        the others, are left out.
     min_averages : float
         Below this many independent averages in a bin there is no estimate from it.
+    max_deviation : float, [-]
+        If the log-magnitudes are less certain than this (standard deviation, median over the band)
+        there is no estimate.
     check_channels : bool
         Look for wrong units, signs and swapped channels.
 
@@ -69,6 +75,7 @@ class TripSettings:
     min_speed_m_per_s: float = 10.0
     min_coherence: float = 0.3
     min_averages: float = 10.0
+    max_deviation: float = 0.3
     check_channels: bool = True
 
     def __post_init__(self) -> None:
@@ -78,6 +85,7 @@ class TripSettings:
             ("min_speed_m_per_s", 0, 200),
             ("min_coherence", 0, 1),
             ("min_averages", 3, 1e6),
+            ("max_deviation", 0, 10),
         ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -158,8 +166,12 @@ def _estimated(
         faults="; ".join(str(fault) for fault in recording.faults),
     )
     segments = {m.settings.welch: _segments(recording, m.settings.welch) for m in models}
+    whole = next(iter(segments.values()))
+    if not len(whole.values):
+        faults = "; ".join(str(fault) for fault in recording.faults if not fault.repaired)
+        reason = f"no segment of {whole.welch.segment_s:g} s is free of faults: {faults}"
+        return replace(result, quality=quality, status=NO_ESTIMATE, reason=reason)
     if settings.check_channels:
-        whole = next(iter(segments.values()))
         doubts = _checked(recording, whole, models[0], settings)
         quality = replace(quality, warnings="; ".join(doubts))
     bins, reasons = [], []
@@ -170,10 +182,10 @@ def _estimated(
         except _NoEstimateError as reason:
             reasons.append(str(reason))
     n_total = max(len(found.values) for found in segments.values())
-    quality = replace(quality, segments_total=n_total)
+    result = replace(result, quality=replace(quality, segments_total=n_total))
     if not bins:
-        raise _NoEstimateError("; ".join(dict.fromkeys(reasons)))
-    return _combined(replace(result, quality=quality), recording, bins)
+        return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
+    return _combined(result, recording, bins)
 
 
 def _segments(recording: Recording, welch: Welch) -> SegmentSpectra:
@@ -228,10 +240,18 @@ def _bin(
     if n_averages < settings.min_averages:
         raise _NoEstimateError(
             f"{int(within.sum())} of {len(within)} segments without faults are {words}, "
-            f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, "
-            f"at least {settings.min_averages:g} are needed"
+            f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, at least "
+            f"{settings.min_averages:g} are needed (half of the trip is run at "
+            f"{float(speeds.mean(dim=1).median()):.1f} m/s or less)"
         )
     spectra = band.average(chosen)
+    deviation = float(spectra.deviations(model.settings.method).median(dim=1).values.amax())
+    if deviation > settings.max_deviation:
+        raise _NoEstimateError(
+            f"the responses are uncertain by {100 * deviation:.0f} % (coherence "
+            f"{float(spectra.coherences().mean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
+            f"at most {100 * settings.max_deviation:.0f} % are accepted"
+        )
     responses = spectra.responses(model.settings.method)
     inputs = model.relative_features(responses[None].numpy(), band.frequencies_hz.numpy())
     if not np.isfinite(inputs).all():
@@ -268,18 +288,22 @@ def _band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
 def _coherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tuple[Tensor, int]:
     """Leave out the segments that the average of the others does not explain.
 
-    A segment's coherence is 1 - mean over bins of abs(Y - H1 X)^2 / S_yy, the lower of both links.
+    A segment's coherence is 1 - u, u = mean over bins of abs(Y - H1 X)^2 / S_yy, on the worse of
+    both links. It is too low if below `least` and u is also `ODD` times the median of the trip: a
+    noisy sensor lowers all segments alike, and IV can cope with that.
     """
     n_before = int(chosen.sum())
     for _ in range(ROUNDS):
         if not bool(chosen.any()):
             break
         spectra = band.average(chosen)
-        explained = []
+        links = []
         for x, y, _ in CHAIN:
             residual = band.values[:, y] - spectra.transfer(x, y, "H1") * band.values[:, x]
-            explained.append(1 - (residual.abs().square() / spectra.auto[y]).mean(dim=1))
-        chosen = chosen & (torch.stack(explained).amin(dim=0) >= least)
+            links.append((residual.abs().square() / spectra.auto[y]).mean(dim=1))
+        unexplained = torch.stack(links)
+        limit = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
+        chosen = chosen & (unexplained <= limit[:, None]).all(dim=0)
     return chosen, n_before - int(chosen.sum())
 
 

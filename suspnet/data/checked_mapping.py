@@ -1,0 +1,92 @@
+"""Values out of a YAML file, checked one by one, with errors that name file, key and value."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+
+class TripError(ValueError):
+    """Something is wrong with one trip: its manifest, or the files that it names."""
+
+
+class CheckedMapping:
+    """One mapping of a YAML file: hands out checked values and knows where they stand.
+
+    Parameters
+    ----------
+    path : Path
+        The file, named in errors.
+    where : str
+        Keys that lead to the mapping, joined by dots; "" is the whole file.
+    content : Any
+        What was read there.
+    required, optional : sequences of str
+        The keys that must and may be there; an optional null counts as missing.
+
+    Raises
+    ------
+    TripError
+        If it is no mapping, or holds an unknown key, or lacks a required one. The methods raise it
+        where a value is of the wrong type or out of range.
+    """
+
+    def __init__(
+        self, path: Path, where: str, content: Any, required: Sequence[str], optional: Sequence[str]
+    ) -> None:
+        self.path, self.where, self.content = path, where, content
+        if not isinstance(content, dict):
+            raise TripError(f"{path}: {self._name()} must be a mapping, got {_short(content)}")
+        allowed = (*required, *optional)
+        for key in content:
+            if key not in allowed:
+                raise TripError(f"{path}: {self._name(key)} is not known; allowed are {allowed}")
+        for key in required:
+            if content.get(key) is None:
+                raise TripError(f"{path}: {self._name(key)} is missing")
+
+    def has(self, key: str) -> bool:
+        """Return whether an optional key has a value."""
+        return self.content.get(key) is not None
+
+    def refuse(self, key: str, rule: str) -> TripError:
+        """Return the error that names file, key, rule and value."""
+        value = _short(self.content[key])
+        return TripError(f"{self.path}: {self._name(key)} must be {rule}, got {value}")
+
+    def text(self, key: str) -> str:
+        """Return a text that is not blank."""
+        value = self.content[key]
+        if not isinstance(value, str) or not value.strip():
+            raise self.refuse(key, "text (put it in quotes if it looks like anything else)")
+        return value
+
+    def choice(self, key: str, allowed: Sequence[str]) -> str:
+        """Return one of some texts."""
+        if self.content[key] not in list(allowed):
+            raise self.refuse(key, f"one of {list(allowed)}")
+        return str(self.content[key])
+
+    def number(self, key: str, rule: str = "a finite number", low: float = -math.inf) -> float:
+        """Return a finite number above `low`; `rule` is what the message says of it."""
+        value = self.content[key]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refuse(key, f"{rule} (written like 5000.0)")
+        if not low < value < math.inf or abs(value) > 1e300:
+            raise self.refuse(key, rule)
+        return float(value)
+
+    def positive(self, key: str) -> float:
+        """Return a number > 0."""
+        return self.number(key, "a number > 0", 0.0)
+
+    def _name(self, key: object = "") -> str:
+        name = ".".join(part for part in (self.where, str(key)) if part)
+        return f"`{name}`" if name else "the manifest"
+
+
+def _short(value: Any) -> str:
+    return " ".join(reprlib.repr(value).split())

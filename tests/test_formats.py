@@ -1,0 +1,266 @@
+"""Columns come out of every format as they went in, and damaged files are named."""
+
+import csv
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.io import savemat
+
+from suspnet.data import formats
+from suspnet.data.formats import open_columns
+from suspnet.data.manifest import TripError
+
+
+def read(path: Path, *columns: str | None) -> list[np.ndarray]:
+    blocks = list(open_columns(path, columns))
+    assert all(column.dtype == np.float64 for block in blocks for column in block)
+    assert all(1 <= len(block[0]) <= formats.BLOCK for block in blocks)
+    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+
+
+def write_parquet(path: Path, columns: dict) -> None:
+    pq.write_table(pa.table(columns), path, row_group_size=7)
+
+
+def write_csv(path: Path, columns: dict) -> None:
+    with path.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(columns)
+        rows.writerows(zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True))
+
+
+def write_mat(path: Path, columns: dict) -> None:
+    savemat(path, columns)
+
+
+def write_hdf5(path: Path, columns: dict) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file[name] = np.asarray(values)[None, :]  # as MATLAB 7.3 does
+
+
+def write_tdms(path: Path, columns: dict) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(path) as writer:
+        for part in (slice(0, 5), slice(5, None)):  # two segments
+            writer.write_segment(
+                [nptdms.ChannelObject("g", n, np.asarray(v)[part]) for n, v in columns.items()]
+            )
+
+
+WRITERS = {
+    ".parquet": write_parquet,
+    ".csv": write_csv,
+    ".mat": write_mat,
+    ".h5": write_hdf5,
+    ".hdf5": write_hdf5,
+    ".tdms": write_tdms,
+}
+
+
+def named(suffix: str, name: str) -> str:
+    return f"g/{name}" if suffix == ".tdms" else name
+
+
+def test_every_format_is_tested():
+    assert set(WRITERS) == set(formats.READERS)
+
+
+@pytest.mark.parametrize("kind", ["float64", "float32", "int16", "uint8", "int64"])
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_columns_are_read_in_the_order_asked_for(tmp_path, monkeypatch, suffix, kind):
+    monkeypatch.setattr(formats, "BLOCK", 4)
+    a, t = np.arange(11).astype(kind), np.arange(11) * 0.5
+    path = tmp_path / f"data{suffix.upper()}"
+    WRITERS[suffix](path, {"t": t, "a": a, "other": t})
+    got_a, got_t = read(path, named(suffix, "a"), named(suffix, "t"))
+    np.testing.assert_array_equal(got_a, a.astype(np.float64))
+    np.testing.assert_array_equal(got_t, t)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_column_may_be_left_out_if_it_is_the_only_one(tmp_path, suffix):
+    path = tmp_path / f"data{suffix}"
+    WRITERS[suffix](path, {"t": np.arange(9.0), "a": -np.arange(9.0)})
+    np.testing.assert_array_equal(read(path, named(suffix, "t"), None)[1], -np.arange(9.0))
+    with pytest.raises(
+        TripError, match=r"say which `column` to read; there are \['.*[ta]', '.*[ta]'\]"
+    ):
+        read(path, None)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_missing_column_is_named(tmp_path, suffix):
+    path = tmp_path / f"data{suffix}"
+    WRITERS[suffix](path, {"t": np.arange(9.0), "a": np.arange(9.0)})
+    with pytest.raises(
+        TripError, match=r"data.* has no column 'b' .*it has \['.*[ta]', '.*[ta]'\]"
+    ):
+        read(path, "b")
+
+
+@given(hnp.arrays(np.float32, st.integers(1, 40), elements=st.floats(width=32)), st.integers(1, 9))
+def test_parquet_keeps_every_value(tmp_path_factory, values, rows):
+    path = tmp_path_factory.mktemp("parquet") / "data.parquet"
+    pq.write_table(pa.table({"a": values}), path, row_group_size=rows)
+    np.testing.assert_array_equal(read(path, "a")[0], values.astype(np.float64))
+
+
+@given(hnp.arrays(np.float64, st.integers(1, 40)))
+def test_csv_keeps_every_value(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("csv") / "data.csv"
+    write_csv(path, {"a": values})
+    np.testing.assert_array_equal(read(path, "a")[0], values)
+
+
+@pytest.mark.parametrize("kind", [pa.float32(), pa.int16()])
+def test_nulls_become_nan(tmp_path, kind):
+    path = tmp_path / "data.parquet"
+    pq.write_table(pa.table({"a": pa.array([1, None, 3], kind)}), path)
+    np.testing.assert_array_equal(read(path, "a")[0], [1.0, np.nan, 3.0])
+    path = tmp_path / "data.csv"
+    path.write_text("a,b\n1,2\n,2\nNaN,2\n4,2\n")
+    np.testing.assert_array_equal(read(path, "a")[0], [1.0, np.nan, np.nan, 4.0])
+
+
+def test_large_csv_comes_in_blocks(tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "CSV_BLOCK_BYTES", 2**12)
+    values = np.arange(5000) / 8
+    write_csv(tmp_path / "data.csv", {"a": values, "b": values})
+    blocks = list(open_columns(tmp_path / "data.csv", ["a"]))
+    assert len(blocks) > 5
+    np.testing.assert_array_equal(np.concatenate([block[0] for block in blocks]), values)
+
+
+@pytest.mark.parametrize("shape", [(6,), (6, 1), (1, 6)])
+def test_hdf5_takes_vectors_of_any_shape_in_groups(tmp_path, shape):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "data.h5"
+    with h5py.File(path, "w") as file:
+        file["trip/body"] = np.arange(6).reshape(shape)
+        file["trip/matrix"] = np.ones((2, 3))
+        file["trip/name"] = "text"
+    np.testing.assert_array_equal(read(path, "trip/body")[0], np.arange(6))
+    np.testing.assert_array_equal(read(path, None)[0], np.arange(6))
+
+
+def test_mat_7_3_is_read_as_hdf5(tmp_path, monkeypatch):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "data.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["body"] = np.arange(6.0)[None]
+    header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    with path.open("r+b") as stream:
+        stream.write(header)
+    np.testing.assert_array_equal(read(path, "body")[0], np.arange(6))
+    monkeypatch.setattr(formats, "h5py", None)
+    with pytest.raises(TripError, match=r'needs h5py; run: pip install "suspnet\[hdf5\]"'):
+        read(path, "body")
+
+
+def test_missing_extras_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(formats, "nptdms", None)
+    (tmp_path / "data.tdms").write_bytes(b"TDSm")
+    with pytest.raises(TripError, match=r'needs npTDMS; run: pip install "suspnet\[tdms\]"'):
+        read(tmp_path / "data.tdms", "g/a")
+
+
+@pytest.mark.parametrize("values", [["1", "x"], [True, False], [[1.0], [2.0]]])
+def test_parquet_column_must_be_numeric(tmp_path, values):
+    pq.write_table(pa.table({"a": values}), tmp_path / "data.parquet")
+    with pytest.raises(TripError, match=r"data\.parquet: column 'a' holds .*, not numbers"):
+        read(tmp_path / "data.parquet", "a")
+
+
+def test_text_in_csv_is_named_with_its_row(tmp_path):
+    (tmp_path / "data.csv").write_text("t,a\n0,1\n1,oops\n")
+    message = r"data\.csv: text in a column of numbers, one of \['a'\] .*Row #3.*'oops'"
+    with pytest.raises(TripError, match=message):
+        read(tmp_path / "data.csv", "a")
+
+
+def test_mat_columns_must_be_real_vectors_of_one_length(tmp_path):
+    path = tmp_path / "data.mat"
+    savemat(path, {"z": np.ones(4) * 1j, "m": np.ones((2, 2)), "s": "text", "a": [1.0, 2], "t": 1})
+    with pytest.raises(TripError, match=r"column 'z' holds complex128, not real numbers"):
+        read(path, "z")
+    with pytest.raises(TripError, match=r"no column 'm' of numbers; it has \['z', 'a', 't'\]"):
+        read(path, "m")
+    with pytest.raises(TripError, match=r"columns \['t', 'a'\] have different lengths \[1, 2\]"):
+        read(path, "t", "a")
+
+
+def test_repeated_column_is_refused(tmp_path):
+    (tmp_path / "data.csv").write_text("a,a\n1,2\n")
+    with pytest.raises(TripError, match=r"has 2 columns 'a'; rename them"):
+        read(tmp_path / "data.csv", "a")
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_columns_without_samples_are_refused(tmp_path, suffix):
+    path = tmp_path / f"data{suffix}"
+    WRITERS[suffix](path, {"a": np.empty(0)})
+    with pytest.raises(TripError, match=rf"data\{suffix}.*(empty|has no column|cut off)"):
+        read(path, named(suffix, "a"))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00" * 300, b"not what it seems\n" * 30, b"TDSm" * 9])
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_foreign_files_are_refused(tmp_path, suffix, content):
+    path = tmp_path / f"data{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(TripError, match=rf"data\{suffix}"):
+        read(path, named(suffix, "a"))
+
+
+@pytest.mark.parametrize("suffix", [suffix for suffix in WRITERS if suffix not in (".csv",)])
+@pytest.mark.parametrize("kept", [0.1, 0.5, 0.9])
+def test_truncated_files_are_refused(tmp_path, suffix, kept):
+    path = tmp_path / f"data{suffix}"
+    WRITERS[suffix](path, {"a": np.random.default_rng(0).standard_normal(3000)})
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(TripError, match=rf"data\{suffix}"):
+        read(path, named(suffix, "a"))
+
+
+@given(st.randoms(use_true_random=False), st.sampled_from([".parquet", ".mat", ".h5", ".tdms"]))
+def test_damaged_files_raise_nothing_else(tmp_path_factory, random, suffix):
+    path = tmp_path_factory.mktemp("damage") / f"data{suffix}"
+    WRITERS[suffix](path, {"a": np.arange(50.0)})
+    content = bytearray(path.read_bytes())
+    for _ in range(3):
+        content[random.randrange(len(content))] = random.randrange(256)
+    path.write_bytes(content)
+    try:
+        read(path, named(suffix, "a"))
+    except TripError as error:
+        assert path.name in str(error)  # noqa: PT017
+
+
+def test_missing_and_unknown_files_are_refused(tmp_path):
+    with pytest.raises(TripError, match=r"gone\.csv: there is no such file"):
+        read(tmp_path / "gone.csv", "a")
+    with pytest.raises(TripError, match=r"files of type '\.xls' cannot be read; give \['\.csv'"):
+        read(tmp_path / "data.xls", "a")
+
+
+class _Trap:
+    def __reduce__(self):
+        return (pytest.fail, ("something was unpickled",))
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_nothing_is_unpickled(tmp_path, suffix):
+    path = tmp_path / f"data{suffix}"
+    path.write_bytes(pickle.dumps(_Trap()))
+    with pytest.raises(TripError, match=rf"data\{suffix}"):
+        read(path, named(suffix, "a"))

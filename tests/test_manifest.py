@@ -1,0 +1,258 @@
+"""Manifests: what is read is what was written, and every mistake is named."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspnet.data.manifest import (
+    CHANNELS,
+    Channel,
+    SpeedSource,
+    TripError,
+    TripManifest,
+    find_manifests,
+    read_manifest,
+    write_manifest,
+)
+
+TRIP = """
+format: suspnet-trip-1
+vehicle: am96
+suspension: car 7, leading bogie, right   # free text
+mileage_km: 10267
+start: 2015-08-03T08:00:00
+speed: {file: speed.csv, column: speed, unit: km/h, rate_hz: 1}
+channels:
+  axle_box: {file: axle_box.parquet, column: acceleration, unit: m/s2, rate_hz: 5000.0}
+  bogie:    {file: sub/bogie.csv, column: a, unit: g, time: t, sign: -1, range: 2.0, start_s: 0.5}
+  body:     {file: all.mat, unit: m/s2, rate_hz: 2000, time: t}
+truth: {k_p: 1.0, c_p: 0.9}
+"""
+FILES = ("speed.csv", "axle_box.parquet", "sub/bogie.csv", "all.mat")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "sub").mkdir()
+    for name in FILES:
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "trip.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def changed(folder: Path, *keys: str, to: object = None) -> Path:
+    """Write the trip with one value replaced, or removed."""
+    content = yaml.safe_load(TRIP)
+    section = content
+    for key in keys[:-1]:
+        section = section[key]
+    section.pop(keys[-1], None)
+    if to is not None:
+        section[keys[-1]] = to
+    return write(folder, yaml.safe_dump(content))
+
+
+def test_manifest_reads_every_key(folder):
+    path = write(folder, TRIP)
+    assert read_manifest(path) == TripManifest(
+        path=path,
+        name="trip",
+        vehicle="am96",
+        suspension="car 7, leading bogie, right",
+        mileage_km=10267.0,
+        start=datetime(2015, 8, 3, 8),
+        speed=SpeedSource("speed.csv", "km/h", column="speed", rate_hz=1.0),
+        channels={
+            "axle_box": Channel("axle_box.parquet", "m/s2", "acceleration", rate_hz=5000.0),
+            "bogie": Channel("sub/bogie.csv", "g", "a", time="t", sign=-1, range=2.0, start_s=0.5),
+            "body": Channel("all.mat", "m/s2", rate_hz=2000.0, time="t"),
+        },
+        truth={"k_p": 1.0, "c_p": 0.9},
+    )
+
+
+def test_channels_come_in_fixed_order(folder):
+    content = yaml.safe_load(TRIP)
+    content["channels"] = dict(reversed(content["channels"].items()))
+    assert tuple(read_manifest(write(folder, yaml.safe_dump(content))).channels) == CHANNELS
+
+
+def test_optional_keys_may_be_missing_or_null(folder):
+    path = changed(folder, "speed", to=70.0)
+    path.write_text(path.read_text().replace("truth:", "truth: null\nignored:").split("ignored")[0])
+    manifest = read_manifest(changed(folder, "truth"))
+    assert manifest.truth == {}
+    assert read_manifest(changed(folder, "start")).start is None
+    assert read_manifest(changed(folder, "speed", to=70)).speed == 70.0
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("2015-08-03", datetime(2015, 8, 3)),
+        ("'2015-08-03T08:00'", datetime(2015, 8, 3, 8)),
+        ("2015-08-03T08:00:00Z", datetime(2015, 8, 3, 8, tzinfo=UTC)),
+    ],
+)
+def test_start_takes_iso_8601(folder, written, meant):
+    path = write(folder, TRIP.replace("2015-08-03T08:00:00", written))
+    assert read_manifest(path).start == meant
+
+
+def test_absolute_and_parent_paths_are_allowed(folder, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "a.parquet"
+    elsewhere.touch()
+    manifest = read_manifest(changed(folder, "channels", "body", "file", to=str(elsewhere)))
+    assert manifest.file_of(manifest.channels["body"]) == elsewhere
+    upwards = f"../{folder.name}/all.mat"
+    manifest = read_manifest(changed(folder, "channels", "body", "file", to=upwards))
+    assert manifest.file_of(manifest.channels["body"]).samefile(folder / "all.mat")
+
+
+words = st.text(min_size=1, max_size=20).filter(str.strip)
+positive = st.floats(1e-6, 1e6)
+sources = {
+    "file": st.sampled_from(FILES),
+    "column": st.none() | words,
+    "time": st.none() | words,
+    "rate_hz": positive,
+    "start_s": st.floats(-1e9, 1e9),
+}
+channels = st.builds(
+    Channel,
+    unit=st.sampled_from(["m/s2", "g"]),
+    sign=st.sampled_from([1, -1]),
+    range=st.none() | positive,
+    **sources,
+)
+
+
+@given(
+    st.builds(
+        TripManifest,
+        path=st.none(),
+        name=st.just("trip"),
+        vehicle=words,
+        suspension=words,
+        mileage_km=st.floats(0, 1e7),
+        start=st.none() | st.datetimes(),
+        speed=positive | st.builds(SpeedSource, unit=st.sampled_from(["m/s", "km/h"]), **sources),
+        channels=st.fixed_dictionaries(dict.fromkeys(CHANNELS, channels)),
+        truth=st.dictionaries(st.sampled_from(["k_p", "c_p", "k_s", "c_s", "M_s"]), positive),
+    )
+)
+def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
+    folder = tmp_path_factory.mktemp("trip")
+    (folder / "sub").mkdir()
+    for name in FILES:
+        (folder / name).touch()
+    manifest = replace(manifest, path=folder / "trip.yaml")
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+def test_find_manifests_sorts_and_stays_in_the_folder(folder):
+    for name in ("b.yaml", "a.yaml", "sub/c.yaml", "d.yml"):
+        (folder / name).touch()
+    assert find_manifests(folder) == [folder / "a.yaml", folder / "b.yaml"]
+
+
+def test_find_manifests_needs_a_folder_with_trips(folder):
+    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere"):
+        find_manifests(folder / "nowhere")
+    with pytest.raises(FileNotFoundError, match=r"holds no \*\.yaml"):
+        find_manifests(folder)
+
+
+BODY = ("channels", "body")
+MISTAKES = [
+    (("format",), "suspnet-trip-2", r"`format` must be one of \['suspnet-trip-1'\], got 'suspn"),
+    (("vehicel",), "am96", r"`vehicel` is not known; allowed are"),
+    (("vehicle",), None, "`vehicle` is missing"),
+    (("vehicle",), 96, "`vehicle` must be text .*, got 96"),
+    (("suspension",), "  ", "`suspension` must be text"),
+    (("mileage_km",), "far", r"`mileage_km` must be a number >= 0 .*, got 'far'"),
+    (("mileage_km",), -1.0, r"`mileage_km` must be a number >= 0, got -1.0"),
+    (("mileage_km",), True, r"`mileage_km` must be a number"),
+    (("mileage_km",), float("nan"), r"`mileage_km` must be a number >= 0, got nan"),
+    (("start",), "noon", r"`start` must be a time like 2015-08-03T08:00:00, got 'noon'"),
+    (("start",), 8.0, r"`start` must be a time"),
+    (("speed",), None, "`speed` is missing"),
+    (("speed",), 0.0, r"`speed` must be a number of m/s > 0"),
+    (("speed",), float("inf"), r"`speed` must be a number of m/s > 0"),
+    (("speed", "unit"), "mph", r"`speed.unit` must be one of \['m/s', 'km/h'\], got 'mph'"),
+    (("speed", "rate_hz"), None, r"`speed` needs `rate_hz` or `time`"),
+    (("speed", "sign"), 1, r"`speed.sign` is not known"),
+    (("channels",), ["a"], r"`channels` must be a mapping, got \['a'\]"),
+    (("channels", "wheel"), {}, r"`channels.wheel` is not known"),
+    (BODY, None, "`channels.body` is missing"),
+    ((*BODY, "file"), None, "`channels.body.file` is missing"),
+    ((*BODY, "file"), "gone.mat", r"`channels.body.file` must name an existing .*'gone.mat'"),
+    ((*BODY, "file"), "sub", r"`channels.body.file` must name an existing plain file"),
+    ((*BODY, "unit"), "mg", r"`channels.body.unit` must be one of \['m/s2', 'g'\], got 'mg'"),
+    ((*BODY, "unit"), ["g"], r"`channels.body.unit` must be one of"),
+    ((*BODY, "rate_hz"), 0, r"`channels.body.rate_hz` must be a number > 0, got 0"),
+    ((*BODY, "rate_hz"), "5e3", r"`channels.body.rate_hz` .* \(written like 5000.0\), got '5e3'"),
+    ((*BODY, "rate_hz"), 10**400, r"`channels.body.rate_hz` must be a number > 0"),
+    ((*BODY, "sign"), 2, r"`channels.body.sign` must be 1 or -1, got 2"),
+    ((*BODY, "range"), -2.0, r"`channels.body.range` must be a number > 0, got -2.0"),
+    ((*BODY, "start_s"), float("-inf"), r"`channels.body.start_s` must be a finite number"),
+    ((*BODY, "column"), 3, r"`channels.body.column` must be text"),
+    (("truth",), {"k_x": 1.0}, r"`truth.k_x` is not known; allowed are \('k_p'"),
+    (("truth",), {"k_p": 0.0}, r"`truth.k_p` must be a number > 0"),
+]
+
+
+@pytest.mark.parametrize(("keys", "value", "message"), MISTAKES)
+def test_mistake_is_named(folder, keys, value, message):
+    path = changed(folder, *keys, to=value)
+    with pytest.raises(TripError, match=rf"trip\.yaml: {message}") as caught:
+        read_manifest(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: [1", "is not valid YAML .*line"),
+        ("a: {b: 1}: 2", "is not valid YAML"),
+        ("!!python/object/apply:os.getcwd []", "is not valid YAML"),
+        ("start: 2015-13-45", "is not valid YAML .*month"),
+        ("[" * 5000, "is not valid YAML"),
+        ("", "the manifest must be a mapping, got None"),
+        ("- 1", "the manifest must be a mapping"),
+        ("1: 2", "`1` is not known"),
+    ],
+)
+def test_damaged_yaml_is_named(folder, text, message):
+    with pytest.raises(TripError, match=rf"trip\.yaml: {message}"):
+        read_manifest(write(folder, text))
+
+
+def test_binary_missing_and_nested_manifests_are_named(folder):
+    (folder / "binary.yaml").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(TripError, match=r"binary\.yaml: is not valid YAML"):
+        read_manifest(folder / "binary.yaml")
+    with pytest.raises(TripError, match=r"nowhere\.yaml: cannot be read \(No such file"):
+        read_manifest(folder / "nowhere.yaml")
+    laughs = ["a: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 30))]
+    with pytest.raises(TripError, match=r"`a` is not known"):
+        read_manifest(write(folder, "\n".join(laughs)))
+
+
+def test_writing_refuses_what_could_not_be_read(folder):
+    manifest = read_manifest(write(folder, TRIP))
+    with pytest.raises(TripError, match="`mileage_km` must be a number >= 0, got nan"):
+        write_manifest(replace(manifest, mileage_km=float("nan")))
+    with pytest.raises(TripError, match="`name` must be that of the file, got 'other'"):
+        write_manifest(replace(manifest, name="other"))
+    assert read_manifest(folder / "trip.yaml") == manifest

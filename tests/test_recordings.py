@@ -1,0 +1,302 @@
+"""Whole trips from files: one clock, known signals back, faults marked, mistakes named."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from suspnet.data import formats
+from suspnet.data.manifest import CHANNELS, TripError, read_manifest
+from suspnet.data.recordings import Recording, load_recording
+
+FREQUENCIES_HZ = np.array([0.5, 1.3, 4.0, 7.7, 12.0, 20.0, 25.0])
+PHASES = np.arange(7) ** 2.0
+RATES = {"axle_box": 5000.0, "bogie": 2000.0, "body": 1999.7}
+DURATION_S = 64.0
+
+
+def motion(times_s: np.ndarray) -> np.ndarray:
+    """Return a sum of sinusoids in the pass band, [m/s2]."""
+    return np.cos(2 * np.pi * times_s[:, None] * FREQUENCIES_HZ + PHASES).sum(axis=1)
+
+
+@pytest.fixture
+def trip(tmp_path: Path) -> Callable[..., Path]:
+    """Write a trip of one motion seen by all channels, with changes."""
+
+    def write(
+        signals: dict | None = None,
+        times: dict | None = None,
+        speed: object = 30.0,
+        duration_s: float = DURATION_S,
+        **changes: dict,
+    ) -> Path:
+        channels = {}
+        for name in CHANNELS:
+            channel = {"file": f"{name}.parquet", "column": "a", "unit": "m/s2"}
+            channel |= {"rate_hz": RATES[name]} | changes.get(name, {})
+            rate_hz = channel["rate_hz"] or RATES[name]
+            at = np.arange(int(duration_s * rate_hz)) / rate_hz
+            values = motion(at + channel.get("start_s", 0.0))
+            columns = {"t": (times or {}).get(name, at), "a": (signals or {}).get(name, values)}
+            columns["t"] = columns["t"][: len(columns["a"])]
+            pq.write_table(pa.table(columns), tmp_path / channel["file"], row_group_size=2**16)
+            channels[name] = {key: value for key, value in channel.items() if value is not None}
+        content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}
+        content |= {"mileage_km": 1.0, "speed": speed, "channels": channels}
+        path = tmp_path / "trip.yaml"
+        path.write_text(yaml.safe_dump(content))
+        return path
+
+    return write
+
+
+def load(path: Path, **settings) -> Recording:
+    recording = load_recording(read_manifest(path), **settings)
+    n = len(recording.usable)
+    assert recording.signals.shape == (3, n)
+    assert recording.speed_m_per_s.shape == (n,)
+    assert recording.duration_s == n / recording.rate_hz
+    assert np.isfinite(recording.signals).all()
+    assert np.isfinite(recording.speed_m_per_s[recording.usable]).all()
+    return recording
+
+
+def clock(recording: Recording) -> np.ndarray:
+    return recording.start_s + np.arange(len(recording.usable)) / recording.rate_hz
+
+
+def samples(name: str, duration_s: float = DURATION_S) -> np.ndarray:
+    return np.arange(int(duration_s * RATES[name])) / RATES[name]
+
+
+def write_speed(folder: Path, seconds, speed) -> None:
+    pq.write_table(pa.table({"t": seconds, "v": speed}), folder / "speed.parquet")
+
+
+def speed_from(tmp_path: Path, trip, seconds, speed, **source) -> Recording:
+    write_speed(tmp_path, seconds, speed)
+    source = {"file": "speed.parquet", "column": "v", "unit": "m/s", "time": "t"} | source
+    source = {key: value for key, value in source.items() if value is not None}
+    return load(trip(speed=source))
+
+
+# --- reference: known motion comes back ------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 128.0])
+def test_all_channels_give_the_same_motion_on_one_clock(trip, rate_hz):
+    recording = load(trip(body={"rate_hz": None, "time": "t"}), rate_hz=rate_hz)
+    assert DURATION_S - 0.3 < recording.duration_s < DURATION_S
+    assert recording.usable.all()
+    assert recording.faults == ()
+    assert (recording.speed_m_per_s == 30.0).all()
+    np.testing.assert_allclose(
+        recording.signals, np.broadcast_to(motion(clock(recording)), recording.signals.shape),
+        atol=2e-4,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 2048.0, 5120.0])
+def test_other_rates_and_a_bogie_that_has_only_times(trip, rate_hz):
+    recording = load(trip(axle_box={"rate_hz": rate_hz}, bogie={"time": "t", "rate_hz": None}))
+    np.testing.assert_allclose(recording.signals[0], recording.signals[1], atol=2e-4)
+
+
+def test_starts_put_channels_on_one_clock(trip):
+    recording = load(
+        trip(
+            axle_box={"start_s": 0.33371},
+            bogie={"start_s": 1.25},
+            body={"start_s": -0.5, "time": "t"},
+            duration_s=65.0,
+        )
+    )
+    assert 1.25 < recording.start_s < 1.4
+    assert clock(recording)[-1] < 64.5
+    for signal in recording.signals:
+        np.testing.assert_allclose(signal, motion(clock(recording)), atol=2e-4)
+
+
+def test_time_columns_start_where_they_say(trip):
+    late = samples("body") + 2.0
+    path = trip(signals={"body": motion(late)}, times={"body": late}, body={"time": "t"},
+                duration_s=66.0)  # fmt: skip
+    recording = load(path)
+    assert recording.start_s > 2.0
+    np.testing.assert_allclose(recording.signals[2], motion(clock(recording)), atol=2e-4)
+
+
+def test_unit_and_sign_are_applied(trip):
+    recording = load(trip(bogie={"unit": "g", "sign": -1}))
+    np.testing.assert_allclose(recording.signals[1], -9.80665 * recording.signals[0], atol=2e-3)
+
+
+def test_range_is_in_the_unit_of_the_channel(trip):
+    values = np.clip(motion(samples("bogie")), -4, 4)
+    assert load(trip(signals={"bogie": values}, bogie={"unit": "g", "range": 4.5})).usable.all()
+    recording = load(trip(signals={"bogie": values}, bogie={"unit": "g", "range": 4.0}))
+    assert {fault.kind for fault in recording.faults} == {"saturation"}
+    assert 0.1 < recording.usable.mean() < 0.9
+
+
+def test_pieces_of_the_file_change_nothing(trip, monkeypatch):
+    path = trip(body={"time": "t"})
+    whole = load(path)
+    monkeypatch.setattr(formats, "PARQUET_ROWS", 9973)
+    parts = load(path)
+    np.testing.assert_array_equal(parts.signals, whole.signals)
+    np.testing.assert_array_equal(parts.usable, whole.usable)
+
+
+# --- faults ----------------------------------------------------------------------------------
+
+
+def test_lost_samples_keep_the_clock_and_are_marked(trip):
+    """A logger that drops two seconds, then one sample; only its time stamps tell."""
+    times = samples("body")
+    kept = np.ones(len(times), dtype=bool)
+    kept[40_000:44_000] = kept[90_000] = False
+    path = trip(
+        signals={"body": motion(times[kept])}, times={"body": times[kept]}, body={"time": "t"}
+    )
+    recording = load(path)
+    at = clock(recording)
+    lost = (at > times[40_000] - 0.1) & (at < times[44_000] + 0.1)
+    assert recording.usable[~lost].all()
+    assert not recording.usable[(at > times[40_000]) & (at < times[44_000])].any()
+    np.testing.assert_allclose(
+        recording.signals[2, recording.usable], motion(at[recording.usable]), atol=2e-4
+    )
+    assert [(f.kind, f.n_samples, f.repaired) for f in recording.faults] == [
+        ("gap", 1, True),
+        ("gap", 4000, False),
+    ]
+    assert recording.faults[1].first_s == pytest.approx(times[40_000])
+
+
+def test_faults_of_each_channel_are_listed_and_repaired(trip):
+    values = {name: motion(samples(name)) for name in CHANNELS}
+    values["axle_box"][100_000] = 5e3
+    values["bogie"][50_000:50_002] = np.nan
+    values["body"][70_000:72_000] = values["body"][70_000]
+    values["body"] += 9.80665
+    recording = load(trip(signals=values))
+    assert [(f.channel, f.kind, f.repaired) for f in recording.faults] == [
+        ("axle_box", "spike", True),
+        ("bogie", "gap", True),
+        ("body", "constant", False),
+        ("body", "offset", True),
+    ]
+    at = clock(recording)
+    held = (at > 34.9) & (at < 36.2)
+    assert recording.usable[~held].all()
+    assert not recording.usable[(at > 35.01) & (at < 36.0)].any()
+    np.testing.assert_allclose(recording.signals[0], motion(at), atol=3e-4)
+    np.testing.assert_allclose(recording.signals[1], motion(at), atol=3e-4)
+
+
+# --- speed -----------------------------------------------------------------------------------
+
+
+def test_speed_is_interpolated_in_its_unit(tmp_path, trip):
+    seconds = np.arange(70.0)
+    recording = speed_from(tmp_path, trip, seconds, 36 + 3.6 * seconds, unit="km/h")
+    np.testing.assert_allclose(recording.speed_m_per_s, 10 + clock(recording))
+    recording = speed_from(
+        tmp_path, trip, seconds, seconds, time=None, rate_hz=2.0, start_s=35.0
+    )  # fmt: skip
+    at = clock(recording)
+    known = recording.usable
+    np.testing.assert_allclose(recording.speed_m_per_s[known], np.maximum(2 * (at[known] - 35), 0))
+    np.testing.assert_array_equal(known, at >= 34.5 - 1e-9)
+
+
+def test_speed_is_unknown_beside_wrong_values_and_in_long_gaps(tmp_path, trip):
+    seconds = np.concatenate([np.arange(30.0), np.arange(45.0, 64.0)])
+    speed = np.full(len(seconds), 20.0)
+    speed[[5, 10, 15]] = [np.nan, -1.0, 1e4]
+    recording = speed_from(tmp_path, trip, seconds, speed)
+    at = clock(recording)
+    known = np.isfinite(recording.speed_m_per_s)
+    for start, stop in ((4, 6), (9, 11), (14, 16), (29, 45)):
+        assert not known[(at > start + 1e-6) & (at < stop - 1e-6)].any()
+        assert known[(at > stop + 0.01) & (at < stop + 2.9)].all()
+    assert known[at < 4 - 1e-6].all()
+    np.testing.assert_array_equal(recording.usable, known)
+
+
+def test_one_speed_is_not_enough_for_a_trip(tmp_path, trip):
+    with pytest.raises(TripError, match="`speed` needs `rate_hz` or `time`"):
+        speed_from(tmp_path, trip, [0.0], [1.0], time=None)
+    recording = speed_from(tmp_path, trip, [0.0], [9.0], time=None, rate_hz=1.0)
+    assert clock(recording)[recording.usable][-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "speed", "source", "message"),
+    [
+        ([0.0, 1, 1], [1.0, 1, 1], {}, "`speed`: times must rise, but 1 s follows 1 s"),
+        ([0.0, np.nan, 2], [1.0, 1, 1], {}, "`speed`: its times hold an empty"),
+        ([0.0, 1, 2], [1.0, 1, 1], {"rate_hz": 2.0}, "`speed`: `rate_hz` says 2 Hz, its times"),
+        ([0.0, 1, 2], [-1.0, 300, np.nan], {}, "`speed` is never between 0 and 150 m/s"),
+        ([900.0, 901], [9.0, 9], {}, "`speed` is never between 0 and 150 m/s while"),
+        ([0.0, 1], [9.0, 9], {"column": "w"}, r"speed\.parquet has no column 'w'"),
+    ],
+)
+def test_wrong_speed_is_named(tmp_path, trip, seconds, speed, source, message):
+    with pytest.raises(TripError, match=message):
+        speed_from(tmp_path, trip, seconds, speed, **source)
+
+
+# --- failure ---------------------------------------------------------------------------------
+
+
+def test_short_trip_is_refused(trip):
+    with pytest.raises(TripError, match=r"only 10\.0 s are common to all channels; at least 60 s"):
+        load(trip(duration_s=10.0))
+    with pytest.raises(TripError, match=r"only 0\.0 s .*\(axle_box from 0\.0 to 64\.0 s, bogie"):
+        load(trip(body={"start_s": 100.0}))
+    assert load(trip(duration_s=60.0)).duration_s > 59.8
+
+
+@pytest.mark.parametrize("value", [0.0, -3.5])
+def test_dead_channel_is_refused(trip, value):
+    dead = np.full(int(DURATION_S * RATES["body"]), value)
+    message = rf"channel 'body' is constant \({value:g}\) throughout: is the sensor connected\?"
+    with pytest.raises(TripError, match=message):
+        load(trip(signals={"body": dead}))
+
+
+def test_channel_without_a_good_sample_is_refused(trip):
+    nothing = np.full(len(samples("bogie")), np.nan)
+    with pytest.raises(TripError, match="channel 'bogie' has no usable sample: bogie: gap of 128"):
+        load(trip(signals={"bogie": nothing}))
+
+
+def test_channels_that_are_never_good_together_are_refused(trip):
+    values = {name: motion(samples(name)) for name in CHANNELS}
+    values["axle_box"][: 33 * 5000] = np.nan
+    values["bogie"][32 * 2000 :] = np.nan
+    with pytest.raises(TripError, match="at no time are all channels and the speed usable: axle"):
+        load(trip(signals=values))
+
+
+def test_empty_and_single_channels_are_refused(trip):
+    with pytest.raises(TripError, match=r"body\.parquet is empty: its columns hold no samples"):
+        load(trip(signals={"body": np.empty(0)}))
+    with pytest.raises(TripError, match="channel 'body' has fewer than two samples"):
+        load(trip(signals={"body": np.ones(1)}, body={"rate_hz": None, "time": "t"}))
+
+
+def test_rates_are_checked(trip):
+    with pytest.raises(TripError, match="`rate_hz` says 2000 Hz, its times say 1950 Hz"):
+        load(trip(times={"bogie": np.arange(200_000) / 1950}, bogie={"time": "t"}))
+    with pytest.raises(TripError, match="channel 'body' has 50 Hz; at least 100 Hz are needed"):
+        load(trip(body={"rate_hz": 50.0}))
+    with pytest.raises(ValueError, match="`rate_hz` must be positive and finite, got 0"):
+        load(trip(), rate_hz=0.0)

@@ -1,0 +1,113 @@
+"""Degradation along the mileage, trip by trip."""
+
+import math
+
+import numpy as np
+import pytest
+import trips_reference
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspnet.data.scenarios import Scenario
+from suspnet.dynamics import PARAMETERS
+
+MILEAGE = np.linspace(0, 300_000, 61)
+FADE = {"from_km": 100_000.0, "to_km": 200_000.0, "ratio": 0.6}
+STEP = {"from_km": 150_000.0, "to_km": 150_000.0, "ratio": 1.5}
+
+
+def steady(changes, **options):
+    return Scenario("test", changes, **({"mass_low": 1.0, "mass_high": 1.0} | options))
+
+
+# reference
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("change", [FADE, STEP])
+def test_ratios_follow_the_mileage(name, change):
+    ratios = steady({name: change}).ratios(MILEAGE, seed=0)
+    expected = trips_reference.degraded_ratios(MILEAGE, {name: change}, PARAMETERS)
+    assert ratios.shape == (61, 5)
+    assert expected.min() < 1 or expected.max() > 1
+    np.testing.assert_allclose(ratios, expected, rtol=1e-12)
+
+
+def test_several_changes_at_once():
+    changes = {"k_s": STEP, "c_s": FADE | {"ratio": 0.7}, "M_s": FADE}
+    np.testing.assert_allclose(
+        steady(changes).ratios(MILEAGE, seed=0),
+        trips_reference.degraded_ratios(MILEAGE, changes, PARAMETERS),
+        rtol=1e-12,
+    )
+
+
+def test_values_by_hand():
+    mileage = np.array([0.0, 100_000.0, 125_000.0, 150_000.0, 200_000.0, 1e6])
+    ratios = steady({"c_p": FADE}).ratios(mileage, seed=0)
+    np.testing.assert_allclose(ratios[:, 1], [1.0, 1.0, 0.9, 0.8, 0.6, 0.6], rtol=1e-12)
+    np.testing.assert_array_equal(ratios[:, [0, 2, 3, 4]], 1.0)
+
+
+# limit
+
+
+def test_healthy_suspension_with_one_load_is_all_ones():
+    np.testing.assert_array_equal(steady({}).ratios(MILEAGE, seed=3), np.ones((61, 5)))
+    assert steady({}).ratios(np.empty(0), seed=3).shape == (0, 5)
+
+
+# property
+
+
+def test_pay_load_and_spread_are_uniform_in_their_ranges():
+    n = 20_000
+    ratios = Scenario("test", spread=0.4).ratios(np.zeros(n), seed=0)
+    low = np.array([0.6] * 4 + [0.9])
+    high = np.array([1.4] * 4 + [1.2])
+    uniform = (ratios - low) / (high - low)
+    assert (uniform >= 0).all()
+    assert (uniform <= 1).all()
+    # standard errors: 0.29 / sqrt(n) = 0.002, about 0.0006 of the variance 1 / 12
+    np.testing.assert_allclose(uniform.mean(axis=0), 0.5, atol=0.01)
+    np.testing.assert_allclose(uniform.var(axis=0), 1 / 12, atol=0.003)
+    assert np.abs(np.corrcoef(uniform.T) - np.eye(5)).max() < 5 / math.sqrt(n)
+
+
+def test_spread_multiplies_the_degradation():
+    spread = steady({}, spread=0.3).ratios(MILEAGE, seed=5)
+    both = steady({"c_p": FADE}, spread=0.3).ratios(MILEAGE, seed=5)
+    fade = trips_reference.degraded_ratios(MILEAGE, {"c_p": FADE}, PARAMETERS)
+    np.testing.assert_allclose(both, spread * fade, rtol=1e-12)
+
+
+@given(st.integers(0, 2**32), st.floats(0.0, 0.9))
+def test_ratios_are_those_of_their_seed(seed, spread):
+    scenario = Scenario("test", {"k_p": FADE}, spread=spread)
+    first = scenario.ratios(MILEAGE, seed)
+    np.testing.assert_array_equal(first, scenario.ratios(MILEAGE, seed))
+    assert not np.array_equal(first, scenario.ratios(MILEAGE, seed + 1))
+    assert (first > 0).all()
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"spread": 1.0}, "`spread` must lie in 0 <= spread < 1, got 1.0"),
+        ({"spread": -0.1}, "`spread` must lie in 0 <= spread < 1"),
+        ({"spread": math.nan}, "`spread` must lie in 0 <= spread < 1"),
+        ({"mass_low": 0.0}, "need 0 < mass_low <= mass_high, got 0.0 and 1.2"),
+        ({"mass_low": 1.3}, "need 0 < mass_low <= mass_high, got 1.3 and 1.2"),
+        ({"changes": {"k_x": FADE}}, "`changes` must be named as in .*'k_x'"),
+        ({"changes": {"k_p": {"ratio": 0.5}}}, r"'k_p' needs from_km, to_km, ratio: \['ratio'\]"),
+        ({"changes": {"k_p": FADE | {"per": 1}}}, "'k_p' needs from_km, to_km, ratio"),
+        ({"changes": {"k_p": FADE | {"to_km": 9e4}}}, "'k_p': need from_km <= to_km, ratio > 0"),
+        ({"changes": {"k_p": FADE | {"ratio": 0.0}}}, "'k_p': need from_km <= to_km, ratio > 0"),
+    ],
+)
+def test_impossible_scenarios_are_rejected(options, message):
+    with pytest.raises(ValueError, match=message):
+        Scenario("test", **options)

@@ -1,0 +1,171 @@
+"""What a simulated accelerometer records, against what its data sheet says."""
+
+import math
+
+import numpy as np
+import pytest
+
+from suspnet.data.sensors import STANDARD_GRAVITY, Sensor
+
+RATE_HZ = 100.0
+
+
+def signal(n=100_000, seed=0):
+    return np.random.default_rng(seed).standard_normal(n)
+
+
+def rng(seed=1):
+    return np.random.default_rng(seed)
+
+
+# reference
+
+
+@pytest.mark.parametrize("snr_db", [20.0, 34.0, 54.0])
+def test_noise_has_its_level_in_db(snr_db):
+    clean = 3.0 * signal()
+    noise = Sensor(RATE_HZ, snr_db=snr_db).record(clean, rng()) - clean
+    ratio = 20 * math.log10(np.sqrt(np.mean(clean**2)) / np.sqrt(np.mean(noise**2)))
+    # 100,000 draws: 0.22 % or 0.02 dB
+    assert ratio == pytest.approx(snr_db, abs=0.08)
+    assert abs(noise.mean()) < 5 * noise.std() / math.sqrt(len(noise))
+    # white: no correlation between neighbours
+    assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 5 / math.sqrt(len(noise))
+    if snr_db == 34.0:  # section III-E
+        assert noise.std() / clean.std() == pytest.approx(0.02, rel=0.01)
+
+
+def test_level_counts_the_mean_of_the_signal_too():
+    clean = np.full(100_000, 5.0)
+    noise = Sensor(RATE_HZ, snr_db=20.0).record(clean, rng()) - clean
+    assert noise.std() == pytest.approx(0.5, rel=0.01)
+
+
+def test_precision_is_noise_relative_to_the_range():
+    clean = signal()
+    sensor = Sensor(RATE_HZ, snr_db=None, range_g=2.0, precision=0.001)
+    noise = sensor.record(clean, rng()) - clean
+    # Table VII: 0.1 % of 2 g
+    assert noise.std() == pytest.approx(0.001 * 2 * 9.80665, rel=0.01)
+    both = Sensor(RATE_HZ, snr_db=40.0, range_g=2.0, precision=0.001)
+    together = (both.record(clean, rng()) - clean).std()
+    expected = math.hypot(0.01 * np.sqrt(np.mean(clean**2)), 0.001 * 2 * 9.80665)
+    assert together == pytest.approx(expected, rel=0.01)
+
+
+def test_signal_is_cut_off_at_the_range():
+    clean = 10.0 * signal()
+    sensor = Sensor(RATE_HZ, snr_db=None, range_g=1.0)
+    limit = STANDARD_GRAVITY
+    assert sensor.range_m_per_s2 == pytest.approx(9.80665)
+    recorded = sensor.record(clean, rng())
+    assert np.abs(recorded).max() == limit
+    np.testing.assert_array_equal(recorded, np.clip(clean, -limit, limit))
+    assert 0.3 < np.mean(np.abs(recorded) == limit) < 0.35  # P(|x| > 0.98) = 0.327
+
+
+def test_offset_and_drift_add_up():
+    clean = signal(36_000)
+    sensor = Sensor(RATE_HZ, snr_db=None, offset_m_per_s2=0.5, drift_m_per_s2_per_h=2.0)
+    added = sensor.record(clean, rng()) - clean
+    # 36,000 samples at 100 Hz are a tenth of an hour
+    np.testing.assert_allclose(added, 0.5 + 0.2 * np.arange(36_000) / 36_000, atol=1e-12)
+
+
+@pytest.mark.parametrize(("late_s", "n_samples"), [(0.5, 50), (-0.25, -25), (0.0, 0)])
+def test_clock_is_late_by_its_offset(late_s, n_samples):
+    clean = signal(1000)
+    recorded = Sensor(RATE_HZ, snr_db=None, clock_offset_s=late_s).record(clean, rng())
+    inside = slice(100, 900)  # what happened at the other end is not known
+    np.testing.assert_array_equal(recorded[inside], np.roll(clean, n_samples)[inside])
+    if n_samples > 0:
+        np.testing.assert_array_equal(recorded[150:900], clean[100:850])
+
+
+def test_range_applies_to_what_is_recorded():
+    """Noise, offset and drift are cut off with the signal."""
+    clean = signal()
+    sensor = Sensor(RATE_HZ, snr_db=0.0, range_g=0.1, offset_m_per_s2=0.9)
+    recorded = sensor.record(clean, rng())
+    assert recorded.max() == pytest.approx(0.980665, rel=1e-12)
+    assert recorded.min() == pytest.approx(-0.980665, rel=1e-12)
+
+
+def test_drop_outs_hold_the_last_value_or_are_nan_in_turn():
+    clean = signal(360_000)
+    sensor = Sensor(RATE_HZ, snr_db=None, dropouts_per_h=8.0, dropout_s=3.0)
+    held = missing = 0
+    for seed in range(20):
+        recorded = sensor.record(clean, rng(seed))
+        nan = np.isnan(recorded)
+        flat = np.zeros(len(clean), dtype=bool)
+        flat[1:] = np.diff(recorded) == 0
+        untouched = ~nan & ~flat
+        np.testing.assert_array_equal(recorded[untouched], clean[untouched])
+        runs = np.flatnonzero(np.diff(np.concatenate([[0], nan.view(np.int8), [0]])))
+        lengths = runs[1::2] - runs[::2]
+        assert ((lengths >= 300) & (lengths % 300 <= 300)).all()
+        missing += int(nan.sum())
+        held += int(flat.sum())
+    # Poisson: 20 h of 8 each, half held and half missing, 300 samples each; sd of 80 is 11 %
+    assert held / (80 * 300) == pytest.approx(1.0, abs=0.35)
+    assert missing / (80 * 300) == pytest.approx(1.0, abs=0.35)
+
+
+# limit
+
+
+def test_perfect_sensor_records_the_signal():
+    clean = signal(1000)
+    before = clean.copy()
+    recorded = Sensor(RATE_HZ, snr_db=None).record(clean, rng())
+    np.testing.assert_array_equal(recorded, clean)
+    assert recorded is not clean
+    Sensor(RATE_HZ, snr_db=10.0, range_g=0.1, dropouts_per_h=1e4).record(clean, rng())
+    np.testing.assert_array_equal(clean, before)
+    assert Sensor(RATE_HZ).range_m_per_s2 is None
+
+
+def test_drop_out_longer_than_the_record_is_survived():
+    sensor = Sensor(RATE_HZ, snr_db=None, dropouts_per_h=3600.0, dropout_s=100.0)
+    recorded = sensor.record(signal(500), rng())
+    assert recorded.shape == (500,)
+    assert not np.isnan(recorded[0])
+
+
+# property
+
+
+def test_record_is_that_of_its_generator():
+    sensor = Sensor(RATE_HZ, dropouts_per_h=60.0, range_g=1.0, precision=0.01)
+    first, again, other = (sensor.record(signal(), rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other, equal_nan=True)
+
+
+def test_noise_follows_the_signal():
+    """Twice the signal, the same draws: twice the record."""
+    sensor = Sensor(RATE_HZ, snr_db=20.0)
+    np.testing.assert_allclose(
+        sensor.record(2 * signal(), rng()), 2 * sensor.record(signal(), rng()), rtol=1e-12
+    )
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rate_hz": 0.0}, "`rate_hz` must be > 0, got 0.0"),
+        ({"rate_hz": math.nan}, "`rate_hz` must be > 0, got nan"),
+        ({"dropout_s": 0.0}, "`dropout_s` must be > 0"),
+        ({"dropouts_per_h": -1.0}, "`dropouts_per_h` must be >= 0, got -1.0"),
+        ({"precision": -0.1}, "`precision` must be >= 0"),
+        ({"range_g": 0.0}, "`range_g` must be > 0 or null"),
+        ({"precision": 0.001}, "`precision` is relative to `range_g`, which is not given"),
+    ],
+)
+def test_settings_out_of_range_are_rejected(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Sensor(**({"rate_hz": RATE_HZ} | changes))

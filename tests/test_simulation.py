@@ -1,0 +1,362 @@
+"""Simulated trips: what vehicle, track and journey make of them, and the files they leave."""
+
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from suspnet.data.manifest import CHANNELS, Channel, SpeedSource, read_manifest
+from suspnet.data.scenarios import Scenario
+from suspnet.data.simulation import (
+    BLOCK,
+    LEAD_IN_S,
+    Fleet,
+    profile_length_m,
+    simulate_trip,
+    write_fleet,
+)
+from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics.journey import Journey, steady_journey
+from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
+from suspnet.features.transfer_estimate import Welch, tfestimate
+
+AM96 = Vehicle(
+    "am96",
+    1725.0,
+    6300.0,
+    1.30e6,
+    3.7e3,
+    0.69e6,
+    22.6e3,
+    half_wheelbase_m=1.35,
+    half_pivot_distance_m=9.5,
+    bogie_gyration_m=0.8,
+    body_gyration_m=7.8,
+)
+DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
+GENERATORS = {
+    "quarter_car": QuarterCar(AM96),
+    "leading": VerticalVehicle(AM96, speed_m_per_s=50.0),
+    "trailing": VerticalVehicle(
+        AM96, speed_m_per_s=50.0, bogie="trailing", axle="trailing", body_sensor_m=2.0
+    ),
+}
+COARSE = {name: {"rate_hz": 200.0} for name in CHANNELS}
+ONE_LOAD = Scenario("one load", mass_low=1.0, mass_high=1.0)
+
+
+def waves(length_m, speed, frequencies_hz, step_m=0.02):
+    """A track of a few cosine waves, each met at its frequency at that speed."""
+    x = np.arange(0, length_m + step_m, step_m)
+    elevation, slope, curvature = np.zeros((3, len(x)))
+    for i, f in enumerate(frequencies_hz):
+        k = 2 * math.pi * f / speed
+        elevation += 1e-3 * np.cos(k * x + i)
+        slope -= 1e-3 * k * np.sin(k * x + i)
+        curvature -= 1e-3 * k**2 * np.cos(k * x + i)
+    return TrackProfile(step_m, elevation, slope, curvature)
+
+
+def fleet(**changes):
+    options = {"n_trips": 2, "minutes": 0.2, "last_mileage_km": 1000.0, "sensors": COARSE}
+    return Fleet(**(options | changes))
+
+
+def contents(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def column(path):
+    table = pq.read_table(path)
+    assert table.num_columns == 1
+    return table.column(0).to_numpy()
+
+
+# reference
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_trip_over_waves_shows_the_transfer_functions(name):
+    generator, speed, rate_hz = GENERATORS[name], 50.0, 500.0
+    frequencies = np.array([0.8, 1.3, 2.1, 5.4, 9.0])
+    journey = steady_journey(speed, 10.0)
+    system = generator.motion_system(DEGRADED)
+    profile = waves(profile_length_m(system, journey), speed, frequencies)
+    signals = simulate_trip(system, profile, journey, rate_hz)
+    assert signals.shape == (3, 5000)
+    times = np.arange(5000) / rate_hz
+    columns = [f(2 * math.pi * w * times) for w in frequencies for f in (np.cos, np.sin)]
+    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
+    residual = signals.T - np.array(columns).T @ fits
+    # settled from the very first sample: nothing but the waves is there
+    assert np.abs(residual).max() < 1e-3 * np.abs(signals).max()
+    phasors = fits[0::2] - 1j * fits[1::2]
+    g_p, g_s = generator.responses(DEGRADED[None], torch.as_tensor(frequencies))
+    # straight lines between samples lower a wave by (pi f / rate)^2 / 3, 1e-3 at 9 Hz; what is
+    # left of the start after 20 s is exp(-0.35 * 20) or less
+    tolerance = {"rtol": 3e-3, "atol": 0}
+    np.testing.assert_allclose(phasors[:, 1] / phasors[:, 0], g_p[0].numpy(), **tolerance)
+    np.testing.assert_allclose(phasors[:, 2] / phasors[:, 1], g_s[0].numpy(), **tolerance)
+    # the axle box feels v^2 r''
+    amplitude = 1e-3 * (2 * math.pi * frequencies) ** 2
+    np.testing.assert_allclose(np.abs(phasors[:, 0]), amplitude, rtol=1e-4)
+
+
+def test_trip_over_a_random_track_has_the_transfer_function_of_the_vehicle():
+    generator, speed, rate_hz = GENERATORS["leading"], 50.0, 200.0
+    journey = steady_journey(speed, 600.0)
+    system = generator.motion_system(DEGRADED)
+    length_m = profile_length_m(system, journey)
+    profile = make_profile(track_spectrum("german_low"), length_m, speed / rate_hz, seed=1)
+    axle_box, bogie, body = simulate_trip(system, profile, journey, rate_hz)
+    welch = Welch(20.0)
+    band = slice(14, 160)  # 0.7 to 8 Hz
+    for x, y, z, response in ((axle_box, bogie, body, 0), (bogie, body, axle_box, 1)):
+        found = tfestimate(x, y, rate_hz, welch, "IV", instrument=z)
+        bins = found.frequencies_hz[band]
+        g_p, g_s = generator.responses(DEGRADED[None], bins)
+        expected = (g_p, g_s)[response][0].numpy()
+        ratio = found.response[band].numpy() / expected
+        # no noise, but leakage: some per cent, most of it where the response dips
+        assert np.median(np.abs(ratio - 1)) < 0.02
+        assert np.quantile(np.abs(ratio - 1), 0.9) < 0.1
+        assert np.ptp(np.abs(expected)) > 1
+
+
+@pytest.mark.parametrize("name", GENERATORS)
+def test_axle_box_feels_curvature_and_slope_of_the_track_at_its_place(name):
+    journey = Journey(np.array([0.0, 4.0, 8.0]), np.array([10.0, 30.0, 5.0]))
+    system = GENERATORS[name].motion_system(DEGRADED)
+    profile = waves(profile_length_m(system, journey), 30.0, [0.7, 3.0])
+    axle_box = simulate_trip(system, profile, journey, 100.0)[0]
+    times = np.arange(800) / 100.0
+    position, speed, acceleration = journey.at(times)
+    # 20 s at 10 m/s before the start, the last wheelset at 50 m
+    start_m = 50.0 + 20 * 10 + max(system.behind_m)
+    _, slope, curvature = profile.at(start_m + position)
+    expected = speed**2 * curvature + acceleration * slope
+    np.testing.assert_allclose(axle_box, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    assert np.abs(acceleration * slope).max() > 1e-3 * np.abs(expected).max()
+    # it is the second derivative of the track's height under the wheel
+    height = profile.at(start_m + journey.at(np.arange(4000) / 1000.0)[0])[0]
+    second = np.diff(height, 2) * 1e6
+    here = np.interp(np.arange(1, 3999) / 1000.0, times, axle_box)
+    assert np.abs(second - here)[:3900].max() < 0.03 * np.abs(here).max()
+
+
+# limit
+
+
+def test_train_that_stands_feels_nothing():
+    journey = Journey(np.array([0.0, 5.0, 10.0]), np.array([0.0, 0.0, 2.0]))
+    system = GENERATORS["leading"].motion_system(DEGRADED)
+    profile = waves(profile_length_m(system, journey), 2.0, [1.0])
+    signals = simulate_trip(system, profile, journey, 100.0)
+    assert not signals[:, :500].any()
+    assert np.abs(signals[:, 600:]).max(axis=1).min() > 0
+
+
+def test_profile_is_just_as_long_as_needed():
+    for name, generator in GENERATORS.items():
+        system, journey = generator.motion_system(DEGRADED), steady_journey(20.0, 5.0)
+        length_m = profile_length_m(system, journey)
+        apart = max(system.behind_m) - min(system.behind_m)
+        # a margin of 50 m at either end
+        assert length_m == pytest.approx(100 + 20 * (5 + LEAD_IN_S) + apart), name
+        assert simulate_trip(system, waves(length_m, 20.0, [1.0]), journey, 100.0).shape == (3, 500)
+
+
+# property
+
+
+def test_longer_trip_is_the_same_in_its_first_part(monkeypatch):
+    system = GENERATORS["trailing"].motion_system(DEGRADED)
+    long, short = steady_journey(40.0, 12.0), steady_journey(40.0, 6.0)
+    profile = waves(profile_length_m(system, long), 40.0, [1.1, 3.3])
+    whole = simulate_trip(system, profile, long, 100.0)
+    first = simulate_trip(system, profile, short, 100.0)
+    np.testing.assert_allclose(whole[:, :600], first, rtol=0, atol=1e-9)
+    assert BLOCK > 3200
+    monkeypatch.setattr("suspnet.data.simulation.BLOCK", 2111)
+    pieces = simulate_trip(system, profile, long, 100.0)
+    np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-9 * np.abs(whole).max())
+
+
+def test_same_seed_writes_the_same_bytes(tmp_path):
+    scenario = Scenario("some", spread=0.1)
+    for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
+        write_fleet(tmp_path / folder, fleet(), scenario, GENERATORS["leading"], seed=seed)
+    first, again, other = (contents(tmp_path / folder) for folder in "abc")
+    assert len(first) == 2 * (1 + 4)
+    assert first == again
+    assert set(first) == set(other)
+    changed = {name for name in first if first[name] != other[name]}
+    assert changed == {name for name in first if not name.endswith("speed.parquet")}
+    assert first["trip_001/bogie.parquet"] != first["trip_002/bogie.parquet"]
+
+
+def test_trip_depends_on_its_own_number_alone(tmp_path):
+    write_fleet(tmp_path / "one", fleet(n_trips=1), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
+    write_fleet(tmp_path / "two", fleet(n_trips=2), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
+    one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
+    for name in CHANNELS:
+        assert one[f"trip_001/{name}.parquet"] == two[f"trip_001/{name}.parquet"]
+
+
+def test_files_are_those_of_the_manifest(tmp_path):
+    scenario = Scenario("fading", {"c_s": {"from_km": 0.0, "to_km": 1000.0, "ratio": 0.5}})
+    sensors = {
+        "axle_box": {"rate_hz": 400.0, "range_g": 30.0},
+        "bogie": {"rate_hz": 200.0, "snr_db": None},
+        "body": {"rate_hz": 160.0},
+    }
+    trips = fleet(n_trips=3, sensors=sensors, speed_m_per_s=40.0, suspension="left")
+    paths = write_fleet(tmp_path, trips, scenario, GENERATORS["leading"], seed=3)
+    assert [path.name for path in paths] == ["trip_001.yaml", "trip_002.yaml", "trip_003.yaml"]
+    ratios = scenario.ratios(trips.mileage_km(), 3)
+    for i, path in enumerate(paths):
+        manifest = read_manifest(path)
+        assert manifest.name == path.stem
+        assert (manifest.vehicle, manifest.suspension) == ("am96", "left")
+        assert manifest.mileage_km == pytest.approx(1000.0 * (i + 1) / 3)
+        assert manifest.truth == pytest.approx(dict(zip(PARAMETERS, ratios[i], strict=True)))
+        for name, rate_hz in zip(CHANNELS, (400.0, 200.0, 160.0), strict=True):
+            channel = manifest.channels[name]
+            assert isinstance(channel, Channel)
+            assert (channel.unit, channel.column, channel.sign) == ("m/s2", "acceleration", 1)
+            assert channel.rate_hz == rate_hz
+            values = column(manifest.file_of(channel))
+            assert values.dtype == np.float32
+            assert len(values) == 12 * rate_hz
+            assert np.isfinite(values).all()
+            assert values.std() > 0
+        assert manifest.channels["axle_box"].range == pytest.approx(30 * 9.80665)
+        assert manifest.channels["bogie"].range is None
+        assert isinstance(manifest.speed, SpeedSource)
+        speed = column(manifest.file_of(manifest.speed))
+        assert (manifest.speed.unit, manifest.speed.rate_hz) == ("m/s", 1.0)
+        np.testing.assert_allclose(speed, np.full(13, 40.0))
+    starts = [read_manifest(path).start for path in paths]
+    assert (starts[2] - starts[1]).days == (starts[1] - starts[0]).days == 10
+    assert starts[0].isoformat() == "2015-08-03T06:00:00+00:00"
+
+
+def test_channels_of_other_rates_are_resampled_with_their_content(tmp_path):
+    """The bogie at 200 Hz holds what it holds at the 400 Hz of the axle box."""
+    for rate_hz in (400.0, 200.0):
+        sensors = {name: {"rate_hz": 400.0, "snr_db": None} for name in CHANNELS}
+        sensors["bogie"]["rate_hz"] = rate_hz
+        write_fleet(
+            tmp_path / f"{rate_hz:g}",
+            fleet(n_trips=1, sensors=sensors),
+            ONE_LOAD,
+            GENERATORS["leading"],
+        )
+    fine, coarse = (column(tmp_path / rate / "trip_001/bogie.parquet") for rate in ("400", "200"))
+    transforms = [np.fft.rfft(x * np.hanning(len(x))) / len(x) for x in (fine, coarse)]
+    band = slice(12, 12 * 50)  # up to 50 Hz, half of the coarse one's band
+    fine_band, coarse_band = (transform[band] for transform in transforms)
+    assert np.abs(fine_band - coarse_band).max() < 0.01 * np.abs(fine_band).max()
+    axle_box = (tmp_path / rate / "trip_001/axle_box.parquet" for rate in ("400", "200"))
+    np.testing.assert_array_equal(*(column(path) for path in axle_box))
+
+
+def test_sensors_add_their_own_noise(tmp_path):
+    records = {}
+    for snr_db in (None, 20.0):
+        sensors = {name: {"rate_hz": 200.0, "snr_db": snr_db} for name in CHANNELS}
+        folder = tmp_path / str(snr_db)
+        write_fleet(folder, fleet(n_trips=1, sensors=sensors), ONE_LOAD, GENERATORS["leading"])
+        records[snr_db] = [column(folder / f"trip_001/{name}.parquet") for name in CHANNELS]
+    noises = [a - b for a, b in zip(records[20.0], records[None], strict=True)]
+    for noise, clean in zip(noises, records[None], strict=True):
+        # 2400 samples: 1.4 %
+        assert noise.std() / np.sqrt(np.mean(clean**2)) == pytest.approx(0.1, rel=0.07)
+    correlation = np.corrcoef(noises) - np.eye(3)
+    assert np.abs(correlation).max() < 0.1
+
+
+def test_service_journey_is_written_with_its_speed(tmp_path):
+    trips = fleet(n_trips=1, journey="service", n_stops=1, minutes=10.0, speed_m_per_s=20.0)
+    (path,) = write_fleet(tmp_path, trips, ONE_LOAD, GENERATORS["quarter_car"], seed=2)
+    manifest = read_manifest(path)
+    speed = column(manifest.file_of(manifest.speed))
+    assert len(speed) == 601
+    assert speed[[0, -1]].tolist() == [0.0, 0.0]
+    assert 0.5 * 20 < speed.max() <= 20.0
+    assert np.count_nonzero(speed == 0) == pytest.approx(120 + 1 + 2, abs=2)
+    signals = np.array([column(manifest.file_of(c)) for c in manifest.channels.values()])
+    assert signals.shape == (3, 120_000)
+    standing = np.abs(signals[:, 270 * 200 : 330 * 200]).max(axis=1)
+    moving = np.abs(signals[:, 100 * 200 : 200 * 200]).max(axis=1)
+    # what is left while it stands is the sensors' noise of 2 % and the last swings
+    assert (standing < 0.2 * moving).all()
+
+
+def test_another_journey_each_trip():
+    trips = fleet(journey="service", minutes=20.0)
+    assert trips.journey_of(1).distance_m != trips.journey_of(2).distance_m
+    assert fleet(speed_m_per_s=33.0).journey_of(1).distance_m == pytest.approx(33 * 12)
+
+
+def test_mileages_lie_evenly():
+    np.testing.assert_allclose(fleet(n_trips=4).mileage_km(), [250.0, 500.0, 750.0, 1000.0])
+
+
+def test_loggers_are_those_of_table_2_unless_given():
+    given = {"body": {"range_g": 2.0}, "bogie": {"rate_hz": 500.0, "snr_db": None}}
+    loggers = fleet(sensors=given).loggers()
+    assert [loggers[name].rate_hz for name in CHANNELS] == [5000.0, 500.0, 2000.0]
+    assert [loggers[name].snr_db for name in CHANNELS] == [34.0, None, 34.0]
+    assert loggers["body"].range_g == 2.0
+    assert [s.rate_hz for s in Fleet().loggers().values()] == [5000.0, 2000.0, 2000.0]
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n_trips": 0}, "`n_trips` must be a whole number >= 1, got 0"),
+        ({"n_trips": True}, "`n_trips` must be a whole number >= 1"),
+        ({"n_trips": 2.0}, "`n_trips` must be a whole number >= 1"),
+        ({"minutes": 0.0}, "`minutes` must be > 0 and finite, got 0.0"),
+        ({"last_mileage_km": -1.0}, "`last_mileage_km` must be > 0 and finite"),
+        ({"speed_m_per_s": math.inf}, "`speed_m_per_s` must be > 0 and finite"),
+        ({"speed_m_per_s": math.nan}, "`speed_m_per_s` must be > 0 and finite"),
+        ({"journey": "scenic"}, "`journey` must be 'steady' or 'service', got 'scenic'"),
+        ({"track": "moon"}, "track spectrum `name` must be one of .*'moon'"),
+        ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
+        ({"sensors": {"roof": {}}}, r"`sensors` must be named as in .*\['roof'\]"),
+        ({"sensors": {"body": {"rate_hz": 0.0}}}, "sensor `rate_hz` must be > 0"),
+    ],
+)
+def test_settings_out_of_range_are_rejected(changes, message):
+    with pytest.raises(ValueError, match=message):
+        fleet(**changes)
+
+
+@pytest.mark.parametrize("name", ["last_mileage_km", "minutes", "speed_m_per_s"])
+def test_settings_that_are_no_numbers_are_rejected(name):
+    with pytest.raises(TypeError, match=f"`{name}` must be a number, got '3'"):
+        fleet(**{name: "3"})
+
+
+def test_profile_too_short_for_the_journey_is_rejected():
+    system = GENERATORS["quarter_car"].motion_system(DEGRADED)
+    with pytest.raises(ValueError, match="make a longer profile"):
+        simulate_trip(system, waves(100.0, 20.0, [1.0]), steady_journey(20.0, 5.0), 100.0)
+
+
+def test_service_journey_too_short_for_its_stops_is_rejected(tmp_path):
+    trips = fleet(journey="service", n_stops=3, minutes=5.0)
+    with pytest.raises(ValueError, match="3 stops in 300 s leave"):
+        write_fleet(tmp_path, trips, ONE_LOAD, GENERATORS["quarter_car"])
+    assert not list(tmp_path.iterdir())
