@@ -267,19 +267,28 @@ def test_channels_of_other_rates_are_resampled_with_their_content(tmp_path):
     np.testing.assert_array_equal(*(column(path) for path in axle_box))
 
 
-def test_sensors_add_their_own_noise(tmp_path):
+def test_sensors_add_their_own_noise_on_each_trip(tmp_path):
     records = {}
     for snr_db in (None, 20.0):
         sensors = {name: {"rate_hz": 200.0, "snr_db": snr_db} for name in CHANNELS}
-        folder = tmp_path / str(snr_db)
-        write_fleet(folder, fleet(n_trips=1, sensors=sensors), ONE_LOAD, GENERATORS["leading"])
-        records[snr_db] = [column(folder / f"trip_001/{name}.parquet") for name in CHANNELS]
-    noises = [a - b for a, b in zip(records[20.0], records[None], strict=True)]
-    for noise, clean in zip(noises, records[None], strict=True):
+        for seed in (0, 1):
+            folder = tmp_path / f"{snr_db}-{seed}"
+            write_fleet(folder, fleet(sensors=sensors), ONE_LOAD, GENERATORS["leading"], seed=seed)
+            for trip in ("trip_001", "trip_002"):
+                for name in CHANNELS:
+                    signal = column(folder / trip / f"{name}.parquet")
+                    records[snr_db, seed, trip, name] = signal
+    clean = {key[1:]: signal for key, signal in records.items() if key[0] is None}
+    noises = {key: records[20.0, *key] - signal for key, signal in clean.items()}
+    for key, noise in noises.items():
         # 2400 samples: 1.4 %
-        assert noise.std() / np.sqrt(np.mean(clean**2)) == pytest.approx(0.1, rel=0.07)
-    correlation = np.corrcoef(noises) - np.eye(3)
+        assert noise.std() / np.sqrt(np.mean(clean[key] ** 2)) == pytest.approx(0.1, rel=0.07)
+    # no two of three sensors, two trips and two seeds share their noise
+    correlation = np.corrcoef(list(noises.values())) - np.eye(12)
     assert np.abs(correlation).max() < 0.1
+    # nor do the tracks
+    tracks = [signal for key, signal in clean.items() if key[2] == "axle_box"]
+    assert np.abs(np.corrcoef(tracks) - np.eye(4)).max() < 0.3
 
 
 def test_service_journey_is_written_with_its_speed(tmp_path):

@@ -405,6 +405,9 @@ def test_segments_with_an_unusable_sample_are_left_out():
     assert found.first.tolist() == kept
     assert torch.isfinite(torch.view_as_real(found.values)).all()
     torch.testing.assert_close(found.values, whole.values[[first // 50 for first in kept]])
+    none = segment_spectra(spoilt, 1.0, welch, usable=torch.zeros(1000, dtype=torch.bool))
+    assert none.values.shape == (0, 3, 51)
+    assert none.first.shape == (0,)
 
 
 def test_average_is_over_the_chosen_segments():

@@ -49,7 +49,8 @@ class EstimateSettings:
         Usable recording.
     method : {"H1", "H2", "Hv", "IV"}
     segment_s, overlap, window
-        Of ``Welch``.
+        Of ``Welch``. A segment must be long against the ringing of the body: with 20 s the
+        leakage modelled here is that of recordings, with 10 s no more (AM96, c_s at 80 %).
     low_hz, high_hz : float, optional, [Hz]
         Band; None is 0.45 times the vehicle's first natural frequency, 1.8 times its second.
     rates_hz : sequence of 3 floats, [Hz]
@@ -112,9 +113,10 @@ class EstimateSettings:
     @property
     def n_averages(self) -> float:
         """Independent averages of a trip."""
-        step_s = self.segment_s * (1 - self.overlap)
-        n_segments = max(0.0, (self.minutes * 60 - self.segment_s) / step_s + 1)
-        return self.welch.n_averages(n_segments) if n_segments >= 1 else 0.0
+        welch = self.welch
+        step_s = welch.segment_s * (1 - welch.overlap)
+        n_segments = max(0.0, (self.minutes * 60 - welch.segment_s) / step_s + 1)
+        return welch.n_averages(n_segments) if n_segments >= 1 else 0.0
 
     def bound(self, vehicle: Vehicle) -> EstimateSettings:
         """Return the settings with a band of numbers: what was None follows from the vehicle."""
@@ -297,7 +299,7 @@ def moving_average_with(correlation: FloatArray) -> FloatArray:
     """
     roots = np.roots(np.concatenate([correlation[:0:-1], correlation]))
     inside = roots[np.argsort(np.abs(roots))][: len(correlation) - 1]
-    taps = np.real(np.poly(inside))
+    taps = np.atleast_1d(np.real(np.poly(inside)))
     return np.asarray(taps * np.sqrt(correlation[0] / (taps @ taps)))
 
 

@@ -85,7 +85,8 @@ class Sensor:
         limit = self.range_m_per_s2 or math.inf
         if self.precision > 0:
             noise = math.hypot(noise, self.precision * limit)
-        recorded = np.roll(signal, round(self.clock_offset_s * self.rate_hz))
+        late = np.arange(len(signal)) - round(self.clock_offset_s * self.rate_hz)
+        recorded = signal[late.clip(0, len(signal) - 1)]
         recorded += noise * rng.standard_normal(len(signal))
         hours = np.arange(len(signal)) / (self.rate_hz * 3600)
         recorded += self.offset_m_per_s2 + self.drift_m_per_s2_per_h * hours

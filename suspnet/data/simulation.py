@@ -204,7 +204,7 @@ def simulate_trip(
             wheels.append(speed**2 * curvature + acceleration * slope)
         outputs = motion.advance(wheels)
         kept = slice(max(0, -first), None)
-        place = slice(max(0, first), first + len(times))
+        place = slice(max(0, first), max(0, first + len(times)))
         measured = system.behind_m.index(min(system.behind_m, key=abs))
         signals[0, place] = wheels[measured][kept]
         signals[1:, place] = outputs[:, kept]

@@ -204,8 +204,8 @@ class VerticalVehicle:
 
     def _complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all 15 columns: what is not given is nominal."""
-        check_ratios(ratios[:, : len(PARAMETERS)], len(PARAMETERS))
-        if ratios.shape[1] == len(PARAMETERS):
+        if ratios.ndim != 2 or ratios.shape[1] != len(PARAMETERS) + len(UNMEASURED):
+            check_ratios(ratios, len(PARAMETERS))
             same = ratios[:, :4] if self.other_bogie == "same" else torch.ones_like(ratios[:, :4])
             rest = torch.ones(len(ratios), len(UNMEASURED) - 4).to(ratios)
             return torch.cat([ratios, same, rest], dim=1)

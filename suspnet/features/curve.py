@@ -143,7 +143,8 @@ class CurveFeatures:
                 f"{count} components were asked for, {len(clean)} curves on {len(frequencies)} "
                 f"bins have {len(directions)}"
             )
-        basis = CurveBasis(frequencies, healthy, mean, noise, directions[:count], share[:count])
+        leading = directions[:count].contiguous()  # as restored: the same products, bit for bit
+        basis = CurveBasis(frequencies, healthy, mean, noise, leading, share[:count])
         return replace(self, basis=basis)
 
     def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:
