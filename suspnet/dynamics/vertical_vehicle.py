@@ -204,13 +204,13 @@ class VerticalVehicle:
 
     def _complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all 15 columns: what is not given is nominal."""
-        if ratios.ndim != 2 or ratios.shape[1] != len(PARAMETERS) + len(UNMEASURED):
-            check_ratios(ratios, len(PARAMETERS))
-            same = ratios[:, :4] if self.other_bogie == "same" else torch.ones_like(ratios[:, :4])
-            rest = torch.ones(len(ratios), len(UNMEASURED) - 4).to(ratios)
-            return torch.cat([ratios, same, rest], dim=1)
-        check_ratios(ratios, len(PARAMETERS) + len(UNMEASURED))
-        return ratios
+        if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS):
+            check_ratios(ratios, len(PARAMETERS) + len(UNMEASURED))
+            return ratios
+        check_ratios(ratios, len(PARAMETERS))
+        same = ratios[:, :4] if self.other_bogie == "same" else torch.ones_like(ratios[:, :4])
+        rest = torch.ones(len(ratios), len(UNMEASURED) - 4).to(ratios)
+        return torch.cat([ratios, same, rest], dim=1)
 
     def _numbers(self, ratios: Tensor) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
