@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from suspnet.data import TEST, TRAIN, CurveSettings, CurveSource, FeatureData
-from suspnet.data.source import BLOCK, used_responses
 from suspnet.data.noise import add_noise, noise_rms
+from suspnet.data.source import BLOCK, used_responses
 from suspnet.data.storage import dump_arrays, read_arrays
 from suspnet.dynamics import PARAMETERS, QuarterCar
 

@@ -11,9 +11,12 @@ import torch
 import trips_reference
 from scipy.signal import get_window
 
-from suspnet.data.estimates import EstimateObserver, EstimateSettings, moving_average_with
+from suspnet.data.estimates import EstimateObserver, EstimateSettings
+from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
-from suspnet.features.transfer_estimate import PAIRS, CrossSpectra, Welch, segment_spectra
+from suspnet.features.cross_spectra import PAIRS, CrossSpectra
+from suspnet.features.transfer_estimate import segment_spectra
+from suspnet.features.welch import Welch
 
 AM96 = Vehicle(
     "am96",
@@ -212,7 +215,7 @@ def test_mean_and_variance_of_drawn_spectra_are_wisharts():
     n = 20_000
     mean = source._expected(RATIOS)
     many = CrossSpectra(mean.auto.expand(n, -1, -1), mean.cross.expand(n, -1, -1), mean.n_averages)
-    drawn = source._sampled(many, torch.Generator().manual_seed(0))
+    drawn = sample_spectra(many, source._correlating, torch.Generator().manual_seed(0))
     averages = mean.n_averages
     assert averages == pytest.approx(29 * 18 / 19, abs=0.1)
     for x, y in itertools.combinations_with_replacement(range(3), 2):

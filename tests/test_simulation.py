@@ -20,7 +20,8 @@ from suspnet.data.simulation import (
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
 from suspnet.dynamics.journey import Journey, steady_journey
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
-from suspnet.features.transfer_estimate import Welch, tfestimate
+from suspnet.features.transfer_estimate import tfestimate
+from suspnet.features.welch import Welch
 
 AM96 = Vehicle(
     "am96",

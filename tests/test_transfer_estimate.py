@@ -9,15 +9,9 @@ import trips_reference
 from scipy import signal
 
 from suspnet.features import transfer_estimate
-from suspnet.features.transfer_estimate import (
-    CHAIN,
-    METHODS,
-    PAIRS,
-    CrossSpectra,
-    Welch,
-    segment_spectra,
-    tfestimate,
-)
+from suspnet.features.cross_spectra import CHAIN, METHODS, PAIRS, CrossSpectra
+from suspnet.features.transfer_estimate import segment_spectra, tfestimate
+from suspnet.features.welch import Welch
 
 SEGMENT = 64  # samples, at 1 Hz
 WELCH = Welch(segment_s=float(SEGMENT))

@@ -1,12 +1,9 @@
 """A small fleet on disk and models that read it, made once for all tests that ask for them."""
 
-import shutil
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
-import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
@@ -19,13 +16,13 @@ from suspnet.dynamics import Vehicle, VerticalVehicle
 from suspnet.experiment import rms_percent
 from suspnet.fitting import Problem, fit, predict_stream
 from suspnet.learning import MSVR
-from suspnet.tracking import RunLog
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 RATES_HZ = (400.0, 250.0, 250.0)
 SENSORS = {name: {"rate_hz": rate} for name, rate in zip(CHANNELS, RATES_HZ, strict=True)}
 MINUTES = 5.0
 SPEED = 70.0
+N_TRIPS = 6
 GROUP = {
     "outputs": list(OUTPUTS[:4]),
     "responses": ["G_p", "G_s"],
@@ -46,6 +43,13 @@ AM96 = Vehicle(  # configs/vehicle/am96.yaml
 )
 
 
+class NoLog:
+    """A log that keeps nothing."""
+
+    def scalars(self, *_):
+        pass
+
+
 def trips_protocol(**changes):
     """Return configs/protocol/trips.yaml, with changes."""
     options = {"sampling": "sobol", "lower": 0.5, "upper": 1.6, "estimate_mass": True}
@@ -54,31 +58,59 @@ def trips_protocol(**changes):
     return Protocol("trips", {"all": GROUP}, **(options | changes))
 
 
-@contextmanager
-def no_log():
-    """Stand in for a RunLog that nobody reads."""
-    log = RunLog.__new__(RunLog)
-    log.scalars = lambda *_: None
-    yield log
-
-
 @cache
-def model_at(speed=SPEED, feature_set="curve", n_train=2000):
-    """Return a model of the small fleet's vehicle, sensors and length of trips."""
+def model_at(speed=SPEED, n_train=2000, **changes):
+    """Return a model for the small fleet's vehicle, sensors and length of trips."""
+    task = trips_protocol(**changes).task("all")
     settings = EstimateSettings(
         n_train, 300, speed, minutes=MINUTES, rates_hz=RATES_HZ, cache_dir=None
     )
-    task = trips_protocol(feature_set=feature_set).task("all")
     problem = Problem(VerticalVehicle(AM96, speed_m_per_s=speed), task, settings, progress=False)
-    with no_log() as log:
-        model = fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), log)
+    model = fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog())
     errors = {"test_rms_percent": rms_percent(task, predict_stream(problem, model, TEST))}
     return replace(model, training=model.training | errors)
 
 
-def write_trips(folder, n_trips=1, seed=0, speed=SPEED, scenario=None, **changes):
-    """Write trips of a healthy vehicle, pay-load apart; return the manifests."""
+def write_trips(folder, n_trips=1, scenario=None, seed=0, speed=SPEED, **changes):
+    """Write trips over 1000 km each and return their manifests."""
     options = {"n_trips": n_trips, "minutes": MINUTES, "last_mileage_km": 1000.0 * n_trips}
     fleet = Fleet(**(options | {"speed_m_per_s": speed, "sensors": SENSORS} | changes))
-    scenario = Scenario("healthy") if scenario is None else scenario
-    return write_fleet(folder, fleet, scenario, VerticalVehicle(AM96, speed_m_per_s=speed), seed=seed)
+    generator = VerticalVehicle(AM96, speed_m_per_s=speed)
+    return write_fleet(folder, fleet, scenario or Scenario("healthy"), generator, seed=seed)
+
+
+def small_fleet(factory):
+    """Return the manifests of six trips, each of another vehicle, written once a session."""
+    folder = factory.getbasetemp() / "small_fleet"
+    if not folder.exists():
+        write_trips(folder, N_TRIPS, Scenario("random", spread=0.3), seed=1)
+    return sorted(folder.glob("*.yaml"))
+
+
+def signal(manifest, name):
+    """Return a channel of a simulated trip, or its speed."""
+    return pq.read_table(manifest.with_suffix("") / f"{name}.parquet").column(0).to_numpy()
+
+
+def changed(manifest, folder, name="changed", signals=None, channels=None, **changes):
+    """Write a copy of a trip with other signals or another manifest; return its manifest.
+
+    A None takes the entry away. The files that stay are those of the original.
+    """
+    content = yaml.safe_load(manifest.read_text()) | changes
+    sources = content["channels"] | {"speed": content["speed"]}
+    for key, source in sources.items():
+        if isinstance(source, dict):
+            source["file"] = str(manifest.parent / source["file"])
+            source |= (channels or {}).get(key, {})
+            sources[key] = {k: value for k, value in source.items() if value is not None}
+    for key, values in (signals or {}).items():
+        file = folder / name / f"{key}.parquet"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        columns = values if isinstance(values, dict) else {sources[key]["column"]: values}
+        pq.write_table(pa.table(columns), file)
+        sources[key]["file"] = str(file)
+    content |= {"speed": sources.pop("speed"), "channels": sources}
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump({k: v for k, v in content.items() if v is not None}))
+    return path

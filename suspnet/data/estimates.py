@@ -1,10 +1,9 @@
 """Training curves that look like estimates from a trip: same bins, leakage, averages and noise.
 
 The spectra of the three sensors follow from the track, the speed and the vehicle. Their estimate
-from n independent averages is n^-1 times a complex Wishart matrix (Goodman 1963), whose mean is
-the true matrix smeared over neighbouring bins by the window. It is sampled by Bartlett's
-decomposition, and the very estimator that the recording goes through is applied to it, so that
-bias (H1 in noise), leakage and the noise of each bin are those of the trip.
+from n independent averages is a complex Wishart matrix over n, whose mean is the true matrix
+smeared over neighbouring bins by the window. The very estimator that the recording goes through is
+applied to draws of it, so that bias (H1 in noise), leakage and the noise of each bin are the trip's.
 """
 
 from __future__ import annotations
@@ -18,10 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.data.curves import check_count
+from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.generator import sample_unmeasured
 from suspnet.dynamics.track import acceleration_density, track_spectrum
-from suspnet.features.transfer_estimate import METHODS, CrossSpectra, Method, Welch
+from suspnet.features.cross_spectra import METHODS, CrossSpectra, Method
+from suspnet.features.welch import Welch
 
 FloatArray = NDArray[np.float64]
 LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
@@ -209,7 +210,8 @@ class EstimateObserver:
         rows = sample_unmeasured(self.generator, ratios, int(unmeasured >> np.uint64(1)))
         expected = self._expected(rows)
         source = torch.Generator(expected.auto.device).manual_seed(int(noise >> np.uint64(1)))
-        return self._sampled(expected, source).responses(self.settings.method)
+        drawn = sample_spectra(expected, self._correlating, source)
+        return drawn.responses(self.settings.method)
 
     def covariance(self, ratios: Tensor) -> Tensor:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
@@ -235,38 +237,6 @@ class EstimateObserver:
             float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
         )
 
-    def _sampled(self, mean: CrossSpectra, source: torch.Generator) -> CrossSpectra:
-        """Return one draw of the estimate around its mean: M M^H / n with M = L T.
-
-        L L^H is the mean, T lower triangular with Gamma(n - i) squares on the diagonal and unit
-        complex normals below it.
-        """
-        n = mean.n_averages
-        l11 = mean.auto[:, 0].sqrt()
-        l21, l31 = (mean.cross[:, k].conj() / l11 for k in (0, 1))
-        l22 = (mean.auto[:, 1] - l21.abs().square()).sqrt()
-        l32 = (mean.cross[:, 2].conj() - l31 * l21.conj()) / l22
-        l33 = (mean.auto[:, 2] - l31.abs().square() - l32.abs().square()).sqrt()
-        g = self._normals((9, *l11.shape), source)
-        t11, t22, t33 = (_gamma(n - i, g[i]).sqrt() for i in range(3))
-        t21, t31, t32 = (torch.complex(g[i], g[i + 1]) / math.sqrt(2) for i in (3, 5, 7))
-        m11, m21, m22 = l11 * t11, l21 * t11 + l22 * t21, l22 * t22
-        m31, m32, m33 = l31 * t11 + l32 * t21 + l33 * t31, l32 * t22 + l33 * t32, l33 * t33
-        auto = [m11.square(), m21.abs().square() + m22.square()]
-        auto.append(m31.abs().square() + m32.abs().square() + m33.square())
-        cross = [m11 * m21.conj(), m11 * m31.conj(), m21 * m31.conj() + m22 * m32.conj()]
-        return CrossSpectra(torch.stack(auto, 1) / n, torch.stack(cross, 1) / n, n)
-
-    def _normals(self, shape: tuple[int, ...], source: torch.Generator) -> Tensor:
-        """Return unit normals, correlated over neighbouring bins as averaged spectra are."""
-        taps = self._correlating
-        wide = torch.empty(
-            *shape[:-1], shape[-1] + len(taps) - 1, dtype=torch.float64, device=source.device
-        ).normal_(generator=source)
-        return sum(  # type: ignore[return-value]
-            float(tap) * wide[..., k : k + shape[-1]] for k, tap in enumerate(taps)
-        )
-
     def _track_density(self, frequencies_hz: FloatArray) -> FloatArray:
         """Return the power density of the axle box's acceleration, [(m/s^2)^2/Hz]."""
         return acceleration_density(self._spectrum, frequencies_hz, self.settings.speed_m_per_s)
@@ -283,27 +253,3 @@ class EstimateObserver:
             power = np.trapezoid(response * self._track_density(grid), grid)
             densities.append(10 ** (-self.settings.snr_db / 10) * power / (rate_hz / 2))
         return torch.tensor(densities, dtype=torch.float64)
-
-
-def moving_average_with(correlation: FloatArray) -> FloatArray:
-    """Return taps h with sum_i h_i h_(i+k) = correlation[k], by spectral factorisation.
-
-    Parameters
-    ----------
-    correlation : array of shape (n_lags,)
-        From lag 0 on; its spectrum must not be negative.
-
-    Returns
-    -------
-    array of shape (n_lags,)
-    """
-    roots = np.roots(np.concatenate([correlation[:0:-1], correlation]))
-    inside = roots[np.argsort(np.abs(roots))][: len(correlation) - 1]
-    taps = np.atleast_1d(np.real(np.poly(inside)))
-    return np.asarray(taps * np.sqrt(correlation[0] / (taps @ taps)))
-
-
-def _gamma(shape: float, normal: Tensor) -> Tensor:
-    """Return Gamma(shape, 1) draws from unit normals by Wilson and Hilferty's cube."""
-    root = 1 - 1 / (9 * shape) + normal / (3 * math.sqrt(shape))
-    return shape * root.clamp(min=0) ** 3

@@ -11,8 +11,8 @@ y_1 = z + phi and y_2 = z - phi above the bogies), psi the bogie's pitch times t
 
 k_p, c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. Bogie
 pitch stands alone and the bounces can be eliminated, so that two equations in z and phi remain;
-their closed solution costs a few products for each frequency, no 6 x 6 system. All wheelsets follow the
-same track, each delayed by its distance over the speed.
+their closed solution costs a few products for each frequency, no 6 x 6 system. All wheelsets follow
+the same track, each delayed by its distance over the speed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.dynamics.generator import check_device, check_ratios
+from suspnet.dynamics.generator import (
+    check_choice,
+    check_device,
+    check_range,
+    check_ratios,
+)
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
@@ -98,17 +103,17 @@ class VerticalVehicle:
                 f"vehicle {self.vehicle.name!r} lacks {missing}, which `VerticalVehicle` needs; "
                 "give them or use generator=quarter_car"
             )
-        _check_choice("bogie", self.bogie, SIDES)
-        _check_choice("axle", self.axle, SIDES)
-        _check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
-        _check_choice("other_bogie", self.other_bogie, ("healthy", "same", "varies"))
-        _check_range("speed_m_per_s", self.speed_m_per_s, low=0)
-        _check_range("other_spread", self.other_spread, low=0, high=1, closed=True)
+        check_choice("bogie", self.bogie, SIDES)
+        check_choice("axle", self.axle, SIDES)
+        check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
+        check_choice("other_bogie", self.other_bogie, ("healthy", "same", "varies"))
+        check_range("speed_m_per_s", self.speed_m_per_s, low=0)
+        check_range("other_spread", self.other_spread, low=0, high=1, closed=True)
         unknown = sorted(set(self.uncertainty) - set(UNMEASURED))
         if unknown:
             raise ValueError(f"`uncertainty` must be named as in {UNMEASURED}, got {unknown}")
         for name, value in self.uncertainty.items():
-            _check_range(f"uncertainty.{name}", value, low=0, high=1, closed=True)
+            check_range(f"uncertainty.{name}", value, low=0, high=1, closed=True)
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
         """Return the ratios with a random column for each name of ``UNMEASURED``.
@@ -317,17 +322,3 @@ def _drive(p: Mapping[str, float], kind: str) -> FloatArray:
         half = 0.5 * p[f"{which}{kind}_p"]
         matrix[row : row + 2, column : column + 2] = [[half, half], [half, -half]]
     return matrix
-
-
-def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ValueError(f"`{name}` must be one of {allowed}, got {value!r}")
-
-
-def _check_range(
-    name: str, value: object, low: float, high: float = math.inf, closed: bool = False
-) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"`{name}` must be a number, got {value!r}")
-    if not (low < value < high or (closed and value == low)):
-        raise ValueError(f"`{name}` must lie between {low} and {high}, got {value}")

@@ -3,7 +3,8 @@
 from suspnet.features.curve import CurveFeatures
 from suspnet.features.extraction import FeatureSet, FeatureTable, PeakFeatures
 from suspnet.features.peaks import PeakFit, PeakReason, Peaks, findpeaks
-from suspnet.features.transfer_estimate import Welch, tfestimate
+from suspnet.features.transfer_estimate import tfestimate
+from suspnet.features.welch import Welch
 
 __all__ = [
     "CurveFeatures",

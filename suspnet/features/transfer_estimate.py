@@ -1,222 +1,21 @@
-"""Transfer functions from recordings: Welch's spectra, H1, H2, Hv and the instrument estimate IV.
-
-Cross spectra are S_xy = E[conj(X) Y], as in scipy. With x the input, y the output::
-
-    H1 = S_xy / S_xx               unbiased if only the output is noisy (tfestimate)
-    H2 = S_yy / S_yx               unbiased if only the input is noisy
-    Hv = sqrt(S_yy / S_xx) S_xy / abs(S_xy)     total least squares, both equally noisy
-    IV = S_zy / S_zx               z a third sensor, whose noise is independent of the others'
-
-On a train the axle box's signal lies almost all above 20 Hz: its noise biases H1. With three
-sensors each response has an instrument: the body's for the primary suspension, the axle box's for
-the secondary (Söderström and Stoica, Instrumental Variable Methods for System Identification).
-"""
+"""Spectra and transfer functions of recordings, by Welch's method."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import get_window
 from torch import Tensor
 
-FloatArray = NDArray[np.float64]
-METHODS = ("H1", "H2", "Hv", "IV")
-Method = Literal["H1", "H2", "Hv", "IV"]
-PAIRS = ((0, 1), (0, 2), (1, 2))
-"""The channels of each column of `CrossSpectra.cross`."""
-CHAIN = ((0, 1, 2), (1, 2, 0))
-"""Input, output and instrument of G_p and of G_s."""
+from suspnet.features.cross_spectra import PAIRS, CrossSpectra, Method
+from suspnet.features.welch import Welch
+
 SEGMENTS = 64
 """Segments transformed at once, to bound memory."""
-NEGLIGIBLE = 1e-4
-"""Window effects on further bins, relative to the first, that are left out."""
-
-
-@dataclass(frozen=True)
-class Welch:
-    """How a recording is cut into windowed segments whose spectra are averaged.
-
-    Parameters
-    ----------
-    segment_s : float, [s]
-        Length of a segment; its inverse is the spacing of the bins.
-    overlap : float, [-]
-        Fraction shared by neighbouring segments.
-    window : str
-        A window of ``scipy.signal.get_window``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range or there is no such window.
-    """
-
-    segment_s: float = 20.0
-    overlap: float = 0.5
-    window: str = "hann"
-
-    def __post_init__(self) -> None:
-        for name in ("segment_s", "overlap"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise TypeError(f"`{name}` must be a number, got {value!r}")
-        if not 0 < self.segment_s < math.inf:
-            raise ValueError(f"`segment_s` must be > 0, got {self.segment_s}")
-        if not 0 <= self.overlap < 1:
-            raise ValueError(f"`overlap` must lie in 0 <= overlap < 1, got {self.overlap}")
-        get_window(self.window, 8)
-
-    def sizes(self, rate_hz: float) -> tuple[int, int]:
-        """Return the samples of a segment and of the step from one to the next."""
-        length = round(self.segment_s * rate_hz)
-        return length, max(1, length - round(self.overlap * length))
-
-    def n_averages(self, n_segments: float) -> float:
-        """Return the number of independent segments that average as well as overlapping ones.
-
-        n / (1 + 2 sum_j (1 - j/n) rho_j), rho_j = (sum w(t) w(t + j step) / sum w^2)^2: Welch 1967.
-        """
-        length, step = self.sizes(256 / self.segment_s)
-        window = get_window(self.window, length)
-        total = 1.0
-        for j in range(1, min(math.ceil(length / step), math.ceil(n_segments))):
-            shared = float(window[j * step :] @ window[: length - j * step])
-            total += 2 * (1 - j / n_segments) * (shared / float(window @ window)) ** 2
-        return n_segments / total
-
-    def smear(self) -> Tensor:
-        """Return the weights with which neighbouring bins leak into one, symmetric, sum 1.
-
-        The expected spectrum is the true one convolved with abs(W(f))^2. Sampled at the bins that
-        is exact for a system whose ringing is short against the segment. Hann: 1/6, 2/3, 1/6.
-        """
-        transform = np.fft.fft(get_window(self.window, 256)) / 256
-        return _symmetric(np.abs(transform) ** 2)
-
-    def correlation(self) -> Tensor:
-        """Return the correlation of averaged spectra between a bin and its next ones, from lag 0.
-
-        abs(sum_t w^2 exp(-2 pi j k t / T) / sum_t w^2)^2; Hann: 1, 4/9, 1/36.
-        """
-        transform = np.fft.fft(get_window(self.window, 256) ** 2)
-        rho = np.abs(transform[:128] / transform[0]) ** 2
-        return torch.as_tensor(rho[: np.flatnonzero(rho > NEGLIGIBLE)[-1] + 1])
-
-
-@dataclass(frozen=True)
-class CrossSpectra:
-    """Averaged auto and cross spectra of axle box, bogie and body.
-
-    Attributes
-    ----------
-    auto : real tensor of shape (..., 3, n_freq), [(m/s^2)^2/Hz]
-    cross : complex tensor of shape (..., 3, n_freq)
-        The pairs of ``PAIRS``: axle box - bogie, axle box - body, bogie - body.
-    n_averages : float
-        Independent averages behind them.
-    """
-
-    auto: Tensor
-    cross: Tensor
-    n_averages: float
-
-    def at(self, bins: Tensor) -> CrossSpectra:
-        """Return the spectra on chosen bins, a bool tensor (n_freq,)."""
-        return CrossSpectra(self.auto[..., bins], self.cross[..., bins], self.n_averages)
-
-    def between(self, x: int, y: int) -> Tensor:
-        """Return S_xy, shape (..., n_freq)."""
-        if x == y:
-            return self.auto[..., x, :].to(self.cross.dtype)
-        spectrum = self.cross[..., PAIRS.index((min(x, y), max(x, y))), :]
-        return spectrum if x < y else spectrum.conj()
-
-    def transfer(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
-        """Return the response from channel x to y, complex, shape (..., n_freq).
-
-        Raises
-        ------
-        ValueError
-            If the method is unknown, or IV has no instrument.
-        """
-        if method not in METHODS:
-            raise ValueError(f"`method` must be one of {METHODS}, got {method!r}")
-        if method == "Hv":
-            cross = self.between(x, y)
-            return (self.auto[..., y, :] / self.auto[..., x, :]).sqrt() * cross / cross.abs()
-        z = {"H1": x, "H2": y, "IV": instrument}[method]
-        if z is None:
-            raise ValueError("method 'IV' needs a third channel as its instrument")
-        return self.between(z, y) / self.between(z, x)
-
-    def coherence(self, x: int, y: int) -> Tensor:
-        """Return abs(S_xy)^2 / (S_xx S_yy), shape (..., n_freq)."""
-        power = self.auto[..., x, :] * self.auto[..., y, :]
-        return self.between(x, y).abs().square() / power
-
-    def deviation(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
-        """Return the standard deviation of the log-magnitude of a response, (..., n_freq), [-].
-
-        With e = y - G x and instrument z (x for H1, y for H2) the complex estimate has the
-        relative variance S_zz S_ee / (n abs(S_zy)^2), half of it along the magnitude. For H1 that
-        is (1 - coherence) / (2 n coherence), as in Bendat and Piersol; for Hv the coherence in the
-        denominator is missing.
-        """
-        if method == "Hv":
-            return ((1 - self.coherence(x, y)).clamp(min=0) / (2 * self.n_averages)).sqrt()
-        response = self.transfer(x, y, method, instrument)
-        z = {"H1": x, "H2": y}.get(method, instrument)
-        assert z is not None
-        residual = (
-            self.auto[..., y, :]
-            - 2 * (response * self.between(x, y).conj()).real
-            + response.abs().square() * self.auto[..., x, :]
-        )
-        relative = self.auto[..., z, :] * residual / self.between(z, y).abs().square()
-        return (relative.clamp(min=0) / (2 * self.n_averages)).sqrt()
-
-    def responses(self, method: Method) -> Tensor:
-        """Return G_p and G_s, complex, shape (..., 2, n_freq); each has the third as instrument."""
-        return torch.stack([self.transfer(x, y, method, z) for x, y, z in CHAIN], dim=-2)
-
-    def coherences(self) -> Tensor:
-        """Return the coherence of each link, shape (..., 2, n_freq)."""
-        return torch.stack([self.coherence(x, y) for x, y, _ in CHAIN], dim=-2)
-
-    def deviations(self, method: Method) -> Tensor:
-        """Return the standard deviation of the log-magnitude of G_p, G_s, (..., 2, n_freq)."""
-        return torch.stack([self.deviation(x, y, method, z) for x, y, z in CHAIN], dim=-2)
-
-    def covariance(self, method: Method) -> Tensor:
-        """Return the covariance of (log G_p, log G_s), complex Hermitian (..., 2, 2, n_freq).
-
-        With e_i = y_i - G_i x_i and instruments z_i: S_zi_zj S_ej_ei / (n S_zi_yi conj(S_zj_yj)),
-        the expectation of four normal variables. Hv is taken as H1.
-        """
-        kind: Method = "H1" if method == "Hv" else method
-        responses = self.responses(kind)
-        chosen = [{"H1": x, "H2": y, "IV": z}[kind] for x, y, z in CHAIN]
-        rows = []
-        for i, (x_i, y_i, _) in enumerate(CHAIN):
-            row = []
-            for j, (x_j, y_j, _) in enumerate(CHAIN):
-                g_i, g_j = responses[..., i, :], responses[..., j, :].conj()
-                residual = (
-                    self.between(y_j, y_i)
-                    - g_i * self.between(y_j, x_i)
-                    - g_j * self.between(x_j, y_i)
-                    + g_i * g_j * self.between(x_j, x_i)
-                )
-                scale = self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj()
-                shared = self.between(chosen[i], chosen[j])
-                row.append(shared * residual / (self.n_averages * scale))
-            rows.append(torch.stack(row, dim=-2))
-        return torch.stack(rows, dim=-3)
 
 
 @dataclass(frozen=True)
@@ -387,11 +186,3 @@ def tfestimate(
         spectra.deviation(0, 1, method, third),
         spectra.n_averages,
     )
-
-
-def _symmetric(power: FloatArray) -> Tensor:
-    """Return power[-k] ... power[k] with sum 1, k the last that is not negligible."""
-    half = len(power) // 2
-    k = int(np.flatnonzero(power[:half] > NEGLIGIBLE * power[0])[-1])
-    taps = np.concatenate([power[k:0:-1], power[: k + 1]])
-    return torch.as_tensor(taps / taps.sum())

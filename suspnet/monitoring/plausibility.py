@@ -15,7 +15,7 @@ from torch import Tensor
 
 from suspnet.data.manifest import CHANNELS, TripError
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
-from suspnet.features.transfer_estimate import CrossSpectra
+from suspnet.features.cross_spectra import CrossSpectra
 
 SLOW = (0.2, 0.4)
 """Band of the gain, in multiples of the first natural frequency."""

@@ -9,34 +9,30 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.checkpoint import TrainedModel
+from suspnet.checkpoint import ModelFileError, TrainedModel
 from suspnet.data.estimates import EstimateSettings
 from suspnet.data.manifest import TripError, TripManifest, read_manifest
 from suspnet.data.recordings import Recording, load_recording
 from suspnet.dynamics import VerticalVehicle
 from suspnet.features import PeakReason
-from suspnet.features.transfer_estimate import (
-    CHAIN,
-    CrossSpectra,
-    SegmentSpectra,
-    Welch,
-    segment_spectra,
-)
+from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.monitoring.plausibility import check_channels
 from suspnet.monitoring.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
+from suspnet.monitoring.segments import (
+    NoEstimateError,
+    in_band,
+    recording_segments,
+    segment_speeds,
+    without_incoherent,
+    without_loud,
+)
 
 log = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]
-LOUD = 30.0
-"""Segments with more than this multiple of the median power are left out from the start."""
-ROUNDS = 3
-"""How often segments of low coherence are left out and the average is taken anew."""
-ODD = 3.0
-"""A segment this many times less explained than the median one is odd."""
 WINDOWS = 600
 """Windows of a trip's overview."""
 
@@ -106,10 +102,6 @@ class _Bin:
     values: FloatArray
 
 
-class _NoEstimateError(Exception):
-    """The trip is sound, but nothing can be estimated from it; the message says why."""
-
-
 def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
@@ -127,7 +119,7 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
         manifest = read_manifest(path)
         result = _described(result, manifest)
         result = _estimated(result, manifest, models, settings)
-    except _NoEstimateError as reason:
+    except NoEstimateError as reason:
         result = replace(result, status=NO_ESTIMATE, reason=str(reason))
     except TripError as error:
         result = replace(result, reason=str(error).removeprefix(f"{path}: "))
@@ -135,6 +127,22 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
         log.debug("trip %s failed", path, exc_info=True)
         result = replace(result, reason=f"{type(error).__name__}: {error}")
     return replace(result, seconds=time.perf_counter() - start)
+
+
+def estimate_settings(model: TrainedModel) -> EstimateSettings:
+    """Return how the trips that a model was trained for are estimated.
+
+    Raises
+    ------
+    ModelFileError
+        If it was trained on other curves.
+    """
+    if not isinstance(model.settings, EstimateSettings):
+        raise ModelFileError(
+            f"the model of protocol {model.task.protocol!r} was trained on curves of section "
+            "III-B; trips need one of: python train.py experiment=trips"
+        )
+    return model.settings
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
@@ -165,7 +173,8 @@ def _estimated(
         usable_percent=100 * float(recording.usable.mean()),
         faults="; ".join(str(fault) for fault in recording.faults),
     )
-    segments = {m.settings.welch: _segments(recording, m.settings.welch) for m in models}
+    welches = [estimate_settings(model).welch for model in models]
+    segments = {welch: recording_segments(recording, welch) for welch in welches}
     whole = next(iter(segments.values()))
     if not len(whole.values):
         faults = "; ".join(str(fault) for fault in recording.faults if not fault.repaired)
@@ -175,11 +184,10 @@ def _estimated(
         doubts = _checked(recording, whole, models[0], settings)
         quality = replace(quality, warnings="; ".join(doubts))
     bins, reasons = [], []
-    for model in models:
+    for model, welch in zip(models, welches, strict=True):
         try:
-            found = segments[model.settings.welch]
-            bins.append(_bin(recording, found, model, settings))
-        except _NoEstimateError as reason:
+            bins.append(_bin(recording, segments[welch], model, settings))
+        except NoEstimateError as reason:
             reasons.append(str(reason))
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
@@ -188,74 +196,52 @@ def _estimated(
     return _combined(result, recording, bins)
 
 
-def _segments(recording: Recording, welch: Welch) -> SegmentSpectra:
-    return segment_spectra(
-        torch.as_tensor(recording.signals),
-        recording.rate_hz,
-        welch,
-        high_hz=recording.rate_hz / 4,
-        usable=torch.as_tensor(recording.usable),
-    )
-
-
 def _checked(
     recording: Recording, segments: SegmentSpectra, model: TrainedModel, settings: TripSettings
 ) -> list[str]:
-    speeds = _speeds(recording, segments)
+    speeds = segment_speeds(recording, segments)
     moving = (speeds >= settings.min_speed_m_per_s).all(dim=1)
     if not bool(moving.any()):
-        raise _NoEstimateError(
+        raise NoEstimateError(
             f"none of {len(moving)} segments without faults is at {settings.min_speed_m_per_s:g} "
             "m/s or faster throughout"
         )
-    spectra = segments.average(_not_loud(segments, moving))
+    spectra = segments.average(without_loud(segments, moving))
     return check_channels(spectra, segments.frequencies_hz, model.generator, model.vehicle)
-
-
-def _speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
-    """Return the speed in each segment, shape (n_segments, n_samples of a segment), [m/s]."""
-    length, _ = segments.welch.sizes(recording.rate_hz)
-    return torch.as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
-
-
-def _not_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:
-    """Return the chosen segments without those far louder than their median."""
-    if not bool(chosen.any()):
-        return chosen
-    power = segments.values.abs().square().mean(dim=2)
-    return chosen & (power <= LOUD * power[chosen].median(dim=0).values).all(dim=1)
 
 
 def _bin(
     recording: Recording, segments: SegmentSpectra, model: TrainedModel, settings: TripSettings
 ) -> _Bin:
     """Return a model's estimate from the segments at its speed."""
-    assert isinstance(model.settings, EstimateSettings)
+    trained = estimate_settings(model)
     low, high, words = _speed_range(model, settings)
-    speeds = _speeds(recording, segments)
+    speeds = segment_speeds(recording, segments)
     within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high)
-    band = _band(segments, model.settings.frequencies_hz())
-    chosen, n_incoherent = _coherent(band, _not_loud(band, within), settings.min_coherence)
+    band = in_band(segments, trained.frequencies_hz())
+    chosen, n_incoherent = without_incoherent(
+        band, without_loud(band, within), settings.min_coherence
+    )
     n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
     if n_averages < settings.min_averages:
-        raise _NoEstimateError(
+        raise NoEstimateError(
             f"{int(within.sum())} of {len(within)} segments without faults are {words}, "
             f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, at least "
             f"{settings.min_averages:g} are needed (half of the trip is run at "
             f"{float(speeds.mean(dim=1).median()):.1f} m/s or less)"
         )
     spectra = band.average(chosen)
-    deviation = float(spectra.deviations(model.settings.method).median(dim=1).values.amax())
+    deviation = float(spectra.deviations(trained.method).median(dim=1).values.amax())
     if deviation > settings.max_deviation:
-        raise _NoEstimateError(
+        raise NoEstimateError(
             f"the responses are uncertain by {100 * deviation:.0f} % (coherence "
             f"{float(spectra.coherences().mean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.0f} % are accepted"
         )
-    responses = spectra.responses(model.settings.method)
+    responses = spectra.responses(trained.method)
     inputs = model.relative_features(responses[None].numpy(), band.frequencies_hz.numpy())
     if not np.isfinite(inputs).all():
-        raise _NoEstimateError(f"features are missing: {_missing(model, responses, band)}")
+        raise NoEstimateError(f"features are missing: {_missing(model, responses, band)}")
     speed = float(speeds[chosen].mean())
     return _Bin(model, spectra, band, chosen, speed, model.predict(inputs)[0])
 
@@ -267,44 +253,6 @@ def _speed_range(model: TrainedModel, settings: TripSettings) -> tuple[float, fl
         return low, high, f"at {low:.1f} to {high:.1f} m/s throughout"
     low = settings.min_speed_m_per_s
     return low, np.inf, f"at {low:g} m/s or faster throughout"
-
-
-def _band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
-    if float(frequencies_hz[-1]) > float(segments.frequencies_hz[-1]) + 1e-9:
-        raise _NoEstimateError(
-            f"the model's band reaches {float(frequencies_hz[-1]):g} Hz, the recording is read up "
-            f"to {float(segments.frequencies_hz[-1]):g} Hz: raise trips.rate_hz"
-        )
-    inside = (segments.frequencies_hz >= frequencies_hz[0] - 1e-6) & (
-        segments.frequencies_hz <= frequencies_hz[-1] + 1e-6
-    )
-    return replace(
-        segments,
-        frequencies_hz=segments.frequencies_hz[inside],
-        values=segments.values[..., inside],
-    )
-
-
-def _coherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tuple[Tensor, int]:
-    """Leave out the segments that the average of the others does not explain.
-
-    A segment's coherence is 1 - u, u = mean over bins of abs(Y - H1 X)^2 / S_yy, on the worse of
-    both links. It is too low if below `least` and u is also `ODD` times the median of the trip: a
-    noisy sensor lowers all segments alike, and IV can cope with that.
-    """
-    n_before = int(chosen.sum())
-    for _ in range(ROUNDS):
-        if not bool(chosen.any()):
-            break
-        spectra = band.average(chosen)
-        links = []
-        for x, y, _ in CHAIN:
-            residual = band.values[:, y] - spectra.transfer(x, y, "H1") * band.values[:, x]
-            links.append((residual.abs().square() / spectra.auto[y]).mean(dim=1))
-        unexplained = torch.stack(links)
-        limit = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
-        chosen = chosen & (unexplained <= limit[:, None]).all(dim=0)
-    return chosen, n_before - int(chosen.sum())
 
 
 def _missing(model: TrainedModel, responses: Tensor, band: SegmentSpectra) -> str:
@@ -352,7 +300,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) ->
 
 
 def _curves(best: _Bin, recording: Recording) -> TripCurves:
-    method = best.model.settings.method
+    method = estimate_settings(best.model).method
     n_windows = min(WINDOWS, recording.signals.shape[1])
     size = recording.signals.shape[1] // n_windows
     windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)

@@ -1,0 +1,127 @@
+"""What is written of a fleet: tables, figures, TensorBoard, metrics and the report."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from tabulate import tabulate
+
+from suspnet.data.storage import write_atomically, write_json
+from suspnet.monitoring import figures
+from suspnet.monitoring.records import OK, TripResult
+from suspnet.monitoring.report import write_report
+from suspnet.monitoring.trend import Trend
+from suspnet.tracking import RunLog
+
+KNOWN_ERROR_PERCENT = "rms error %"
+
+
+def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
+    """Return a table of all trips, and the errors where the truth is known."""
+    header = ["trip", "1000 km", *outputs, "averages", "reason"]
+    rows = [
+        [
+            r.trip,
+            r.mileage_km / 1000,
+            *(r.estimates.get(name) for name in outputs),
+            r.quality.n_averages,
+            r.reason,
+        ]
+        for r in results
+    ]
+    errors = errors_percent(results, outputs)
+    if errors:
+        rows.append([KNOWN_ERROR_PERCENT, None, *(errors[name] for name in outputs), None, None])
+    table = tabulate(rows, header, tablefmt="github", floatfmt=("", ".1f", *[".4g"] * 20))
+    done = sum(r.status == OK for r in results)
+    return f"{done} of {len(results)} trips have an estimate\n{table}"
+
+
+def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return the rms relative error of each output over trips whose truth is known, [%]."""
+    known = [r for r in results if r.status == OK and all(name in r.truth for name in outputs)]
+    if not known:
+        return {}
+    return {
+        name: 100
+        * float(np.sqrt(np.mean([(r.estimates[name] / r.truth[name] - 1) ** 2 for r in known])))
+        for name in outputs
+    }
+
+
+def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
+    """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
+    table = pa.Table.from_pylist([result.row(outputs) for result in results])
+    for name, write in (("trips.parquet", pq.write_table), ("trips.csv", pacsv.write_csv)):
+        stream = io.BytesIO()
+        write(table, stream)
+        write_atomically(output / name, stream.getvalue())
+    curves = [
+        pa.table(
+            {
+                "trip": [result.trip] * len(result.curves.frequencies_hz),
+                "frequency_hz": result.curves.frequencies_hz,
+                **{
+                    f"{what}_{link}": values[i]
+                    for i, link in enumerate(("p", "s"))
+                    for what, values in (
+                        ("magnitude", np.abs(result.curves.responses)),
+                        ("phase_rad", np.angle(result.curves.responses)),
+                        ("coherence", result.curves.coherences),
+                        ("deviation", result.curves.deviations),
+                    )
+                },
+            }
+        )
+        for result in results
+        if result.curves is not None
+    ]
+    if curves:
+        stream = io.BytesIO()
+        pq.write_table(pa.concat_tables(curves), stream)
+        write_atomically(output / "responses.parquet", stream.getvalue())
+
+
+def write_pages(
+    results: Sequence[TripResult],
+    outputs: tuple[str, ...],
+    trends: Sequence[Trend],
+    output: Path,
+    details: Mapping[str, str],
+) -> None:
+    """Write figures, TensorBoard events, metrics.json and report.html."""
+    done = [r for r in results if r.status == OK]
+    drawn = {
+        "trend": figures.health_trend(results, outputs),
+        "responses": figures.trip_responses(results),
+        "signals": figures.trip_signals(done[-1] if done else results[-1]),
+        "quality": figures.quality(results),
+    }
+    with RunLog(output) as run_log:
+        for i, result in enumerate(done):
+            values = result.estimates | {"n_averages": result.quality.n_averages}
+            step = i if np.isnan(result.mileage_km) else round(result.mileage_km)
+            run_log.scalars("trips", values, step)
+        for name, figure in drawn.items():
+            run_log.figure(name, figure, output / "figures")
+        run_log.text("trips", summary(results, outputs))
+    errors = errors_percent(results, outputs)
+    metrics = {
+        "n_trips": len(results),
+        "n_estimated": len(done),
+        "rms_error_percent": errors,
+        "trends": [asdict(one) for one in trends],
+        "details": dict(details),
+    }
+    write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
+    write_report(
+        output / "report.html", "Suspension report", results, outputs, drawn, trends, details
+    )
