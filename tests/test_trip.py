@@ -20,7 +20,7 @@ from trip_fixtures import (
 from suspnet.data.manifest import CHANNELS, TripError
 from suspnet.data.scenarios import Scenario
 from suspnet.dynamics import PARAMETERS, QuarterCar
-from suspnet.features.transfer_estimate import Welch
+from suspnet.features.welch import Welch
 from suspnet.monitoring import trip
 from suspnet.monitoring.records import ERROR, NO_ESTIMATE, OK
 from suspnet.monitoring.trip import TripSettings, evaluate_trip
@@ -124,13 +124,13 @@ def test_overview_shows_the_recording(manifests, good):
     curves = good.curves
     step_s = np.diff(curves.overview_s)
     np.testing.assert_allclose(step_s, step_s[0])
-    assert curves.overview_s[-1] + step_s[0] == pytest.approx(60 * MINUTES, abs=1.0)
+    assert curves.overview_s[-1] + step_s[0] == pytest.approx(60 * MINUTES, abs=6.0)  # whole windows only
     assert (curves.overview_low < curves.overview_mean).all()
     assert (curves.overview_mean < curves.overview_high).all()
     np.testing.assert_allclose(curves.overview_speed, 70.0)
     body = signal(manifests[0], "body")  # hardly anything of it lies above 25 Hz
-    assert curves.overview_high[2].max() == pytest.approx(body.max(), rel=0.1)
-    assert curves.overview_low[2].min() == pytest.approx(body.min(), rel=0.1)
+    assert curves.overview_high[2].max() == pytest.approx(float(body.max()), rel=0.03)
+    assert curves.overview_low[2].min() == pytest.approx(float(body.min()), rel=0.03)
 
 
 def test_quality_says_what_the_estimate_is_made_of(good):
@@ -268,7 +268,7 @@ def test_segments_with_unrelated_noise_are_left_out(
 
 
 def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path):
-    path = noisy(manifests[0], tmp_path, "bogie", 0.3, seconds=(0, 300))
+    path = noisy(manifests[0], tmp_path, "bogie", 0.5, seconds=(0, 300))
     result = evaluated(path, model)
     assert result.quality.coherence_p < 0.8
     assert result.quality.segments_used == N_SEGMENTS
@@ -276,12 +276,12 @@ def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path)
 
 
 def test_number_of_low_coherence_is_told(manifests, model, tmp_path):
-    path = noisy(manifests[0], tmp_path, "body", 10.0, seconds=(100, 250))
+    path = noisy(manifests[0], tmp_path, "body", 10.0, seconds=(100, 160))
     settings = TripSettings(min_averages=26, check_channels=False)
     result = evaluated(path, model, settings)
     assert result.status == NO_ESTIMATE
     assert "28 of 28 segments without faults are at 68.6 to 71.4 m/s" in result.reason
-    assert "16 of them of low coherence: 1" in result.reason
+    assert "7 of them of low coherence: 19.9 averages, at least 26 are needed" in result.reason
 
 
 # failure
@@ -341,7 +341,7 @@ def test_no_segment_is_free_of_faults(manifests, model, tmp_path):
 @pytest.mark.parametrize(
     ("channels", "message"),
     [
-        ({"body": {"unit": "g"}}, "body: the gain G_s from bogie to body at low frequency is 9"),
+        ({"body": {"unit": "g"}}, "body: the gain G_s from bogie to body at low frequency is 10"),
         ({"bogie": {"sign": -1}}, "bogie: axle_box and bogie move against each other"),
     ],
 )
@@ -371,12 +371,11 @@ def test_other_vehicle_is_refused(manifests, model, tmp_path):
 
 def test_missing_peak_is_named(tmp_path):
     model = model_at(n_train=500, feature_set="peaks")
-    change = {"from_km": 0, "to_km": 0, "ratio": 2.5}
-    (path,) = write_trips(tmp_path, scenario=Scenario("stiff damper", {"c_s": change}))
+    change = {"from_km": 0, "to_km": 0, "ratio": 8.0}
+    (path,) = write_trips(tmp_path, scenario=Scenario("no peak left", {"c_p": change}))
     result = evaluated(path, model)
     assert result.status == NO_ESTIMATE
-    assert result.reason.startswith("features are missing: ")
-    assert "(no maximum)" in result.reason
+    assert result.reason == "features are missing: primary_upper (no maximum)"
 
 
 def test_broken_manifest_and_files_are_errors_without_their_path(manifests, model, tmp_path):
