@@ -1,0 +1,87 @@
+"""Rows of the table of trips, and parameters relative to the first trips."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from trip_records import OUTPUTS, fleet, trip
+
+from suspnet.monitoring.records import Quality, TripResult, relative_to_first
+
+FEW = ("k_p", "M_s")
+
+
+def made_up(n=8, missing=(1, 5)):
+    """Return trips in a random order of mileage."""
+    results = fleet(n, missing, with_curves=False)
+    return [results[i] for i in np.random.default_rng(4).permutation(n)]
+
+
+def test_row_is_flat_and_in_order():
+    result = trip(3, {"k_p": 0.9})
+    row = result.row(FEW)
+    assert list(row)[:7] == [
+        *("trip", "mileage_km", "start", "status", "reason", "vehicle", "suspension"),
+    ]
+    assert list(row)[7:13] == ["k_p", "M_s", "k_p_raw", "M_s_raw", "k_p_truth", "M_s_truth"]
+    assert row["k_p"] == result.estimates["k_p"]
+    assert row["M_s_raw"] == result.raw["M_s"]
+    assert row["k_p_truth"] == 0.9
+    assert {name: row[name] for name in asdict(Quality())} == asdict(result.quality)
+    assert (row["manifest"], row["mileage_km"]) == ("trip_003.yaml", 40_000.0)
+    assert all(isinstance(value, str | float | int) for value in row.values())
+
+
+def test_row_of_a_failed_trip_has_the_same_columns():
+    whole, failed = trip(0).row(OUTPUTS), TripResult("x", "x.yaml").row(OUTPUTS)
+    assert list(failed) == list(whole)
+    assert [type(v) for v in failed.values()] == [type(v) for v in whole.values()]
+    for name in OUTPUTS:
+        assert all(np.isnan(failed[name + end]) for end in ("", "_raw", "_truth"))
+
+
+@pytest.mark.parametrize("n_first", [1, 2, 3, 6])
+def test_stiffness_and_damping_are_relative_to_the_median_of_the_first(n_first):
+    results = made_up()
+    found = relative_to_first(results, n_first)
+    assert [r.trip for r in found] == [r.trip for r in results]
+    known = [r for r in results if r.status == "ok"]
+    for name in OUTPUTS:
+        first = []
+        for _ in range(n_first):  # the next one by mileage, one by one
+            rest = [r for r in known if r.mileage_km not in [m for m, _ in first]]
+            least = min(rest, key=lambda r: r.mileage_km)
+            first.append((least.mileage_km, least.raw[name]))
+        values = sorted(v for _, v in first)
+        middle = (values[(n_first - 1) // 2] + values[n_first // 2]) / 2
+        reference = 1.0 if name == "M_s" else middle
+        for before, after in zip(results, found, strict=True):
+            if before.status == "ok":
+                expected = before.raw[name] / reference
+                assert after.estimates[name] == pytest.approx(expected, rel=1e-12)
+
+
+def test_pay_load_raw_values_and_failed_trips_are_untouched():
+    results = made_up()
+    for before, after in zip(results, relative_to_first(results, 3), strict=True):
+        assert after.raw == before.raw
+        assert replace(after, estimates={}) == replace(before, estimates={})
+        if before.status == "ok":
+            assert after.estimates["M_s"] == before.estimates["M_s"]
+            assert after.estimates["c_s"] != before.estimates["c_s"]
+        else:
+            assert after.estimates == {}
+
+
+def test_order_of_the_trips_does_not_matter():
+    results = made_up()
+    straight = {r.trip: r.estimates for r in relative_to_first(results, 4)}
+    turned = {r.trip: r.estimates for r in relative_to_first(results[::-1], 4)}
+    assert straight == turned
+
+
+@pytest.mark.parametrize("n_first", [7, 30])
+def test_too_few_trips_for_a_reference(n_first):
+    message = f"the healthy reference asks for {n_first} first trips, 6 have an estimate"
+    with pytest.raises(ValueError, match=message):
+        relative_to_first(made_up(), n_first)
