@@ -8,7 +8,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from suspnet import command_line
-from suspnet.data.simulation import write_fleet
+from suspnet.simulation.fleet import write_fleet
 
 log = logging.getLogger(__name__)
 

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from suspnet.data import cleaning
-from suspnet.data.cleaning import KINDS, Cleaner, CleaningSettings, Fault
-from suspnet.data.faults import (
+from suspnet.recordings import cleaning
+from suspnet.recordings.cleaning import KINDS, Cleaner, CleaningSettings, Fault
+from suspnet.recordings.faults import (
     fill,
     find_clipping,
     find_constant,

@@ -217,7 +217,9 @@ def test_tensorboard_has_a_scalar_at_each_mileage(done, alone):
     assert set(tags["images"]) == FIGURES
     assert "trips/text_summary" in tags["tensors"]
     scalars = events.Scalars("trips/c_s")
-    assert [event.step for event in scalars] == [1000, 2000, 4000, 5000]
+    for name in ("c_s", "n_averages"):
+        steps = [event.step for event in events.Scalars(f"trips/{name}")]
+        assert steps == [1000, 2000, 4000, 5000]
     expected = [alone[i].estimates["c_s"] for i in (0, 1, 3, 4)]
     assert [event.value for event in scalars] == pytest.approx(expected, rel=1e-6)
 

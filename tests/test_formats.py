@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.io import savemat
 
-from suspnet.data import formats
-from suspnet.data.formats import open_columns
-from suspnet.data.manifest import TripError
+from suspnet.recordings import formats
+from suspnet.recordings.formats import open_columns
+from suspnet.recordings.manifest import TripError
 
 
 def read(path: Path, *columns: str | None) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.data.manifest import (
+from suspnet.recordings.manifest import (
     CHANNELS,
     Channel,
     SpeedSource,

@@ -10,14 +10,14 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from trip_fixtures import AM96
 
-from suspnet.data.manifest import CHANNELS, TripError
-from suspnet.data.simulation import profile_length_m, simulate_trip
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.journey import steady_journey
 from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.features.transfer_estimate import segment_spectra
 from suspnet.features.welch import Welch
 from suspnet.monitoring.plausibility import check_channels
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.simulation.fleet import profile_length_m, simulate_trip
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))
@@ -48,8 +48,8 @@ def signals_of(generator, speed, track="german_low", state="healthy"):
     return generator, torch.as_tensor(simulate_trip(system, profile, journey, RATE_HZ))
 
 
-def check(generator, signals, low_hz=0.0):
-    segments = segment_spectra(signals, RATE_HZ, Welch(), low_hz, RATE_HZ / 4)
+def check(generator, signals, low_hz=0.0, high_hz=RATE_HZ / 4):
+    segments = segment_spectra(signals, RATE_HZ, Welch(), low_hz, high_hz)
     spectra = segments.average(torch.ones(len(segments.values), dtype=torch.bool))
     return check_channels(spectra, segments.frequencies_hz, generator, generator.vehicle)
 
@@ -126,6 +126,14 @@ def test_message_says_which_channel_is_where(order, said):
     generator, signals = simulated("am96", "mixed")
     with pytest.raises(TripError, match=f"expected if {said}"):
         check(generator, signals[list(order)])
+
+
+def test_order_shows_in_the_lower_half_of_the_band_too():
+    generator, signals = simulated("am96")
+    assert check(generator, signals, high_hz=4.0) == []
+    for order in WRONG_ORDERS:
+        with pytest.raises(TripError, match="swapped"):
+            check(generator, signals[list(order)], high_hz=4.0)
 
 
 def test_order_is_found_even_if_units_and_signs_are_wrong_too():

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from suspnet.data import formats
-from suspnet.data.manifest import CHANNELS, TripError, read_manifest
-from suspnet.data.recordings import Recording, load_recording
+from suspnet.recordings import formats
+from suspnet.recordings.manifest import CHANNELS, TripError, read_manifest
+from suspnet.recordings.recording import Recording, load_recording
 
 FREQUENCIES_HZ = np.array([0.5, 1.3, 4.0, 7.7, 12.0, 20.0, 25.0])
 PHASES = np.arange(7) ** 2.0

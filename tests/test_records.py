@@ -12,20 +12,21 @@ FEW = ("k_p", "M_s")
 
 
 def made_up(n=8, missing=(1, 5)):
-    """Return trips in a random order of mileage."""
+    """Return trips in a random order, their names in that of falling mileage."""
     results = fleet(n, missing, with_curves=False)
-    return [results[i] for i in np.random.default_rng(4).permutation(n)]
+    order = np.random.default_rng(4).permutation(n)
+    return [replace(results[i], trip=f"trip_{n - i}") for i in order]
 
 
 def test_row_is_flat_and_in_order():
-    result = trip(3, {"k_p": 0.9})
+    result = replace(trip(3, {"k_p": 0.9}), raw={"k_p": 0.8, "M_s": 0.7})
     row = result.row(FEW)
     assert list(row)[:7] == [
         *("trip", "mileage_km", "start", "status", "reason", "vehicle", "suspension"),
     ]
     assert list(row)[7:13] == ["k_p", "M_s", "k_p_raw", "M_s_raw", "k_p_truth", "M_s_truth"]
     assert row["k_p"] == result.estimates["k_p"]
-    assert row["M_s_raw"] == result.raw["M_s"]
+    assert (row["k_p_raw"], row["M_s_raw"]) == (0.8, 0.7)
     assert row["k_p_truth"] == 0.9
     assert {name: row[name] for name in asdict(Quality())} == asdict(result.quality)
     assert (row["manifest"], row["mileage_km"]) == ("trip_003.yaml", 40_000.0)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.data.resampling import decimate, interpolate, support
+from suspnet.recordings.resampling import decimate, interpolate, support
 
 RATE_HZ = 100.0
 

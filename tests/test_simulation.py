@@ -7,9 +7,13 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from suspnet.data.manifest import CHANNELS, Channel, SpeedSource, read_manifest
-from suspnet.data.scenarios import Scenario
-from suspnet.data.simulation import (
+from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics.journey import Journey, steady_journey
+from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
+from suspnet.features.transfer_estimate import tfestimate
+from suspnet.features.welch import Welch
+from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, read_manifest
+from suspnet.simulation.fleet import (
     BLOCK,
     LEAD_IN_S,
     Fleet,
@@ -17,11 +21,7 @@ from suspnet.data.simulation import (
     simulate_trip,
     write_fleet,
 )
-from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
-from suspnet.dynamics.journey import Journey, steady_journey
-from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
-from suspnet.features.transfer_estimate import tfestimate
-from suspnet.features.welch import Welch
+from suspnet.simulation.scenarios import Scenario
 
 AM96 = Vehicle(
     "am96",
@@ -184,7 +184,7 @@ def test_longer_trip_is_the_same_in_its_first_part(monkeypatch):
     first = simulate_trip(system, profile, short, 100.0)
     np.testing.assert_allclose(whole[:, :600], first, rtol=0, atol=1e-9)
     assert BLOCK > 3200
-    monkeypatch.setattr("suspnet.data.simulation.BLOCK", 2111)
+    monkeypatch.setattr("suspnet.simulation.fleet.BLOCK", 2111)
     pieces = simulate_trip(system, profile, long, 100.0)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-9 * np.abs(whole).max())
 

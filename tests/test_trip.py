@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import torch
 from trip_fixtures import (
@@ -17,13 +18,13 @@ from trip_fixtures import (
     write_trips,
 )
 
-from suspnet.data.manifest import CHANNELS, TripError
-from suspnet.data.scenarios import Scenario
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.welch import Welch
 from suspnet.monitoring import trip
 from suspnet.monitoring.records import ERROR, NO_ESTIMATE, OK
 from suspnet.monitoring.trip import TripSettings, evaluate_trip
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.simulation.scenarios import Scenario
 
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
@@ -270,11 +271,47 @@ def test_segments_with_unrelated_noise_are_left_out(
 
 
 def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path):
-    path = noisy(manifests[0], tmp_path, "bogie", 3.0, seconds=(0, 300))
-    result = evaluated(path, model, TripSettings(max_deviation=1.0))
+    path = noisy(manifests[0], tmp_path, "bogie", 5.0, seconds=(0, 300))
+    result = evaluated(path, model, TripSettings(max_deviation=10.0))
     assert result.quality.coherence_p < SETTINGS.min_coherence
     assert result.quality.segments_used == N_SEGMENTS
     assert result.quality.warnings.startswith("units and signs not checked")
+
+
+def test_a_little_noise_in_a_part_leaves_none_out(manifests, model, good, tmp_path):
+    result = evaluated(noisy(manifests[0], tmp_path, "bogie", 0.2), model)
+    assert result.quality.segments_used == N_SEGMENTS
+    assert good.quality.coherence_p - 0.1 < result.quality.coherence_p < good.quality.coherence_p
+    assert close(result, good, 1.05)
+
+
+def test_what_happens_at_other_speeds_does_not_matter(manifests, model, tmp_path):
+    speed = np.where(np.arange(301) < 140, 70.0, 30.0)
+    quiet = noisy(manifests[0], tmp_path, "body", 3.0, seconds=(60, 70))
+    settings = TripSettings(min_averages=5, check_channels=False)
+    results = []
+    for size in (0.0, 10.0):
+        body = pq.read_table(tmp_path / "changed" / "body.parquet").column(0).to_numpy().copy()
+        body[140 * 250 :] += (
+            size * body.std() * np.random.default_rng(5).standard_normal(len(body) - 140 * 250)
+        )
+        path = changed(quiet, tmp_path, f"size_{size:g}", {"body": body, "speed": speed})
+        results.append(evaluated(path, model, settings))
+    assert 8 <= results[0].quality.segments_used <= 10  # 12 less those with noise
+    assert results[1].quality.segments_used == results[0].quality.segments_used
+    assert close(*results, 1.001)
+
+
+def test_channels_are_checked_where_the_train_runs(manifests, model, tmp_path):
+    """In the second half the train stops every other second, and the bogie's sensor is turned."""
+    seconds = np.arange(301)
+    speed = np.where((seconds > 150) & (seconds % 2 == 0), 5.0, 70.0)
+    bogie = signal(manifests[0], "bogie").copy()
+    bogie[150 * 250 :] *= -4
+    path = changed(manifests[0], tmp_path, signals={"bogie": bogie, "speed": speed})
+    result = evaluated(path, model)
+    assert (result.status, result.quality.warnings) == (OK, "")
+    assert result.quality.segments_used == 14
 
 
 def test_number_of_low_coherence_is_told(manifests, model, tmp_path):

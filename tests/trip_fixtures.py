@@ -9,13 +9,13 @@ import yaml
 
 from suspnet.data import TEST, Protocol
 from suspnet.data.estimates import EstimateSettings
-from suspnet.data.manifest import CHANNELS
-from suspnet.data.scenarios import Scenario
-from suspnet.data.simulation import Fleet, write_fleet
 from suspnet.dynamics import Vehicle, VerticalVehicle
 from suspnet.experiment import rms_percent
 from suspnet.fitting import Problem, fit, predict_stream
 from suspnet.learning import MSVR
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.simulation.fleet import Fleet, write_fleet
+from suspnet.simulation.scenarios import Scenario
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 RATES_HZ = (400.0, 250.0, 250.0)

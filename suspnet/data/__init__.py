@@ -1,4 +1,4 @@
-"""Data: protocols, noisy curves and estimates, simulated and recorded trips."""
+"""Training data: protocols, noisy curves and estimates, their features and cache."""
 
 from suspnet.data.curves import CurveSettings
 from suspnet.data.estimates import EstimateSettings

@@ -2,8 +2,8 @@
 
 The spectra of the three sensors follow from the track, the speed and the vehicle. Their estimate
 from n independent averages is a complex Wishart matrix over n, whose mean is the true matrix
-smeared over neighbouring bins by the window. The very estimator that the recording goes through is
-applied to draws of it, so that bias (H1 in noise), leakage and the noise of each bin are the trip's.
+smeared over neighbouring bins by the window. The estimator that the recording goes through is
+applied to draws of it: bias (H1 in noise), leakage and the noise of each bin are those of the trip.
 """
 
 from __future__ import annotations

@@ -16,12 +16,12 @@ from tqdm import tqdm
 
 import suspnet
 from suspnet.checkpoint import ModelFileError, TrainedModel
-from suspnet.data.manifest import find_manifests
 from suspnet.data.source import quiet
 from suspnet.monitoring.output import summary, write_pages, write_tables
 from suspnet.monitoring.records import TripResult, relative_to_first
 from suspnet.monitoring.trend import LEAST_PERCENT, Trend, trend
 from suspnet.monitoring.trip import TripSettings, estimate_settings, evaluate_trip
+from suspnet.recordings.manifest import find_manifests
 
 try:
     import distributed

@@ -13,9 +13,9 @@ import math
 import torch
 from torch import Tensor
 
-from suspnet.data.manifest import CHANNELS, TripError
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.recordings.manifest import CHANNELS, TripError
 
 SLOW = (0.2, 0.4)
 """Band of the gain, in multiples of the first natural frequency."""

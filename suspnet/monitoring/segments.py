@@ -7,10 +7,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from suspnet.data.recordings import Recording
 from suspnet.features.cross_spectra import CHAIN
 from suspnet.features.transfer_estimate import SegmentSpectra, segment_spectra
 from suspnet.features.welch import Welch
+from suspnet.recordings.recording import Recording
 
 LOUD = 30.0
 """Segments with more than this multiple of the median power are left out from the start."""

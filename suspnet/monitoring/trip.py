@@ -14,8 +14,6 @@ from torch import Tensor
 
 from suspnet.checkpoint import ModelFileError, TrainedModel
 from suspnet.data.estimates import EstimateSettings
-from suspnet.data.manifest import TripError, TripManifest, read_manifest
-from suspnet.data.recordings import Recording, load_recording
 from suspnet.dynamics import VerticalVehicle
 from suspnet.features import PeakReason
 from suspnet.features.cross_spectra import CrossSpectra
@@ -30,6 +28,8 @@ from suspnet.monitoring.segments import (
     without_incoherent,
     without_loud,
 )
+from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
+from suspnet.recordings.recording import Recording, load_recording
 
 log = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from suspnet.data.faults import (
+from suspnet.recordings.faults import (
     FloatArray,
     Mask,
     fill,

@@ -10,10 +10,10 @@ from itertools import chain
 
 import numpy as np
 
-from suspnet.data.cleaning import Cleaner, CleaningSettings, Fault
-from suspnet.data.faults import FloatArray, Mask
-from suspnet.data.formats import open_columns
-from suspnet.data.manifest import (
+from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
+from suspnet.recordings.faults import FloatArray, Mask
+from suspnet.recordings.formats import open_columns
+from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     CHANNELS,
     SPEED_UNITS,
@@ -21,8 +21,8 @@ from suspnet.data.manifest import (
     TripError,
     TripManifest,
 )
-from suspnet.data.resampling import Decimated, decimate, interpolate, support
-from suspnet.data.timeline import Timeline, check_rate, check_rising
+from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
+from suspnet.recordings.timeline import Timeline, check_rate, check_rising
 
 SHORTEST_S = 60.0
 """A shorter recording says nothing about a suspension."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
-from suspnet.data.faults import FloatArray, IndexArray, Mask
+from suspnet.recordings.faults import FloatArray, IndexArray, Mask
 
 PASS, STOP = 0.25, 0.75
 """Ends of the pass band and of the transition band, as fractions of the wanted rate."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatReadError
 
-from suspnet.data.manifest import TripError
+from suspnet.recordings.manifest import TripError
 
 try:
     import h5py

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from suspnet.data.faults import FloatArray, IndexArray
-from suspnet.data.manifest import TripError
+from suspnet.recordings.faults import FloatArray, IndexArray
+from suspnet.recordings.manifest import TripError
 
 GAP_STEPS = 1.5
 """A time step longer than this many usual ones is a gap."""
