@@ -121,7 +121,6 @@ def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
     with distributed.LocalCluster(**options, dashboard_address=":0") as cluster:
         settings = FleetSettings(TRIPS, cluster=cluster.scheduler_address)
         results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
-        distributed.default_client().close()
     assert estimates(results) == estimates(alone)
 
 
@@ -408,3 +407,14 @@ def test_cluster_needs_dask(monkeypatch):
     with pytest.raises(ValueError, match=r'`cluster` needs dask: pip install "suspnet\[cluster\]"'):
         FleetSettings(TRIPS, cluster="local")
     assert FleetSettings(TRIPS).cluster is None
+
+
+def test_two_models_of_one_speed_are_refused(model):
+    with pytest.raises(ModelFileError, match=r"same speed \(70 m/s, 70 m/s\)"):
+        check_models([model, replace(model)])
+
+
+def test_names_that_look_like_numbers_stay_as_they_are(alone):
+    named = [replace(alone[0], trip=name, truth={}) for name in ("1.10", "001", "1e5")]
+    lines = summary(named, OUTPUTS).splitlines()
+    assert [line.split("|")[1].strip() for line in lines[3:]] == ["1.10", "001", "1e5"]

@@ -86,3 +86,23 @@ def test_too_few_trips_for_a_reference(n_first):
     message = f"the healthy reference asks for {n_first} first trips, 6 have an estimate"
     with pytest.raises(ValueError, match=message):
         relative_to_first(made_up(), n_first)
+
+
+def test_truth_is_relative_to_the_first_trips_too():
+    results = [
+        replace(
+            trip(i, {"k_p": 0.8 * wear, "M_s": 1.1}),
+            raw={"k_p": 0.9 * wear, "M_s": 1.2},
+            truth={"k_p": 0.8 * wear, "M_s": 1.1},
+        )
+        for i, wear in enumerate((1.0, 1.0, 1.0, 0.5))
+    ]
+    last = relative_to_first(results, 3)[-1]
+    assert last.estimates["k_p"] == pytest.approx(0.5)
+    assert last.truth["k_p"] == pytest.approx(0.5)
+    assert (last.estimates["M_s"], last.truth["M_s"]) == (1.2, 1.1)
+
+
+def test_unknown_truth_stays_unknown():
+    results = [replace(trip(i), raw={"k_p": 1.0, "M_s": 1.0}, truth={}) for i in range(3)]
+    assert all(r.truth == {} for r in relative_to_first(results, 3))

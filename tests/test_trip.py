@@ -329,7 +329,7 @@ def test_number_of_low_coherence_is_told(manifests, model, tmp_path):
 @pytest.mark.parametrize(
     ("speed", "settings", "message"),
     [
-        (3.0, {}, "none of 28 segments without faults is at 10 m/s or faster throughout"),
+        (3.0, {}, "0 of 28 segments without faults are at 68.6 to 71.4 m/s throughout"),
         (
             30.0,
             {},
@@ -338,7 +338,11 @@ def test_number_of_low_coherence_is_told(manifests, model, tmp_path):
             "or less)",
         ),
         (70.0, {"min_averages": 27}, "28 segments without faults are at 68.6 to 71.4 m/s"),
-        (70.0, {"max_deviation": 0.005}, "the responses are uncertain by 1 % (coherence 0.99, 27"),
+        (
+            70.0,
+            {"max_deviation": 0.005},
+            "the responses are uncertain by 0.96 % (coherence 0.99, 27",
+        ),
         (70.0, {"rate_hz": 20}, "the model's band reaches 9.85 Hz, the recording is read up to 5"),
     ],
 )
@@ -474,3 +478,49 @@ def test_settings_out_of_range_are_refused(name, value, low, high):
 def test_settings_must_be_numbers(value):
     with pytest.raises(TypeError, match=rf"`trips\.rate_hz` must be a number, got {value!r}"):
         TripSettings(rate_hz=value)
+
+
+def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch, model):
+    asked = []
+
+    def spy(spectra, frequencies_hz, generator, vehicle):
+        asked.append(generator.speed_m_per_s)
+        return ""
+
+    monkeypatch.setattr(trip, "check_channels", spy)
+    models = [model_at(50.0), model]
+    for order in (models, models[::-1]):
+        asked.clear()
+        result = evaluate_trip(two_speeds(200), order, SETTINGS)
+        assert result.status == OK
+        assert asked == [m.generator.speed_m_per_s for m in order]
+
+
+def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monkeypatch):
+    monkeypatch.setattr(trip, "check_channels", lambda *_: pytest.fail("was checked"))
+    result = evaluated(manifests[0], model_at(50.0))
+    assert result.status == NO_ESTIMATE
+
+
+def test_segment_belongs_to_the_nearest_model_only(manifests, model, good):
+    near = replace(model, generator=replace(model.generator, speed_m_per_s=70.5))
+    for models in ([model, near], [near, model]):
+        result = evaluate_trip(manifests[0], models, SETTINGS)
+        assert result.quality.segments_used == N_SEGMENTS
+        assert result.estimates == good.estimates
+
+
+def test_quality_of_a_refused_trip_is_kept(manifests, model, tmp_path):
+    path = changed(manifests[0], tmp_path, channels={"body": {"unit": "g"}})
+    result = evaluated(path, model)
+    assert result.status == ERROR
+    assert result.quality.segments_total == N_SEGMENTS
+    assert result.quality.usable_percent == 100.0
+    assert result.quality.duration_s == pytest.approx(60 * MINUTES, abs=1.0)
+
+
+def test_unknown_speed_is_a_reason(manifests, model, tmp_path):
+    speed = signal(manifests[0], "speed").copy()
+    speed[::15] = np.nan
+    result = evaluated(changed(manifests[0], tmp_path, signals={"speed": speed}), model)
+    assert result.reason == "no segment of 20 s is free of faults: the speed is unknown in part"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
@@ -20,7 +20,7 @@ from suspnet.data.source import quiet
 from suspnet.monitoring.output import summary, write_pages, write_tables
 from suspnet.monitoring.records import TripResult, relative_to_first
 from suspnet.monitoring.trend import LEAST_PERCENT, Trend, trend
-from suspnet.monitoring.trip import TripSettings, estimate_settings, evaluate_trip
+from suspnet.monitoring.trip import TripSettings, estimate_settings, evaluate_trip, model_speed
 from suspnet.recordings.manifest import find_manifests
 
 try:
@@ -83,8 +83,8 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
     Raises
     ------
     ModelFileError
-        If one was not trained on estimates from trips, needs a measured mass, or they differ in
-        vehicle or outputs.
+        If one was not trained on estimates from trips, needs a measured mass, or if they differ
+        in vehicle or outputs or share a speed.
     """
     for model in models:
         estimate_settings(model)
@@ -96,7 +96,17 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
             raise ModelFileError(
                 "the models of one run must share vehicle and outputs; give the folder of one run"
             )
+    speeds = [model_speed(model) for model in models]
+    if len(set(speeds)) < len(speeds):
+        raise ModelFileError(
+            f"two models are for the same speed ({', '.join(map(_speed_words, speeds))}); give the "
+            "folder of one run, or of a multirun over speed_m_per_s alone"
+        )
     return first.task.outputs
+
+
+def _speed_words(speed: float | None) -> str:
+    return "any" if speed is None else f"{speed:g} m/s"
 
 
 def evaluate_fleet(
@@ -161,16 +171,18 @@ def _evaluated(
     return results
 
 
-def _backend(settings: FleetSettings) -> AbstractContextManager[Any]:
-    """Return where the trips are evaluated: local processes or a dask cluster."""
-    context: AbstractContextManager[Any]
+@contextmanager
+def _backend(settings: FleetSettings) -> Iterator[None]:
+    """Say where the trips are evaluated: in local processes or on a dask cluster."""
     if settings.cluster is None:
-        context = parallel_config(n_jobs=settings.workers)
-    else:
-        address = None if settings.cluster == "local" else settings.cluster
-        client = distributed.Client(address, **({} if address else {"n_workers": settings.workers}))
-        context = parallel_config("dask", client=client, n_jobs=-1)
-    return context
+        with parallel_config(n_jobs=settings.workers):
+            yield
+        return
+    address = None if settings.cluster == "local" else settings.cluster
+    options = {} if address else {"n_workers": settings.workers, "dashboard_address": None}
+    with distributed.Client(address, **options) as client:
+        with parallel_config("dask", client=client, n_jobs=-1):
+            yield
 
 
 def _trends(
@@ -203,7 +215,7 @@ def _details(
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",
-        "speeds": ", ".join(f"{estimate_settings(m).speed_m_per_s:g} m/s" for m in models),
+        "speeds": ", ".join(_speed_words(model_speed(m)) for m in models),
         "transfer functions": f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
         "healthy is": reference,

@@ -40,7 +40,14 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     errors = errors_percent(results, outputs)
     if errors:
         rows.append([KNOWN_ERROR_PERCENT, None, *(errors[name] for name in outputs), None, None])
-    table = tabulate(rows, header, tablefmt="github", floatfmt=("", ".1f", *[".4g"] * 20))
+    words = [0, len(header) - 1]
+    table = tabulate(
+        rows,
+        header,
+        tablefmt="github",
+        floatfmt=("", ".1f", *[".4g"] * 20),
+        disable_numparse=words,
+    )
     done = sum(r.status == OK for r in results)
     return f"{done} of {len(results)} trips have an estimate\n{table}"
 

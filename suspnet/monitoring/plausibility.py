@@ -30,13 +30,13 @@ COHERENT = 0.5
 
 def check_channels(
     spectra: CrossSpectra, frequencies_hz: Tensor, generator: ResponseGenerator, vehicle: Vehicle
-) -> list[str]:
+) -> str:
     """Raise TripError where a channel has the wrong unit or sign, or two are swapped.
 
     Parameters
     ----------
     spectra : CrossSpectra
-        Of the whole trip, axle box, bogie, body.
+        Of a trip at the generator's speed, axle box, bogie, body.
     frequencies_hz : tensor of shape (n_freq,), [Hz]
     generator : ResponseGenerator
         Says what gain to expect of the healthy vehicle.
@@ -44,8 +44,8 @@ def check_channels(
 
     Returns
     -------
-    list of str
-        What could not be checked, and why.
+    str
+        What could not be checked, and why; empty if all could.
 
     Raises
     ------
@@ -60,10 +60,10 @@ def check_channels(
     slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
     coherence = spectra.coherences()[:, slow].mean(dim=1)
     if not bool(slow.any()) or bool((coherence < COHERENT).any()):
-        return ["units and signs not checked: too little coherence at low frequency"]
+        return "units and signs not checked: too little coherence at low frequency"
     gains = (spectra.responses("Hv")[:, slow] / expected[:, slow]).mean(dim=1)
     _check_gains([complex(gain) for gain in gains])
-    return []
+    return ""
 
 
 def _check_order(spectra: CrossSpectra, expected: Tensor) -> None:

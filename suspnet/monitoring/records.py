@@ -98,7 +98,7 @@ class TripResult:
     raw : dict of float, [-]
         The same relative to the vehicle's nominal parameters.
     truth : dict of float, [-]
-        Of simulated trips.
+        Of simulated trips, relative to the same as `estimates`.
     quality : Quality
     seconds : float, [s]
         Time the evaluation took.
@@ -140,7 +140,8 @@ class TripResult:
 def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
     """Return results whose k and c are relative to the median of the vehicle's first trips.
 
-    The car-body mass stays relative to nominal: pay-load varies from the first trip on.
+    So is the truth, where it is known. The car-body mass stays relative to nominal: pay-load
+    varies from the first trip on.
 
     Raises
     ------
@@ -153,8 +154,19 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
             f"the healthy reference asks for {n_first} first trips, {len(done)} have an estimate"
         )
     names = [name for name in done[0].raw if name != "M_s"]
-    reference = {name: float(np.median([r.raw[name] for r in done])) for name in names}
+    estimated = _medians([r.raw for r in done], names)
+    true = _medians([r.truth for r in done if set(names) <= set(r.truth)], names)
     return [
-        replace(r, estimates={k: v / reference.get(k, 1.0) for k, v in r.raw.items()})
+        replace(r, estimates=_divided(r.raw, estimated), truth=_divided(r.truth, true))
         for r in results
     ]
+
+
+def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, float]:
+    if not values:
+        return {}
+    return {name: float(np.median([v[name] for v in values])) for name in names}
+
+
+def _divided(values: dict[str, float], by: dict[str, float]) -> dict[str, float]:
+    return {name: value / by.get(name, 1.0) for name, value in values.items()}

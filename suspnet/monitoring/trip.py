@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -18,6 +19,7 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.features import PeakReason
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
+from suspnet.features.welch import Welch
 from suspnet.monitoring.plausibility import check_channels
 from suspnet.monitoring.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 from suspnet.monitoring.segments import (
@@ -100,6 +102,7 @@ class _Bin:
     chosen: Tensor
     speed_m_per_s: float
     values: FloatArray
+    doubts: str
 
 
 def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
@@ -175,53 +178,48 @@ def _estimated(
     )
     welches = [estimate_settings(model).welch for model in models]
     segments = {welch: recording_segments(recording, welch) for welch in welches}
-    whole = next(iter(segments.values()))
-    if not len(whole.values):
-        faults = "; ".join(str(fault) for fault in recording.faults if not fault.repaired)
-        reason = f"no segment of {whole.welch.segment_s:g} s is free of faults: {faults}"
-        return replace(result, quality=quality, status=NO_ESTIMATE, reason=reason)
-    if settings.check_channels:
-        doubts = _checked(recording, whole, models[0], settings)
-        quality = replace(quality, warnings="; ".join(doubts))
-    bins, reasons = [], []
-    for model, welch in zip(models, welches, strict=True):
-        try:
-            bins.append(_bin(recording, segments[welch], model, settings))
-        except NoEstimateError as reason:
-            reasons.append(str(reason))
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
+    if n_total == 0:
+        return replace(result, status=NO_ESTIMATE, reason=_no_segment(recording, welches[0]))
+    bins, reasons = [], []
+    try:
+        for model, welch in zip(models, welches, strict=True):
+            try:
+                bins.append(_bin(recording, segments[welch], model, models, settings))
+            except NoEstimateError as reason:
+                reasons.append(str(reason))
+    except TripError as error:
+        return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
     return _combined(result, recording, bins)
 
 
-def _checked(
-    recording: Recording, segments: SegmentSpectra, model: TrainedModel, settings: TripSettings
-) -> list[str]:
-    speeds = segment_speeds(recording, segments)
-    moving = (speeds >= settings.min_speed_m_per_s).all(dim=1)
-    if not bool(moving.any()):
-        raise NoEstimateError(
-            f"none of {len(moving)} segments without faults is at {settings.min_speed_m_per_s:g} "
-            "m/s or faster throughout"
-        )
-    spectra = segments.average(without_loud(segments, moving))
-    return check_channels(spectra, segments.frequencies_hz, model.generator, model.vehicle)
+def _no_segment(recording: Recording, welch: Welch) -> str:
+    faults = [str(fault) for fault in recording.faults if not fault.repaired]
+    if not np.isfinite(recording.speed_m_per_s).all():
+        faults.append("the speed is unknown in part")
+    return f"no segment of {welch.segment_s:g} s is free of faults: {'; '.join(faults)}"
 
 
 def _bin(
-    recording: Recording, segments: SegmentSpectra, model: TrainedModel, settings: TripSettings
+    recording: Recording,
+    segments: SegmentSpectra,
+    model: TrainedModel,
+    models: Sequence[TrainedModel],
+    settings: TripSettings,
 ) -> _Bin:
-    """Return a model's estimate from the segments at its speed."""
+    """Return a model's estimate from the segments at its speed, and at no other model's."""
     trained = estimate_settings(model)
-    low, high, words = _speed_range(model, settings)
     speeds = segment_speeds(recording, segments)
-    within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high)
+    within, words = _within(speeds, model, models, settings)
     band = in_band(segments, trained.frequencies_hz())
-    chosen, n_incoherent = without_incoherent(
-        band, without_loud(band, within), settings.min_coherence
-    )
+    candidates = without_loud(band, within)
+    chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
+    doubts = ""
+    if settings.check_channels and bool(candidates.any()):
+        doubts = _checked(segments, chosen if bool(chosen.any()) else candidates, model)
     n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
     if n_averages < settings.min_averages:
         raise NoEstimateError(
@@ -234,25 +232,45 @@ def _bin(
     deviation = float(spectra.deviations(trained.method).median(dim=1).values.amax())
     if deviation > settings.max_deviation:
         raise NoEstimateError(
-            f"the responses are uncertain by {100 * deviation:.0f} % (coherence "
+            f"the responses are uncertain by {100 * deviation:.2g} % (coherence "
             f"{float(spectra.coherences().mean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
-            f"at most {100 * settings.max_deviation:.0f} % are accepted"
+            f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     responses = spectra.responses(trained.method)
     inputs = model.relative_features(responses[None].numpy(), band.frequencies_hz.numpy())
     if not np.isfinite(inputs).all():
         raise NoEstimateError(f"features are missing: {_missing(model, responses, band)}")
     speed = float(speeds[chosen].mean())
-    return _Bin(model, spectra, band, chosen, speed, model.predict(inputs)[0])
+    return _Bin(model, spectra, band, chosen, speed, model.predict(inputs)[0], doubts)
 
 
-def _speed_range(model: TrainedModel, settings: TripSettings) -> tuple[float, float, str]:
-    if isinstance(model.generator, VerticalVehicle):
-        speed, tolerance = model.generator.speed_m_per_s, settings.speed_tolerance
-        low, high = speed * (1 - tolerance), speed * (1 + tolerance)
-        return low, high, f"at {low:.1f} to {high:.1f} m/s throughout"
-    low = settings.min_speed_m_per_s
-    return low, np.inf, f"at {low:g} m/s or faster throughout"
+def _checked(segments: SegmentSpectra, chosen: Tensor, model: TrainedModel) -> str:
+    """Return what could not be checked of the channels; TripError if one is wrong."""
+    spectra = segments.average(chosen)
+    return check_channels(spectra, segments.frequencies_hz, model.generator, model.vehicle)
+
+
+def _within(
+    speeds: Tensor, model: TrainedModel, models: Sequence[TrainedModel], settings: TripSettings
+) -> tuple[Tensor, str]:
+    """Return which segments are a model's, by their speeds, and the rule in words."""
+    bin_speed = model_speed(model)
+    if bin_speed is None:
+        low = settings.min_speed_m_per_s
+        return (speeds >= low).all(dim=1), f"at {low:g} m/s or faster throughout"
+    low, high = (bin_speed * (1 + sign * settings.speed_tolerance) for sign in (-1, 1))
+    distances = torch.stack(
+        [(speeds.mean(dim=1) - (model_speed(other) or torch.inf)).abs() for other in models]
+    )
+    nearest = distances.argmin(dim=0) == [other is model for other in models].index(True)
+    within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high) & nearest
+    return within, f"at {low:.1f} to {high:.1f} m/s throughout"
+
+
+def model_speed(model: TrainedModel) -> float | None:
+    """Return the speed that a model was trained for, [m/s]; None if any speed suits it."""
+    generator = model.generator
+    return generator.speed_m_per_s if isinstance(generator, VerticalVehicle) else None
 
 
 def _missing(model: TrainedModel, responses: Tensor, band: SegmentSpectra) -> str:
@@ -287,6 +305,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) ->
             f"{b.speed_m_per_s:.1f} m/s: {b.spectra.n_averages:.0f} averages" for b in bins
         ),
         features_found=f"{len(names)} of {len(names)}",
+        warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
     best = bins[int(np.argmax(weights))]
     return replace(
