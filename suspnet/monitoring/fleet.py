@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -163,7 +164,9 @@ def _evaluated(
 ) -> list[TripResult]:
     jobs = [delayed(evaluate_trip)(path.absolute(), models, settings.trips) for path in paths]
     bar = tqdm(total=len(paths), desc="trips", unit="trip", disable=quiet(progress))
-    with bar, _backend(settings):
+    with bar, _backend(settings), warnings.catch_warnings():
+        # joblib replaces a worker whose memory has grown; no trip is lost
+        warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
         results = []
         for result in Parallel(return_as="generator_unordered")(jobs):
             results.append(result)
