@@ -69,7 +69,8 @@ def one_line(error: BaseException) -> str:
     for noise in ("Config search path", "full_key:", "To append to your config"):
         words = words.split(noise)[0]
     if words.startswith("Could not override"):
-        words += "There is no such key; --help lists them"
+        words = words.split("To append")[0].split("\n")[0].rstrip(". ")
+        words += ". There is no such key; --help lists them"
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from suspnet.recordings.manifest import (
@@ -152,6 +152,7 @@ channels = st.builds(
     )
 )
 def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
+    assume(len({(c.file, c.column) for c in manifest.channels.values()}) == len(CHANNELS))
     folder = tmp_path_factory.mktemp("trip")
     (folder / "sub").mkdir()
     for name in FILES:
@@ -256,3 +257,12 @@ def test_writing_refuses_what_could_not_be_read(folder):
     with pytest.raises(TripError, match="`name` must be that of the file, got 'other'"):
         write_manifest(replace(manifest, name="other"))
     assert read_manifest(folder / "trip.yaml") == manifest
+
+
+def test_two_channels_from_one_column_are_refused(folder):
+    path = changed(folder, "channels", "axle_box", "file", to="sub/../sub/bogie.csv")
+    assert read_manifest(path).channels["axle_box"].column == "acceleration"
+    content = yaml.safe_load(path.read_text())
+    content["channels"]["axle_box"]["column"] = "a"
+    with pytest.raises(TripError, match="two `channels` have the same file and column"):
+        read_manifest(write(folder, yaml.safe_dump(content)))

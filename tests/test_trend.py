@@ -169,7 +169,7 @@ def test_trips_without_estimate_or_mileage_change_nothing(positions):
 @pytest.mark.parametrize("n_trips", [0, 1, 2, 9])
 def test_too_few_trips_say_so(n_trips):
     found = trend("k_p", np.arange(n_trips), np.ones(n_trips))
-    assert found.verdict == f"too few trips ({n_trips}) to tell"
+    assert found.verdict == f"too few trips ({n_trips} of 10) to tell of a change"
     assert not found.stands_out
     assert math.isnan(found.p_value)
     assert math.isnan(found.first_median) == (n_trips < 2)
@@ -205,3 +205,21 @@ def test_settings_out_of_range_are_refused():
         trend("k_p", [1], [1], n_ends=1)
     with pytest.raises(ValueError, match="`min_size` must be at least 2 trips, got 1"):
         steps([1], [1], min_size=1)
+
+
+def test_level_far_from_healthy_stands_out_without_a_change():
+    low = trend("k_p", MILEAGE_KM, series(np.full(N_TRIPS, -0.4), 0.001, 0))
+    assert low.stands_out
+    assert low.verdict.startswith("no change")
+    assert not trend("k_p", MILEAGE_KM, series(np.full(N_TRIPS, -0.05), 0.001, 0)).stands_out
+    assert not trend("M_s", MILEAGE_KM, series(np.full(N_TRIPS, -0.4), 0.001, 0)).stands_out
+    few = trend("k_p", MILEAGE_KM[:1], [0.6])
+    assert few.stands_out
+    assert few.verdict == "too few trips (1 of 10) to tell of a change; at 60 % of healthy"
+
+
+def test_last_trip_of_a_fade_is_named():
+    fade = np.where(np.arange(N_TRIPS) < 20, 0.0, -0.04 * (np.arange(N_TRIPS) - 19))
+    assert trend("c_s", MILEAGE_KM, series(fade, 0.001, 0)).verdict.endswith(
+        "; the last trip is at 60 %"
+    )

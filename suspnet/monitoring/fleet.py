@@ -149,6 +149,15 @@ def evaluate_fleet(
     results.sort(key=lambda r: (np.isnan(r.mileage_km), r.mileage_km, r.trip))
     if settings.reference == "first_trips":
         results = relative_to_first(results, settings.n_reference)
+    suspensions = sorted({r.suspension for r in results if r.suspension})
+    if len(suspensions) > 1:
+        log.warning(
+            "%s holds trips of %d suspensions (%s): their trend is one line only if they are one; "
+            "give each a folder of its own",
+            folder,
+            len(suspensions),
+            "; ".join(suspensions),
+        )
     write_tables(results, outputs, output)
     trends = _trends(results, outputs, models)
     write_pages(results, outputs, trends, output, _details(folder, models, settings))

@@ -151,7 +151,8 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     done = sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
     if len(done) < n_first:
         raise ValueError(
-            f"the healthy reference asks for {n_first} first trips, {len(done)} have an estimate"
+            f"the healthy reference asks for {n_first} first trips, {len(done)} have an estimate; "
+            "lower monitor.n_reference or use monitor.reference=vehicle"
         )
     names = [name for name in done[0].raw if name != "M_s"]
     estimated = _medians([r.raw for r in done], names)

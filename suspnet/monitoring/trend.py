@@ -21,6 +21,8 @@ MIN_SIZE = 3
 """Fewest trips on each side of a step: one odd trip is no step."""
 LARGE_PERCENT = 10.0
 """From here on, words say what is left instead of what has changed."""
+TOLD_PERCENT = 2.0
+"""If the last trip is this far from the last trips' median, the verdict names it."""
 PAYLOAD = "M_s"
 
 
@@ -67,6 +69,7 @@ class Trend:
     p_value : float, [-]
         That trips without change give a difference of the ends, or a step, as clear as this.
     stands_out : bool
+        Because of a change, or because the last trips are more than ``LARGE_PERCENT`` off healthy.
         Never for the car-body mass, which is pay-load.
     verdict : str
         In words.
@@ -138,8 +141,13 @@ def trend(
     ends = [float(np.median(part)) if n_compared else np.nan for part in (first, last)]
     change, spread = 100 * (ends[1] - ends[0]), 100 * _spread(known)
     head = (parameter, n, ends[0], ends[1], change, spread)
+    level_now = ends[1] if n >= 2 * n_ends or n == 0 else float(np.median(known))
+    off = parameter != PAYLOAD and abs(100 * (level_now - 1)) > max(LARGE_PERCENT, least_percent)
     if n < 2 * n_ends:
-        return Trend(*head, np.nan, False, f"too few trips ({n}) to tell")
+        verdict = f"too few trips ({n} of {2 * n_ends}) to tell of a change"
+        if off:
+            verdict += f"; at {100 * level_now:.0f} % of healthy"
+        return Trend(*head, np.nan, off, verdict)
     limit = max(multiple * spread, least_percent)
     step = steps(km, known, level=level / 2)
     p_ends = _welch(first, last)
@@ -152,7 +160,10 @@ def trend(
     if parameter == PAYLOAD:
         verdict += " (pay-load: varies by nature, no fault)"
     p_value = min(1.0, 2 * p_ends, 2 * (step.p_value if step else 1.0))
-    return Trend(*head, p_value, (ends_differ or has_step) and parameter != PAYLOAD, verdict)
+    stands_out = (ends_differ or has_step) and parameter != PAYLOAD
+    if stands_out and abs(100 * (known[-1] - ends[1])) > TOLD_PERCENT:
+        verdict += f"; the last trip is at {100 * known[-1]:.0f} %"
+    return Trend(*head, p_value, stands_out or off, verdict)
 
 
 def steps(

@@ -186,7 +186,7 @@ def _estimated(
     try:
         for model, welch in zip(models, welches, strict=True):
             try:
-                bins.append(_bin(recording, segments[welch], model, models, settings))
+                bins.append(_bin(recording, segments[welch], model, settings))
             except NoEstimateError as reason:
                 reasons.append(str(reason))
     except TripError as error:
@@ -207,13 +207,12 @@ def _bin(
     recording: Recording,
     segments: SegmentSpectra,
     model: TrainedModel,
-    models: Sequence[TrainedModel],
     settings: TripSettings,
 ) -> _Bin:
-    """Return a model's estimate from the segments at its speed, and at no other model's."""
+    """Return a model's estimate from the segments at its speed."""
     trained = estimate_settings(model)
     speeds = segment_speeds(recording, segments)
-    within, words = _within(speeds, model, models, settings)
+    within, words = _within(speeds, model, settings)
     band = in_band(segments, trained.frequencies_hz())
     candidates = without_loud(band, within)
     chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
@@ -250,20 +249,14 @@ def _checked(segments: SegmentSpectra, chosen: Tensor, model: TrainedModel) -> s
     return check_channels(spectra, segments.frequencies_hz, model.generator, model.vehicle)
 
 
-def _within(
-    speeds: Tensor, model: TrainedModel, models: Sequence[TrainedModel], settings: TripSettings
-) -> tuple[Tensor, str]:
+def _within(speeds: Tensor, model: TrainedModel, settings: TripSettings) -> tuple[Tensor, str]:
     """Return which segments are a model's, by their speeds, and the rule in words."""
     bin_speed = model_speed(model)
     if bin_speed is None:
         low = settings.min_speed_m_per_s
         return (speeds >= low).all(dim=1), f"at {low:g} m/s or faster throughout"
     low, high = (bin_speed * (1 + sign * settings.speed_tolerance) for sign in (-1, 1))
-    distances = torch.stack(
-        [(speeds.mean(dim=1) - (model_speed(other) or torch.inf)).abs() for other in models]
-    )
-    nearest = distances.argmin(dim=0) == [other is model for other in models].index(True)
-    within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high) & nearest
+    within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high)
     return within, f"at {low:.1f} to {high:.1f} m/s throughout"
 
 
@@ -284,7 +277,10 @@ def _missing(model: TrainedModel, responses: Tensor, band: SegmentSpectra) -> st
 
 
 def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) -> TripResult:
-    """Average the bins' logarithms, each weighted by its averages."""
+    """Average the bins' logarithms, each weighted by its averages.
+
+    Bins may overlap: a segment that two models read counts once in the quality.
+    """
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
     values = np.exp(weights @ np.log(np.stack([b.values for b in bins])))
@@ -294,12 +290,13 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) ->
         w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
     )
     names = bins[0].model.task.extractor.names
+    used = _used(bins)
     quality = replace(
         result.quality,
         coherence_p=float(coherence[0]),
         coherence_s=float(coherence[1]),
-        n_averages=float(sum(b.spectra.n_averages for b in bins)),
-        segments_used=sum(int(b.chosen.sum()) for b in bins),
+        n_averages=sum(welch.n_averages(count) for welch, count in used.items()),
+        segments_used=sum(used.values()),
         speed_m_per_s=float(weights @ [b.speed_m_per_s for b in bins]),
         speed_bins="; ".join(
             f"{b.speed_m_per_s:.1f} m/s: {b.spectra.n_averages:.0f} averages" for b in bins
@@ -316,6 +313,15 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) ->
         quality=quality,
         curves=_curves(best, recording),
     )
+
+
+def _used(bins: Sequence[_Bin]) -> dict[Welch, int]:
+    """Return how many segments of each length at least one bin was made from."""
+    chosen: dict[Welch, Tensor] = {}
+    for one in bins:
+        welch = one.segments.welch
+        chosen[welch] = chosen.get(welch, torch.zeros_like(one.chosen)) | one.chosen
+    return {welch: int(segments.sum()) for welch, segments in chosen.items()}
 
 
 def _curves(best: _Bin, recording: Recording) -> TripCurves:

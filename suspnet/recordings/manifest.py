@@ -133,7 +133,8 @@ def read_manifest(path: Path) -> TripManifest:
     ------
     TripError
         If it cannot be read, holds anything unknown, misses something or has a value of the wrong
-        type or out of range, or if a data file that it names is missing or not a plain file.
+        type or out of range, if a data file that it names is missing or not a plain file, or if two
+        channels are the same column of the same file.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -148,8 +149,12 @@ def read_manifest(path: Path) -> TripManifest:
     for key, source in sources.items():
         if not manifest.file_of(source).is_file():
             raise TripError(
-                f"{path}: `{key}.file` must name an existing plain file, got {source.file!r}"
+                f"{path}: `{key}.file` must name an existing plain file, got {source.file!r} "
+                f"(looked in {path.parent})"
             )
+    places = [(manifest.file_of(c).resolve(), c.column) for c in manifest.channels.values()]
+    if len(set(places)) < len(places):
+        raise TripError(f"{path}: two `channels` have the same file and column; each is one sensor")
     return manifest
 
 
