@@ -66,11 +66,10 @@ def one_line(error: BaseException) -> str:
     while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
         error = error.__cause__
     words = str(error)
-    for noise in ("Config search path", "full_key:", "To append to your config"):
+    for noise in ("Config search path", "full_key:", "To append to your "):
         words = words.split(noise)[0]
     if words.startswith("Could not override"):
-        words = words.split("To append")[0].split("\n")[0].rstrip(". ")
-        words += ". There is no such key; --help lists them"
+        words = f"{words.strip().rstrip('.')}. There is no such key; --help lists them"
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())

@@ -5,24 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
+from vehicles import AM96
 
 from suspnet.data.estimates import EstimateSettings
-from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.evaluation.information import ROWS, cramer_rao, estimate_information
 
-AM96 = Vehicle(
-    "am96",
-    1725.0,
-    6300.0,
-    1.30e6,
-    3.7e3,
-    0.69e6,
-    22.6e3,
-    half_wheelbase_m=1.35,
-    half_pivot_distance_m=9.5,
-    bogie_gyration_m=0.8,
-    body_gyration_m=7.8,
-)
 SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, cache_dir=None).bound(AM96)
 QUARTER_CAR = SETTINGS.observer(QuarterCar(AM96))
 PITCHING = SETTINGS.observer(VerticalVehicle(AM96))

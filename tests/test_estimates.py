@@ -10,27 +10,15 @@ import reference
 import torch
 import trips_reference
 from scipy.signal import get_window
+from vehicles import AM96
 
 from suspnet.data.estimates import EstimateObserver, EstimateSettings
 from suspnet.data.wishart import moving_average_with, sample_spectra
-from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.features.cross_spectra import PAIRS, CrossSpectra
 from suspnet.features.transfer_estimate import segment_spectra
 from suspnet.features.welch import Welch
 
-AM96 = Vehicle(
-    "am96",
-    1725.0,
-    6300.0,
-    1.30e6,
-    3.7e3,
-    0.69e6,
-    22.6e3,
-    half_wheelbase_m=1.35,
-    half_pivot_distance_m=9.5,
-    bogie_gyration_m=0.8,
-    body_gyration_m=7.8,
-)
 METHODS = ["H1", "H2", "Hv", "IV"]
 RATE_HZ, N_RECORDS, N_DRAWS = 32.0, 400, 3000
 SETTINGS = EstimateSettings(

@@ -9,23 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim, lsim
+from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.motion import SERIES_BELOW, LinearSystem, SampledMotion, _foh_weights
 
-AM96 = Vehicle(
-    "am96",
-    1725.0,
-    6300.0,
-    1.30e6,
-    3.7e3,
-    0.69e6,
-    22.6e3,
-    half_wheelbase_m=1.35,
-    half_pivot_distance_m=9.5,
-    bogie_gyration_m=0.8,
-    body_gyration_m=7.8,
-)
 SYSTEMS = {
     "quarter_car": QuarterCar(AM96).motion_system(torch.tensor([0.7, 1.5, 1.3, 0.6, 1.1])),
     "overdamped": QuarterCar(AM96).motion_system(torch.tensor([1.0, 40.0, 1.0, 20.0, 1.0])),

@@ -6,8 +6,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.journey import Journey, steady_journey
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.features.transfer_estimate import tfestimate
@@ -23,19 +24,6 @@ from suspnet.simulation.fleet import (
 )
 from suspnet.simulation.scenarios import Scenario
 
-AM96 = Vehicle(
-    "am96",
-    1725.0,
-    6300.0,
-    1.30e6,
-    3.7e3,
-    0.69e6,
-    22.6e3,
-    half_wheelbase_m=1.35,
-    half_pivot_distance_m=9.5,
-    bogie_gyration_m=0.8,
-    body_gyration_m=7.8,
-)
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
 GENERATORS = {
     "quarter_car": QuarterCar(AM96),

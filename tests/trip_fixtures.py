@@ -6,10 +6,11 @@ from functools import cache
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
+from vehicles import AM96
 
 from suspnet.data import TEST, Protocol
 from suspnet.data.estimates import EstimateSettings
-from suspnet.dynamics import Vehicle, VerticalVehicle
+from suspnet.dynamics import VerticalVehicle
 from suspnet.experiment import rms_percent
 from suspnet.fitting import Problem, fit, predict_stream
 from suspnet.learning import MSVR
@@ -28,19 +29,6 @@ GROUP = {
     "responses": ["G_p", "G_s"],
     "peaks": ["secondary", "primary_lower", "primary_upper"],
 }
-AM96 = Vehicle(  # configs/vehicle/am96.yaml
-    "am96",
-    1725.0,
-    6300.0,
-    1.30e6,
-    3.7e3,
-    0.69e6,
-    22.6e3,
-    half_wheelbase_m=1.35,
-    half_pivot_distance_m=9.5,
-    bogie_gyration_m=0.8,
-    body_gyration_m=7.8,
-)
 
 
 class NoLog:

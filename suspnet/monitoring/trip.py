@@ -122,8 +122,6 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
         manifest = read_manifest(path)
         result = _described(result, manifest)
         result = _estimated(result, manifest, models, settings)
-    except NoEstimateError as reason:
-        result = replace(result, status=NO_ESTIMATE, reason=str(reason))
     except TripError as error:
         result = replace(result, reason=str(error).removeprefix(f"{path}: "))
     except Exception as error:  # a fault in one trip must not end the run of a fleet
@@ -182,18 +180,29 @@ def _estimated(
     result = replace(result, quality=replace(quality, segments_total=n_total))
     if n_total == 0:
         return replace(result, status=NO_ESTIMATE, reason=_no_segment(recording, welches[0]))
-    bins, reasons = [], []
+    pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
-        for model, welch in zip(models, welches, strict=True):
-            try:
-                bins.append(_bin(recording, segments[welch], model, settings))
-            except NoEstimateError as reason:
-                reasons.append(str(reason))
-    except TripError as error:
+        bins, reasons = _bins(recording, pairs, settings)
+    except TripError as error:  # told here: the quality is known by now
         return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
     return _combined(result, recording, bins)
+
+
+def _bins(
+    recording: Recording,
+    pairs: Sequence[tuple[TrainedModel, SegmentSpectra]],
+    settings: TripSettings,
+) -> tuple[list[_Bin], list[str]]:
+    """Return the bins with an estimate, and the reasons of those without."""
+    bins, reasons = [], []
+    for model, segments in pairs:
+        try:
+            bins.append(_bin(recording, segments, model, settings))
+        except NoEstimateError as reason:
+            reasons.append(str(reason))
+    return bins, reasons
 
 
 def _no_segment(recording: Recording, welch: Welch) -> str:
