@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from suspnet.data.noise import add_noise
 from suspnet.dynamics import PARAMETERS
 from suspnet.features import PeakFeatures, PeakReason, findpeaks
 from suspnet.features.extraction import PEAK_NAMES
@@ -131,19 +132,23 @@ def test_secondary_group_has_every_feature_unless_the_body_is_strongly_damped(ta
     assert torch.equal(table.values.isnan(), (~found).repeat_interleave(3, dim=1))
 
 
-def test_batch_equals_one_by_one(task, quarter_car):
-    ratios = torch.as_tensor(task("joint", "all").sample(20, seed=1, stream=0))
-    curves = quarter_car.magnitudes(ratios, GRID)
-    together = ALL.extract(curves, GRID)
-    alone = [ALL.extract(curve[None], GRID) for curve in curves]
-    assert torch.equal(together.reasons, torch.cat([table.reasons for table in alone]))
+@pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
+@pytest.mark.parametrize("size", [1, 7, 128])
+def test_features_do_not_depend_on_how_curves_are_batched(task, quarter_car, shape, size):
+    ratios = torch.as_tensor(task("joint", "all").sample(200, seed=1, stream=0))
+    curves = add_noise(quarter_car.magnitudes(ratios, GRID), 34.0, seed=0)
+    extractor = PeakFeatures(PEAK_NAMES, shape)
+    together = extractor.extract(curves, GRID)
+    parts = [extractor.extract(part, GRID) for part in curves.split(size)]
+    assert torch.equal(together.reasons, torch.cat([table.reasons for table in parts]))
     torch.testing.assert_close(
         together.values,
-        torch.cat([table.values for table in alone]),
-        rtol=1e-9,  # a batched product may add in another order
+        torch.cat([table.values for table in parts]),
+        rtol=1e-12,  # sums over bins begin where the windows of the batch do
         atol=0,
         equal_nan=True,
     )
+    assert not torch.equal(together.values[0], together.values[1])
 
 
 def test_bins_outside_the_band_are_not_looked_at(quarter_car):
@@ -202,6 +207,12 @@ def test_unknown_peaks_are_rejected(peaks):
 def test_empty_band_is_rejected(low, high):
     with pytest.raises(ValueError, match="need 0 < low_hz < high_hz"):
         PeakFeatures(low_hz=low, high_hz=high)
+
+
+@pytest.mark.parametrize("shape", [(1, 2, 900), (1, 2, 1000), (2, 996), (1, 1, 996)])
+def test_curves_of_the_wrong_shape_are_rejected(shape):
+    with pytest.raises(ValueError, match=r"`curves` must have shape \(n_curves, 2, 996\)"):
+        PeakFeatures().extract(torch.ones(shape), GRID)
 
 
 def test_gaussian_shape_finds_every_peak_of_the_healthy_vehicle(quarter_car):

@@ -7,7 +7,7 @@ import pytest
 import reference
 import torch
 
-from suspnet.features import PeakFit, PeakReason, findpeaks
+from suspnet.features import PeakFit, PeakReason, findpeaks, parabola
 from suspnet.features.peaks import smooth
 
 GRID = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
@@ -72,13 +72,22 @@ def test_fit_equals_weighted_polyfit(shape):
     assert found == pytest.approx(expected, rel=1e-8)
 
 
-def test_smooth_equals_naive_moving_average_with_shortened_ends():
+@pytest.mark.parametrize("length", [3, 5, 9, 15, 17, 31, 63, 101])
+def test_smooth_equals_naive_moving_average_with_shortened_ends(length):
     values = np.random.default_rng(0).uniform(0.5, 1.5, (3, 101))
     grid = 0.02 * torch.arange(1, 102, dtype=torch.float64)
-    found = smooth(torch.as_tensor(values), grid, 0.3).numpy()
-    expected = np.stack([reference.moving_average(row, 15) for row in values])
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    found = smooth(torch.as_tensor(values), grid, 0.02 * length).numpy()
+    expected = np.stack([reference.moving_average(row, length) for row in values])
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
     assert np.abs(expected - values).max() > 0.1
+
+
+def test_smooth_keeps_small_values_beside_large_ones():
+    values = torch.full((1, 101), 1e-12, dtype=torch.float64)
+    values[0, 20] = 1e12
+    grid = 0.02 * torch.arange(1, 102, dtype=torch.float64)
+    # a running sum would leave 1e-4 here
+    assert smooth(values, grid, 0.3)[0, 40:].tolist() == pytest.approx([1e-12] * 61, rel=1e-12)
 
 
 def test_smooth_over_less_than_a_step_changes_nothing():
@@ -155,11 +164,11 @@ def test_batch_equals_one_by_one():
     together = findpeaks(curves, GRID)
     alone = [findpeaks(curve[None], GRID) for curve in curves]
     assert together.reason.tolist() == [peak.reason.item() for peak in alone]
-    # a batched product may add in another order
+    # the sums begin at another bin: the first that any curve of the batch needs
     torch.testing.assert_close(
         measures(together),
         torch.cat([measures(peak) for peak in alone], dim=1),
-        rtol=1e-9,
+        rtol=1e-12,
         atol=0,
         equal_nan=True,
     )
@@ -173,6 +182,20 @@ def test_inputs_are_left_untouched():
     findpeaks(curve, grid)
     torch.testing.assert_close(curve, before, rtol=0, atol=0, equal_nan=True)
     assert torch.equal(grid, GRID)
+
+
+@pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
+def test_bins_beyond_the_windows_do_not_matter(shape, monkeypatch):
+    curves = torch.stack([with_noise(one_mode(GRID, f, 0.05), 1, 0.02)[0] for f in (1.0, 2.5, 6.0)])
+    cut = findpeaks(curves, GRID, fit=PeakFit(shape))
+    monkeypatch.setattr(parabola, "EDGE", 6.0)  # exp(-6^4 / 2) = 4e-282, on the whole grid
+    whole = findpeaks(curves, GRID, fit=PeakFit(shape))
+    assert cut.valid.all()
+    torch.testing.assert_close(measures(cut), measures(whole), rtol=1e-12, atol=0)
+
+
+def test_no_curves_give_no_peaks():
+    assert measures(findpeaks(torch.ones(0, len(GRID)).double(), GRID)).shape == (3, 0)
 
 
 def test_band_chooses_between_two_peaks():

@@ -22,7 +22,7 @@ def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:
     """
     source = torch.Generator(magnitudes.device).manual_seed(seed)
     noise = torch.empty_like(magnitudes).normal_(generator=source)
-    return magnitudes + noise_rms(magnitudes, snr_db) * noise
+    return noise.mul_(noise_rms(magnitudes, snr_db)).add_(magnitudes)
 
 
 def noise_rms(magnitudes: Tensor, snr_db: float) -> Tensor:

@@ -37,6 +37,9 @@ LEARN_FROM = 4096
 """Training curves from which a feature set learns what it has to."""
 BLOCK = 128
 """Curves made at once: small enough to stay in cache, and the unit of reproducible noise."""
+BATCH = 2 * BLOCK
+"""Curves whose features are extracted at once: the threads take turns at the interpreter, which
+larger arrays need less."""
 TRAIN, TEST = 0, 1
 log = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]
@@ -80,8 +83,12 @@ class FeatureData:
         kept = self.valid
         if not kept.any():
             raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
+        return self.subset(kept)
+
+    def subset(self, rows: NDArray[np.bool_]) -> FeatureData:
+        """Return the curves for which `rows` is true, perhaps none."""
         return FeatureData(
-            self.inputs[kept], self.outputs[kept], self.ratios[kept], self.reasons[kept]
+            self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
         )
 
 
@@ -139,23 +146,33 @@ class CurveSource:
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
 
-    def features(self, stream: int) -> FeatureData:
+    def features(self, stream: int, part: slice | None = None) -> FeatureData:
         """Return training (stream 0) or test (stream 1) features, from the cache if it has them.
+
+        Parameters
+        ----------
+        stream : int
+        part : slice, optional
+            Only these of the batches of ``BATCH`` curves.
 
         Raises
         ------
         ValueError
             If more curves are asked for than there are, or the healthy vehicle lacks a peak.
         """
-        path = self._cache_path(stream)
+        path = self._cache_path(stream, part)
         if path is not None:
             cached = _read_cache(path)
             if cached is not None:
                 return cached
-        data = self._make_features(stream)
+        data = self._make_features(stream, part)
         if path is not None:
             write_atomically(path, dump_arrays(asdict(data)))
         return data
+
+    def n_batches(self, stream: int) -> int:
+        """Return the number of batches that a stream's curves are made in."""
+        return -(-len(self.ratios(stream)) // BATCH)
 
     def ratios(self, stream: int) -> FloatArray:
         """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
@@ -199,33 +216,40 @@ class CurveSource:
         """Return the number of blocks that hold `n_curves`."""
         return -(-n_curves // BLOCK)
 
-    def _make_features(self, stream: int) -> FeatureData:
+    def _make_features(self, stream: int, part: slice | None) -> FeatureData:
         ratios = self.ratios(stream)
+        batches = range(self.n_batches(stream))[part or slice(None)]
+        asked = slice(batches.start * BATCH, batches.stop * BATCH)
         healthy = self.healthy_features()
         values = np.empty((len(ratios), len(healthy)))
         extractor = self.extractor
         reasons = np.empty((len(ratios), len(extractor.parts)), dtype=np.int64)
 
-        def make(block: int) -> None:
-            rows = slice(block * BLOCK, (block + 1) * BLOCK)
-            curves = self.curves(ratios, stream, block)
+        def make(batch: int) -> int:
+            rows = slice(batch * BATCH, min((batch + 1) * BATCH, len(ratios)))
+            blocks = range(rows.start // BLOCK, self.n_blocks(rows.stop))
+            curves = torch.cat([self.curves(ratios, stream, block) for block in blocks])
             table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
             values[rows] = extractor.relative(table.values.cpu().numpy(), healthy)
             reasons[rows] = table.reasons.cpu().numpy()
+            return len(curves)
 
         name = f"{self.task.protocol}/{self.task.group} {'test' if stream else 'training'} curves"
-        bar = tqdm(total=len(ratios), desc=name, unit="curve", disable=quiet(self.progress))
+        n_curves = len(ratios[asked])
+        bar = tqdm(total=n_curves, desc=name, unit="curve", disable=quiet(self.progress))
         with bar, _single_threaded_torch(self.threads), _pool(self.threads) as pool:
-            for _ in pool.map(make, range(self.n_blocks(len(ratios)))):
-                bar.update(min(BLOCK, len(ratios) - bar.n))
+            for n_made in pool.map(make, batches):
+                bar.update(n_made)
         mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
-        return FeatureData(inputs, ratios[:, self.task.output_indices], ratios, reasons)
+        outputs = ratios[:, self.task.output_indices]
+        return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
 
-    def _cache_path(self, stream: int) -> Path | None:
+    def _cache_path(self, stream: int, part: slice | None) -> Path | None:
         if self.settings.cache_dir is None:
             return None
-        name = content_hash(self.describe(stream))
+        which = {} if part is None else {"part": [part.start, part.stop]}
+        name = content_hash(self.describe(stream) | which)
         return Path(self.settings.cache_dir) / f"features-{name[:32]}.safetensors"
 
     def describe(self, stream: int) -> dict[str, Any]:

@@ -128,7 +128,8 @@ class QuarterCar:
             _powers(x, c.shape[1], _squared_magnitude(c))
             for c in self.transfer_coefficients(ratios)
         )
-        return torch.stack([num_p / den_p, num_s / den_s], dim=1).sqrt()
+        # torch's rsqrt takes half the time of its sqrt
+        return torch.stack([den_p.div_(num_p), den_s.div_(num_s)], dim=1).rsqrt_()
 
     def natural_modes(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies [Hz], ascending, and mode shapes of the undamped vehicle.

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.features.peaks import PeakFit, PeakReason, Peaks, findpeaks
+from suspnet.features.peaks import PeakFit, PeakReason, Peaks, SmoothedCurves, check_grid
 
 FloatArray = NDArray[np.float64]
 PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
@@ -158,36 +158,46 @@ class PeakFeatures:
         Returns
         -------
         FeatureTable
+
+        Raises
+        ------
+        ValueError
+            If shapes disagree or the frequencies are not ascending and evenly spaced.
         """
-        inside = (frequencies_hz >= self.low_hz) & (frequencies_hz <= self.high_hz)
-        frequencies = frequencies_hz[inside]
-        magnitudes = curves.abs() if curves.is_complex() else curves
-        primary, secondary = magnitudes[:, :, inside].unbind(1)
+        if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
+            expected = f"(n_curves, 2, {len(frequencies_hz)})"
+            raise ValueError(f"`curves` must have shape {expected}, got {tuple(curves.shape)}")
+        band = slice(
+            int((frequencies_hz < self.low_hz).sum()), int((frequencies_hz <= self.high_hz).sum())
+        )
+        frequencies, curves = frequencies_hz[band], curves[:, :, band]
+        primary, secondary = (curves.abs() if curves.is_complex() else curves).unbind(1)
+        check_grid(primary, frequencies)
         found: dict[str, Peaks] = {}
         if set(self.peaks) - {"primary_largest"}:
-            found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))
-        for name in self.peaks:
-            if name not in found:
-                place = None if name == "primary_largest" else found["secondary"]
-                found[name] = self._primary_peak(name, primary, frequencies, place)
+            fit = self._fit("secondary")
+            found["secondary"] = SmoothedCurves.of(secondary, frequencies, fit).peaks(fit)
+        if set(self.peaks) - {"secondary"}:
+            smoothed = SmoothedCurves.of(primary, frequencies, self._fit("primary_largest"))
+            for name in self.peaks:
+                if name not in found:
+                    found[name] = self._primary_peak(name, smoothed, found.get("secondary"))
         chosen = [found[name] for name in self.peaks]
         columns = [c for p in chosen for c in (p.position_hz, p.height, p.width_hz)]
         return FeatureTable(
             torch.stack(columns, dim=1), torch.stack([p.reason for p in chosen], dim=1)
         )
 
-    def _primary_peak(
-        self, name: str, primary: Tensor, frequencies_hz: Tensor, secondary: Peaks | None
-    ) -> Peaks:
+    def _primary_peak(self, name: str, primary: SmoothedCurves, secondary: Peaks | None) -> Peaks:
         fit = self._fit(name)
-        if secondary is None:
-            return findpeaks(primary, frequencies_hz, fit=fit)
+        if name == "primary_largest" or secondary is None:
+            return primary.peaks(fit)
         body = torch.nan_to_num(secondary.position_hz, nan=1.0)
         if name == "primary_lower":
             band = {"high_hz": LOWER_PEAK_ENDS * body}
         else:
             band = {"low_hz": UPPER_PEAK_BEGINS * body}
-        peak = findpeaks(primary, frequencies_hz, fit=fit, **band)
+        peak = primary.peaks(fit, **band)
         unplaced = torch.full_like(peak.reason, PeakReason.PLACE_UNKNOWN)
         reason = torch.where(secondary.valid, peak.reason, unplaced)
         return replace(peak, reason=reason).blanked()

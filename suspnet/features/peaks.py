@@ -14,6 +14,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from suspnet.features.parabola import windowed_parabola
+
 CLIP_FRACTION = 0.3
 """Raw points below this fraction of the smoothed curve are noise; they are raised to it."""
 
@@ -156,31 +158,12 @@ def findpeaks(
     (4.0, 0.02)
     """
     fit = PeakFit() if fit is None else fit
-    _check_grid(magnitude, frequencies_hz)
-    finite = torch.isfinite(magnitude).all(dim=1)
-    magnitude = torch.where(finite[:, None], magnitude, torch.ones_like(magnitude))
-    smoothed = smooth(magnitude, frequencies_hz, fit.smoothing_hz)
-    centre, interior = _largest(smoothed, frequencies_hz, low_hz, high_hz, fit.tilt)
-    top, near = _fit_top(magnitude, smoothed, frequencies_hz, centre, fit)
-    reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
-    reason[~near] = PeakReason.OUTSIDE_WINDOW
-    reason[~top.found] = PeakReason.WRONG_CURVATURE
-    reason[~interior] = PeakReason.NO_MAXIMUM
-    reason[~finite] = PeakReason.NOT_FINITE
-    return Peaks(top.position, top.height, top.width, reason).blanked()
+    check_grid(magnitude, frequencies_hz)
+    return SmoothedCurves.of(magnitude, frequencies_hz, fit).peaks(fit, low_hz, high_hz)
 
 
-def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tensor:
-    """Return the centred moving average over `length_hz`, shorter at the ends; same shape."""
-    step = float(frequencies_hz[1] - frequencies_hz[0])
-    half = min(round(length_hz / step) // 2, (magnitude.shape[1] - 1) // 2)
-    averaged: Tensor = torch.nn.functional.avg_pool1d(
-        magnitude[:, None], 2 * half + 1, stride=1, padding=half, count_include_pad=False
-    )
-    return averaged[:, 0]
-
-
-def _check_grid(magnitude: Tensor, frequencies_hz: Tensor) -> None:
+def check_grid(magnitude: Tensor, frequencies_hz: Tensor) -> None:
+    """Raise ValueError unless shapes agree and frequencies are positive and evenly spaced."""
     n_freq = frequencies_hz.shape[0]
     if magnitude.ndim != 2 or magnitude.shape[1] != n_freq:
         shape = tuple(magnitude.shape)
@@ -191,6 +174,79 @@ def _check_grid(magnitude: Tensor, frequencies_hz: Tensor) -> None:
     even = bool(torch.allclose(steps, steps.mean(), rtol=1e-6, atol=0))
     if not even or float(frequencies_hz[0]) <= 0 or float(steps[0]) <= 0:
         raise ValueError("`frequencies_hz` must be positive, ascending and evenly spaced")
+
+
+def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tensor:
+    """Return the centred moving average over `length_hz`, shorter at the ends; same shape."""
+    step = float(frequencies_hz[1] - frequencies_hz[0])
+    n_freq = magnitude.shape[1]
+    half = min(round(length_hz / step) // 2, (n_freq - 1) // 2)
+    length = 2 * half + 1
+    # sums of 1, 2, 4, ... neighbours; those in the binary digits of `length` make up the whole
+    sums = torch.nn.functional.pad(magnitude, (half, half))
+    total = sums[:, :n_freq].clone()
+    width = taken = 1
+    while 2 * width <= length:
+        sums = sums[:, :-width] + sums[:, width:]
+        width *= 2
+        if length & width:
+            total += sums[:, taken : taken + n_freq]
+            taken += width
+    bins = torch.arange(n_freq, device=magnitude.device)
+    n_averaged = 1 + bins.clamp(max=half) + bins.flip(0).clamp(max=half)
+    return total.div_(n_averaged)
+
+
+@dataclass(frozen=True)
+class SmoothedCurves:
+    """Curves made ready for several searches of a peak with one shape and smoothing.
+
+    The transformed noise of a point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
+    (Gaussian); least squares weighs by the inverse square, the smoothed curve standing for abs(G).
+
+    Attributes
+    ----------
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    finite : bool tensor of shape (n_curves,)
+        The other curves are replaced by ones.
+    smoothed, target, weight : tensors of shape (n_curves, n_freq)
+        The moving average; the transform to which a parabola is fitted; the weight of its points.
+    """
+
+    frequencies_hz: Tensor
+    finite: Tensor
+    smoothed: Tensor
+    target: Tensor
+    weight: Tensor
+
+    @classmethod
+    def of(cls, magnitude: Tensor, frequencies_hz: Tensor, fit: PeakFit) -> SmoothedCurves:
+        """Return the curves smoothed and transformed as `fit` says."""
+        finite = torch.isfinite(magnitude.amax(dim=1)) & torch.isfinite(magnitude.amin(dim=1))
+        if not bool(finite.all()):
+            magnitude = torch.where(finite[:, None], magnitude, torch.ones_like(magnitude))
+        smoothed = smooth(magnitude, frequencies_hz, fit.smoothing_hz)
+        floored = torch.maximum(smoothed, FLOOR_FRACTION * smoothed.amax(dim=1, keepdim=True))
+        raised = torch.maximum(magnitude, CLIP_FRACTION * floored)
+        weight = floored.square_()
+        if fit.shape == "lorentzian":
+            target, weight = raised.square_().reciprocal_(), weight.pow_(3)
+        else:
+            target = raised.log_()
+        return cls(frequencies_hz, finite, smoothed, target, weight)
+
+    def peaks(
+        self, fit: PeakFit, low_hz: Tensor | float = 0.0, high_hz: Tensor | float = math.inf
+    ) -> Peaks:
+        """Return the largest peak of each curve within its band, see ``findpeaks``."""
+        centre, interior = _largest(self.smoothed, self.frequencies_hz, low_hz, high_hz, fit.tilt)
+        top, near = _fit_top(self, centre, fit)
+        reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
+        reason[~near] = PeakReason.OUTSIDE_WINDOW
+        reason[~top.found] = PeakReason.WRONG_CURVATURE
+        reason[~interior] = PeakReason.NO_MAXIMUM
+        reason[~self.finite] = PeakReason.NOT_FINITE
+        return Peaks(top.position, top.height, top.width, reason).blanked()
 
 
 def _largest(
@@ -212,30 +268,18 @@ def _largest(
     return frequencies_hz[index[:, 0]], (here & before & after)[:, 0]
 
 
-def _fit_top(
-    magnitude: Tensor, smoothed: Tensor, frequencies_hz: Tensor, centre: Tensor, fit: PeakFit
-) -> tuple[_Top, Tensor]:
-    """Return the last fit that is a maximum, and whether it lies near where it was searched.
-
-    The transformed noise of a point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
-    (Gaussian); least squares weighs by the inverse square, the smoothed curve standing for abs(G).
-    """
-    smoothed = torch.maximum(smoothed, FLOOR_FRACTION * smoothed.amax(dim=1, keepdim=True))
-    raised = torch.maximum(magnitude, CLIP_FRACTION * smoothed)
-    if fit.shape == "lorentzian":
-        target, signal = raised**-2, smoothed.square() ** 3
-    else:
-        target, signal = raised.log(), smoothed.square()
-    log_frequency = frequencies_hz.log()
+def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top, Tensor]:
+    """Return the last fit that is a maximum, and whether it lies near where it was searched."""
     below = torch.full_like(centre, fit.window_below)
     above = torch.full_like(centre, fit.window_above)
     low = centre * LOWEST
     high = centre * math.exp(REACH * fit.window_above)
     best = None
     for _ in range(fit.n_fits):
-        window = _window(log_frequency, centre, below, above)
-        u = frequencies_hz / centre[:, None] - 1
-        top = _top(*_parabola(u, target, window * signal), centre, fit.shape)
+        parabola = windowed_parabola(
+            curves.frequencies_hz, curves.target, curves.weight, centre, below, above
+        )
+        top = _top(*parabola, centre, fit.shape)
         best = top if best is None else top.where_found_else(best)
         centre = torch.where(best.found, best.position.clamp(low, high), centre)
         reach = torch.where(best.found, fit.top * best.width / centre, math.inf)
@@ -269,20 +313,3 @@ def _top(constant: Tensor, vertex: Tensor, curvature: Tensor, centre: Tensor, sh
         found = curvature < 0
         height, half_width = constant.exp(), (0.5 * math.log(2) / curvature.abs()).sqrt()
     return _Top(centre * (1 + vertex), height, 2 * centre * half_width, found)
-
-
-def _window(log_frequency: Tensor, centre: Tensor, below: Tensor, above: Tensor) -> Tensor:
-    distance = log_frequency - centre.log()[:, None]
-    scale = torch.where(distance < 0, (-0.5 / below**4)[:, None], (-0.5 / above**4)[:, None])
-    return distance.square_().square_().mul_(scale).exp_()
-
-
-def _parabola(u: Tensor, target: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Fit target = constant + curvature (u - vertex)^2 by weighted least squares, row by row."""
-    columns = torch.stack([torch.ones_like(u), u, u * u, target], dim=1)
-    normal = (columns[:, :3] * weight[:, None]) @ columns.transpose(1, 2)  # (n_curves, 3, 4)
-    solution, info = torch.linalg.solve_ex(normal[:, :, :3], normal[:, :, 3:])
-    c0, c1, c2 = solution[:, :, 0].unbind(1)
-    c2 = torch.where(info == 0, c2, math.nan)
-    vertex = -c1 / (2 * c2)
-    return c0 - c1 * c1 / (4 * c2), vertex, c2

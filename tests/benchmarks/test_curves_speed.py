@@ -14,6 +14,7 @@ from suspnet.data.source import BLOCK
 from suspnet.dynamics import QuarterCar, Vehicle
 
 PEAKS = ["secondary", "primary_lower", "primary_upper"]
+WHOLE_GRID = 364_816
 GROUP = {"outputs": ["k_p", "c_p"], "responses": ["G_p", "G_s"], "peaks": PEAKS}
 
 
@@ -42,15 +43,26 @@ def fit_one_by_one(frequencies_hz, curves):
     return features
 
 
+def report(benchmark, capsys, n_curves):
+    """Print curves per second, and what the whole grid of a group would take."""
+    seconds = benchmark.stats.stats.median / n_curves
+    benchmark.extra_info["threads"] = torch.get_num_threads()
+    benchmark.extra_info["curves_per_second"] = round(1 / seconds)
+    benchmark.extra_info["seconds_for_364_816_curves"] = round(WHOLE_GRID * seconds, 1)
+    with capsys.disabled():
+        print(f"\n{benchmark.name}: {benchmark.extra_info}")
+
+
 @pytest.mark.benchmark(group="curves to features, 12,800 curves (scipy: 128)")
-def test_suspnet(benchmark):
+def test_suspnet(benchmark, capsys):
     curves = source(100 * BLOCK)
     data = benchmark.pedantic(curves.features, args=(TRAIN,), rounds=3, warmup_rounds=1)
     assert data.valid.mean() > 0.99
+    report(benchmark, capsys, 100 * BLOCK)
 
 
 @pytest.mark.benchmark(group="curves to features, 12,800 curves (scipy: 128)")
-def test_scipy_loop(benchmark):
+def test_scipy_loop(benchmark, capsys):
     maker = source(BLOCK)
     frequencies_hz = maker.settings.frequencies_hz().numpy()
 
@@ -59,3 +71,4 @@ def test_scipy_loop(benchmark):
         return fit_one_by_one(frequencies_hz, curves)
 
     assert len(benchmark.pedantic(run, rounds=3, warmup_rounds=1)) >= 2 * BLOCK
+    report(benchmark, capsys, BLOCK)
