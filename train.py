@@ -12,6 +12,7 @@ from suspnet.fitting import Problem
 @hydra.main(version_base="1.3", config_path="configs", config_name="train")
 @command_line.task
 def main(config: DictConfig) -> None:
+    command_line.join_ranks(config.device)
     problem = Problem(
         generator=instantiate(config.generator),
         task=instantiate(config.protocol).task(config.group),

@@ -6,21 +6,27 @@ import functools
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.data.storage import write_atomically
+from suspnet.learning import ranks
 
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
+NO_SLURM = 'Could not detect "srun"'
+"""How submitit begins to say that this machine is not part of a Slurm cluster."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 
@@ -31,7 +37,8 @@ def run(main: Callable[[], Any]) -> None:
     """
     os.environ[DEBUG] = "1"
     try:
-        main()
+        with _one_writer():
+            main()
     except KeyboardInterrupt:
         print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
         sys.exit(130)
@@ -42,6 +49,43 @@ def run(main: Callable[[], Any]) -> None:
         if _debugging:
             raise
         sys.exit(one_line(error))
+    except RuntimeError as error:
+        if _debugging or NO_SLURM not in str(error):
+            raise
+        sys.exit(one_line(error))
+
+
+@contextmanager
+def _one_writer() -> Iterator[None]:
+    """Where torchrun started several processes, let only the first write files and speak."""
+    with ExitStack() as stack:
+        stack.callback(ranks.stop)
+        if int(os.environ.get("RANK", "0")) > 0:
+            nowhere = stack.enter_context(TemporaryDirectory())
+            stack.enter_context(redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
+            sys.argv += [
+                f"hydra.run.dir={nowhere}",
+                f"hydra.sweep.dir={nowhere}",
+                "hydra/job_logging=none",
+                "progress=false",
+            ]
+        yield
+
+
+def join_ranks(device: str) -> None:
+    """Join the other processes if torchrun started this one.
+
+    Raises
+    ------
+    ValueError
+        In a multirun, which has other means.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise ValueError(
+            "a multirun cannot be spread by torchrun: start it with python, and "
+            "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
+        )
+    ranks.start(device)
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:

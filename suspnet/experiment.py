@@ -26,6 +26,7 @@ from suspnet.evaluation.information import best_possible, output_bounds, relativ
 from suspnet.evaluation.metrics import METRICS, score
 from suspnet.features import PeakFeatures
 from suspnet.fitting import Outcome, Problem, fit, method_name, predict_stream, tune
+from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
 
@@ -61,9 +62,14 @@ def train(
     Returns
     -------
     dict
-        What metrics.json holds.
+        What metrics.json holds; empty where another process (torchrun) writes and tests.
     """
     name = method_name(estimator)
+    if not ranks.first():
+        if search is not None:
+            tune(problem, estimator, search, None)
+        fit(problem, estimator, None)
+        return {}
     with RunLog(folder) as run_log:
         run_log.config(config or {})
         found = None

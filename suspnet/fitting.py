@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -20,7 +21,7 @@ from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
 from suspnet.data.estimates import EstimateSettings
 from suspnet.data.source import BLOCK, quiet, used_responses
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
-from suspnet.learning import CurveFit, Scaling
+from suspnet.learning import MSVR, CurveFit, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
 
@@ -108,16 +109,21 @@ def method_name(estimator: Any) -> str:
     raise TypeError(f"`model` must be one of {sorted(ESTIMATORS)}, got {type(estimator).__name__}")
 
 
-def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
+def tune(
+    problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog | None
+) -> SearchResult:
     """Return the cross-validated RMSE of every setting of a search, on the training curves."""
     name = method_name(estimator)
+    if ranks.together():
+        raise ValueError("a search cannot be spread over processes: start it with python")
     data = problem.source.features(TRAIN).complete()
     inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
     with tqdm(total=n_settings, desc=f"search {name}", disable=quiet(problem.progress)) as bar:
 
         def told(setting: Mapping[str, Any], rmse: float) -> None:
-            run_log.scalars("search", {"rmse": rmse}, int(bar.n))
+            if run_log is not None:
+                run_log.scalars("search", {"rmse": rmse}, int(bar.n))
             bar.update()
 
         return search.run(
@@ -130,10 +136,24 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
         )
 
 
-def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
-    """Return the estimator fitted to the training curves, with its scaling and a summary."""
+def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedModel:
+    """Return the estimator fitted to the training curves, with its scaling and a summary.
+
+    Where torchrun started several processes, each makes its share of the curves and all fit one
+    model together; only the first has a `run_log`.
+
+    Raises
+    ------
+    ValueError
+        If the method cannot be spread over processes.
+    """
     source = problem.source
     name = method_name(estimator)
+    if ranks.together() and not isinstance(estimator, MSVR):
+        raise ValueError(
+            f"model={name} cannot be spread over processes, only msvr: start it with python, not "
+            "with torchrun"
+        )
     model = TrainedModel(
         name,
         estimator,
@@ -144,22 +164,25 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     if not isinstance(estimator, CurveFit):
-        data = source.features(TRAIN)
-        kept = data.complete()
-        lost = 1 - len(kept.inputs) / len(data.inputs)
-        if lost > TOO_MANY_LOST:
+        part = ranks.share(source.n_batches(TRAIN)) if ranks.together() else None
+        data = source.features(TRAIN, part)
+        kept = data.subset(data.valid)
+        n_made, n_kept = (_count(rows) for rows in (data.inputs, kept.inputs))
+        if not n_kept:
+            raise ValueError(f"none of the {n_made} curves has all of its peaks")
+        if 1 - n_kept / n_made > TOO_MANY_LOST:
             log.warning(
                 "%.1f %% of the training curves lack a peak and are left out; look at "
                 "figures/peaks.png and at protocol.features (smoothing_hz, low_hz, high_hz)",
-                100 * lost,
+                100 * (1 - n_kept / n_made),
             )
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         start = time.perf_counter()
-        with _Told(estimator, name, run_log, problem.progress):
+        with _Told(estimator, name, run_log, problem.progress), _spread(estimator):
             estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
         training["seconds"] = time.perf_counter() - start
-        training |= {"n_train": len(data.inputs), "n_train_complete": len(kept.inputs)}
+        training |= {"n_train": n_made, "n_train_complete": n_kept}
     training |= _summary(estimator)
     return replace(model, training=training)
 
@@ -167,7 +190,28 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog) -> TrainedModel:
 def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
     """Return the scaling of inputs and outputs that a task asks for, from complete curves."""
     log_inputs = task.log_ratios and task.extractor.positive
-    return Scaling.of(data.inputs, log_inputs), Scaling.of(data.outputs, task.log_ratios)
+    return (
+        Scaling.of(data.inputs, log_inputs, ranks.total),
+        Scaling.of(data.outputs, task.log_ratios, ranks.total),
+    )
+
+
+def _count(rows: FloatArray) -> int:
+    """Return the number of rows over all ranks."""
+    return int(ranks.total(torch.tensor([len(rows)])))
+
+
+@contextmanager
+def _spread(estimator: Any) -> Iterator[None]:
+    """Let MSVR take its samples as one rank's where there are several."""
+    if not ranks.together():
+        yield
+        return
+    estimator.set_params(distributed=True)
+    try:
+        yield
+    finally:
+        estimator.set_params(distributed=False)
 
 
 def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcome:
@@ -217,9 +261,9 @@ def _summary(estimator: Any) -> dict[str, Any]:
 class _Told:
     """While fitting, show a progress bar and log what the estimator's callback is told."""
 
-    def __init__(self, estimator: Any, name: str, run_log: RunLog, progress: bool) -> None:
+    def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
         self._estimator, self._name, self._log = estimator, name, run_log
-        self._active = "callback" in estimator.get_params()
+        self._active = run_log is not None and "callback" in estimator.get_params()
         self._bar = tqdm(desc=f"fit {name}", unit="step", disable=quiet(progress and self._active))
 
     def __enter__(self) -> None:
@@ -233,7 +277,7 @@ class _Told:
 
     def _tell(self, info: Any) -> None:
         self._bar.update()
-        if is_dataclass(info) and not isinstance(info, type):
+        if self._log is not None and is_dataclass(info) and not isinstance(info, type):
             values = asdict(info)
             step = values.pop(next(iter(values)))
             self._log.scalars(self._name, values, step)

@@ -5,7 +5,9 @@ Minimises the functional of Eq. (7), sums not means, b unpenalised::
     F(W, b) = 1/2 |W|^2 + C sum_i L(|y_i - W^T phi_i - b|)
 
 F is convex and continuously differentiable, so it has one value at the optimum. Each iteration
-solves the weighted ridge problem of Eq. (9) for a direction (Eq. 11) and backtracks along it.
+takes a direction from the normal equations of Eq. (9) (Eq. 11) and backtracks along it. The
+equations are those of a fixed Gram matrix while that goes fast, and reweighted ones from then on:
+the optimum and the stopping rule are the same.
 """
 
 from __future__ import annotations
@@ -17,11 +19,14 @@ from enum import StrEnum
 import torch
 from torch import Tensor
 
-from suspnet.learning.feature_maps import FeatureBlocks
+from suspnet.learning.design import Columns, Design, Direction, Gradient
 from suspnet.learning.loss import loss, weight
+from suspnet.learning.ranks import agreed
 
 SUFFICIENT_DECREASE = 1e-4
 SMALLEST_STEP = 1e-10
+SLOW = 0.3
+"""The fixed equations are left when the decrement falls by less than this factor in a step."""
 
 
 class Status(StrEnum):
@@ -54,9 +59,7 @@ class Solution:
     objective, grad_norm : float
         F and the norm of its gradient over W and b, at (coef, intercept).
     gap : float
-        Proven bound on (F - F*) / F, and the stopping rule. L is convex in u^2, so the quadratic of
-        Eq. (9) lies below F everywhere and touches it here; F minus the quadratic's least value,
-        half the squared norm of the gradient in the inverse of its Hessian, bounds F - F*.
+        Proven bound on (F - F*) / F, and the stopping rule; see `_Functional.lower_bound`.
     support_fraction : float
         Fraction of the samples outside the tube.
     objectives : list of float
@@ -75,7 +78,7 @@ class Solution:
 
 
 def irwls(
-    blocks: FeatureBlocks,
+    design: Design,
     Y: Tensor,
     C: float,
     epsilon: float,
@@ -89,7 +92,7 @@ def irwls(
 
     Parameters
     ----------
-    blocks : FeatureBlocks
+    design : Design
         Phi, (n_samples, n_features).
     Y : tensor of shape (n_samples, n_outputs)
     C, epsilon : float
@@ -111,111 +114,160 @@ def irwls(
     ValueError
         If a system is singular to working precision.
     """
-    coef = torch.zeros(blocks.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
+    functional = _Functional(design, C, epsilon, fit_intercept)
+    coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
     intercept = torch.zeros_like(coef[0])
     residual = Y.double().clone()
-    objective = _objective(coef, residual, C, epsilon)
-    objectives, status, n_iter, step = [objective], Status.MAX_ITER, 0, 0.0
-    while True:
-        weights = C * weight(residual.norm(dim=1), epsilon)
-        slope = _direction(blocks, residual, weights, coef, fit_intercept)
-        gap = 0.5 * slope.decrement / max(objective, torch.finfo(torch.float64).tiny)
-        support = float((weights > 0).double().mean())
-        if on_iteration is not None and n_iter:
-            on_iteration(Iteration(n_iter, objective, slope.grad_norm, step, support))
-        if gap <= tol:
-            status = Status.CONVERGED
-        if gap <= tol or n_iter == max_iter:
-            break
-        change = _apply(blocks, slope.coef, slope.intercept)
-        step, objective = _backtrack(coef, residual, slope, change, objective, C, epsilon)
-        if step == 0:
+    objective, lower = functional.value(coef, residual), 0.0
+    gradient = functional.gradient(coef, residual)
+    equations, decrement = design.fixed(C, fit_intercept), float("inf")
+    quick = True
+    objectives, status, n_iter = [objective], Status.MAX_ITER, 0
+    while (gap := _relative(objective - lower, objective)) > tol and n_iter < max_iter:
+        direction = functional.agreed(equations.direction(gradient, tol * objective))
+        change, products = design.sweep(direction, functional.columns(residual, gradient))
+        lower = max(lower, functional.lower_bound(objective, gradient, direction, change, products))
+        before, decrement = decrement, functional.decrement(gradient, direction)
+        step, objective = functional.backtrack(
+            coef, residual, direction, change, objective, decrement
+        )
+        if step == 0 and not quick:
+            gap = _relative(objective - lower, objective)
             status = Status.STAGNATED
             break
-        coef += step * slope.coef
-        intercept += step * slope.intercept
+        if quick and (step == 0 or decrement > SLOW * before):
+            quick, equations = False, design.reweighted(C, fit_intercept)
+        if step == 0:
+            continue
+        coef += step * direction.coef
+        intercept += step * direction.intercept
         residual -= step * change
+        pulled = products[:, : Y.shape[1]] if step == 1 else None
+        gradient = functional.gradient(coef, residual, pulled)
         objectives.append(objective)
         n_iter += 1
+        told = Iteration(n_iter, objective, gradient.norm, step, functional.support(gradient))
+        if on_iteration is not None:
+            on_iteration(told)
+    if gap <= tol:
+        status = Status.CONVERGED
     return Solution(
-        coef, intercept, objective, slope.grad_norm, gap, support, n_iter, status, objectives
+        coef,
+        intercept,
+        objective,
+        gradient.norm,
+        gap,
+        functional.support(gradient),
+        n_iter,
+        status,
+        objectives,
     )
 
 
 @dataclass(frozen=True)
-class _Direction:
-    coef: Tensor
-    intercept: Tensor
-    grad_norm: float
-    decrement: float
+class _Functional:
+    """F on a design, its gradient, and a bound below it; sums run over all ranks."""
 
+    design: Design
+    C: float
+    epsilon: float
+    fit_intercept: bool
 
-def _objective(coef: Tensor, residual: Tensor, C: float, epsilon: float) -> float:
-    return float(0.5 * coef.square().sum() + C * loss(residual.norm(dim=1), epsilon).sum())
+    def value(self, coef: Tensor, residual: Tensor) -> float:
+        losses = loss(residual.norm(dim=1), self.epsilon).sum()
+        return self._agreed(0.5 * coef.square().sum() + self.C * self.design.total(losses))
 
-
-def _direction(
-    blocks: FeatureBlocks, residual: Tensor, weights: Tensor, coef: Tensor, fit_intercept: bool
-) -> _Direction:
-    """Solve Eq. (9) for the change of W and b: (W^s - W, b^s - b) of Eq. (11).
-
-    In terms of the gradient g, the change is -B^-1 g with B = I + [Phi 1]^T D_a [Phi 1]; b is
-    eliminated, so the matrix factored is I plus the Gram matrix of the centred features.
-    """
-    weighted = weights[:, None] * residual
-    gram = torch.eye(blocks.n_features, dtype=torch.float64, device=coef.device)
-    pull = torch.zeros_like(coef)
-    mean = torch.zeros_like(coef[:, 0])
-    for rows, phi in blocks:
-        scaled = phi * weights[rows, None].to(phi.dtype)
-        gram += scaled.T @ phi
-        pull += phi.T @ weighted[rows].to(phi.dtype)
-        mean += scaled.sum(dim=0)
-    gradient, total = coef - pull, weights.sum()
-    offset = torch.zeros_like(coef[0])
-    if fit_intercept:
-        offset = -weighted.sum(dim=0)
-    norm = float(torch.cat([gradient, offset[None]]).norm())
-    right = -gradient
-    if fit_intercept and total > 0:
-        mean, offset_change = mean / total, -offset / total
-        gram -= total * torch.outer(mean, mean)
-        right = right - total * torch.outer(mean, offset_change)
-    factor, info = torch.linalg.cholesky_ex(gram)
-    if int(info) or not bool(torch.isfinite(right).all()):
-        raise ValueError(
-            f"the {len(gram)} x {len(gram)} system of IRWLS is singular to working precision with "
-            f"weights up to {float(weights.max()):.1e}; lower C, or scale the outputs"
+    def agreed(self, direction: Direction) -> Direction:
+        """Return the first rank's direction."""
+        return Direction(
+            agreed(direction.coef, self.design.total),
+            agreed(direction.intercept, self.design.total),
         )
-    change = torch.cholesky_solve(right, factor)
-    intercept_change = torch.zeros_like(offset)
-    if fit_intercept and total > 0:
-        intercept_change = offset_change - mean @ change
-    decrement = -float((gradient * change).sum() + (offset * intercept_change).sum())
-    return _Direction(change, intercept_change, norm, max(decrement, 0.0))
+
+    def _agreed(self, value: Tensor) -> float:
+        return float(agreed(value, self.design.total))
+
+    def weights(self, residual: Tensor) -> Tensor:
+        return self.C * weight(residual.norm(dim=1), self.epsilon)
+
+    def gradient(self, coef: Tensor, residual: Tensor, pulled: Tensor | None = None) -> Gradient:
+        """Return g = W - Phi^T D_a R and -1^T D_a R; `pulled` is the product with Phi if known."""
+        weights = self.weights(residual)
+        weighted = weights[:, None] * residual
+        if pulled is None:
+            pulled = self.design.pull(weighted)
+        offset = torch.zeros_like(coef[0])
+        if self.fit_intercept:
+            offset = -self.design.total(weighted.sum(dim=0))
+        return Gradient(coef - pulled, offset, weights)
+
+    def columns(self, residual: Tensor, gradient: Gradient) -> Columns:
+        """Return what to multiply by Phi^T in a sweep: for the next gradient, and for the bound."""
+
+        def make(rows: slice, change: Tensor) -> Tensor:
+            here = gradient.weights[rows, None]
+            moved = residual[rows] - change
+            return torch.cat([self.weights(moved)[:, None] * moved, here * change, here], dim=1)
+
+        return make
+
+    def lower_bound(
+        self,
+        objective: float,
+        gradient: Gradient,
+        direction: Direction,
+        change: Tensor,
+        products: Tensor,
+    ) -> float:
+        """Return a value that F cannot fall below, from any direction d = (dW, db).
+
+        L is convex in u^2, so the quadratic q of Eq. (9), with the Hessian B = I + [Phi 1]^T D_a
+        [Phi 1], lies below F everywhere. Its minimum is at least q(d) - |r|^2 / 2, where r is what
+        d leaves of the normal equations for W once b is eliminated: B is I plus something positive.
+        """
+        n_outputs = change.shape[1]
+        weighted = gradient.weights[:, None] * change
+        sums = torch.cat([(weighted * change).sum()[None], weighted.sum(dim=0)])
+        total = self.design.total(torch.cat([sums, gradient.weights.sum()[None]]))
+        curvature, pushed, weight_sum = total[0], total[1:-1], total[-1]
+        left = -(gradient.coef + direction.coef + products[:, n_outputs : 2 * n_outputs])
+        value = 0.5 * (direction.coef.square().sum() + curvature)
+        value -= self.decrement(gradient, direction)
+        if self.fit_intercept and weight_sum > 0:
+            shift = -(gradient.intercept + pushed) / weight_sum
+            left -= torch.outer(products[:, -1], shift)
+            value -= 0.5 * weight_sum * shift.square().sum()
+        return self._agreed(objective + value - 0.5 * left.square().sum())
+
+    def backtrack(
+        self,
+        coef: Tensor,
+        residual: Tensor,
+        direction: Direction,
+        change: Tensor,
+        objective: float,
+        decrement: float,
+    ) -> tuple[float, float]:
+        """Halve the step from 1 until F falls enough; (0, F) if no step does."""
+        step = 1.0
+        while step > SMALLEST_STEP:
+            value = self.value(coef + step * direction.coef, residual - step * change)
+            if value <= objective - SUFFICIENT_DECREASE * step * decrement:
+                return step, value
+            step /= 2
+        return 0.0, objective
+
+    def decrement(self, gradient: Gradient, direction: Direction) -> float:
+        """Return -g . d: how fast F falls along a direction."""
+        inner = (gradient.coef * direction.coef).sum()
+        return self._agreed(-inner - (gradient.intercept * direction.intercept).sum())
+
+    def support(self, gradient: Gradient) -> float:
+        """Return the fraction of the samples outside the tube."""
+        outside = (gradient.weights > 0).double()
+        counts = self.design.total(torch.stack([outside.sum(), torch.ones_like(outside).sum()]))
+        return float(counts[0] / counts[1])
 
 
-def _apply(blocks: FeatureBlocks, coef: Tensor, intercept: Tensor) -> Tensor:
-    product = torch.empty(len(blocks.X), coef.shape[1], dtype=coef.dtype, device=coef.device)
-    for rows, phi in blocks:
-        product[rows] = (phi @ coef.to(phi.dtype)).double() + intercept
-    return product
-
-
-def _backtrack(
-    coef: Tensor,
-    residual: Tensor,
-    direction: _Direction,
-    change: Tensor,
-    objective: float,
-    C: float,
-    epsilon: float,
-) -> tuple[float, float]:
-    """Halve the step from 1 until F falls enough; (0, F) if no step does."""
-    step = 1.0
-    while step > SMALLEST_STEP:
-        value = _objective(coef + step * direction.coef, residual - step * change, C, epsilon)
-        if value <= objective - SUFFICIENT_DECREASE * step * direction.decrement:
-            return step, value
-        step /= 2
-    return 0.0, objective
+def _relative(excess: float, objective: float) -> float:
+    return max(excess, 0.0) / max(objective, torch.finfo(torch.float64).tiny)

@@ -2,25 +2,72 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, Literal, Self
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
+from torch import Tensor
 
-from suspnet.learning.feature_maps import FEATURE_MAPS, MAP_TYPES, FeatureBlocks
-from suspnet.learning.irwls import Iteration, Status, irwls
+from suspnet.learning import ranks
+from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
+from suspnet.learning.equispaced import EquispacedDesign, EquispacedFeatures, equispaced_fourier
+from suspnet.learning.feature_maps import FourierFeatures, orthogonal_fourier, random_fourier
+from suspnet.learning.irwls import Iteration, Solution, Status, irwls
+from suspnet.learning.landmarks import LandmarkFeatures, exact, nystroem
 
-BLOCK_ROWS = 8192
+PREDICT_ROWS = 8192
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """A kind of feature map: how it is made, what it is, and the design matrix it gives.
+
+    Attributes
+    ----------
+    make : callable
+        ``make(X, sigma, n_components, seed, kernel_tol)`` gives the map for samples X.
+    holds : type
+        What the map is, made again from its tensors.
+    design : type
+    of_data : bool
+        Whether the map depends on the samples.
+    float32 : bool
+        Whether its Gram matrix may be summed in single precision.
+    on_gpu : bool
+        Whether it runs on other devices than the CPU.
+    """
+
+    make: Callable[[Tensor, float, int, int, float], Any]
+    holds: type[Any]
+    design: type[Any] = DenseDesign
+    of_data: bool = True
+    float32: bool = False
+    on_gpu: bool = True
+
+
+MAPS = {
+    "rff": MapKind(random_fourier, FourierFeatures, of_data=False, float32=True),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
+    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
+    "exact": MapKind(exact, LandmarkFeatures),
+}
+"""The feature maps by name. To add one, write it beside these and enter it here."""
+SHARED = ("C", "epsilon")
+"""Parameters whose values can share one Gram matrix."""
 
 
 class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -41,12 +88,16 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         Kernel width, > 0, in units of the inputs.
     epsilon : float, default=1e-3
         Radius of the tube, >= 0, in units of the outputs.
-    feature_map : {"rff", "orf", "nystroem", "exact"}, default="rff"
+    feature_map : {"rff", "orf", "nystroem", "equispaced", "exact"}, default="rff"
         Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
-        or the exact kernel (memory grows with the square of the number of samples).
+        Fourier modes on a regular grid (up to three inputs), or the exact kernel (memory grows
+        with the square of the number of samples).
     n_components : int, default=1024
         Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
-        rounded up; `nystroem` takes fewer when fewer suffice; not used by `exact`.
+        rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
+    kernel_tol : float, default=1e-6
+        Error of the kernel that `equispaced` may make, and at which `nystroem` needs no more
+        landmarks, > 0.
     fit_intercept : bool, default=True
         Whether to fit b, unpenalised.
     max_iter : int, default=1000
@@ -56,10 +107,13 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     random_state : int, RandomState or None, default=0
         Seed of the feature map's draws.
     dtype : {"float64", "float32"}, default="float64"
-        Precision of the features; the solver's accumulators and solves are float64. With float32
-        the gradient is rounded, so `tol` may have to be raised.
+        Precision of the features of `rff` and `orf`; sums over blocks and solves are float64. With
+        float32 the gradient is rounded, so `tol` may have to be raised.
     device : str, default="cpu"
-        Torch device.
+        Torch device; `equispaced` runs on the CPU only.
+    distributed : bool, default=False
+        Take the samples given to `fit` as this rank's part of those of all ranks of
+        ``torch.distributed``; every rank ends with the same model. A part may be empty.
     callback : callable, optional
         Called after each iteration with an ``Iteration`` (n_iter, objective, grad_norm, step,
         support_fraction).
@@ -106,14 +160,16 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         C: float = 100.0,
         sigma: float = 3.0,
         epsilon: float = 1e-3,
-        feature_map: Literal["rff", "orf", "nystroem", "exact"] = "rff",
+        feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = "rff",
         n_components: int = 1024,
+        kernel_tol: float = 1e-6,
         fit_intercept: bool = True,
         max_iter: int = 1000,
         tol: float = 1e-8,
         random_state: Any = 0,
         dtype: Literal["float64", "float32"] = "float64",
         device: str = "cpu",
+        distributed: bool = False,
         callback: Callable[[Iteration], None] | None = None,
     ) -> None:
         self.C = C
@@ -121,12 +177,14 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.epsilon = epsilon
         self.feature_map = feature_map
         self.n_components = n_components
+        self.kernel_tol = kernel_tol
         self.fit_intercept = fit_intercept
         self.max_iter = max_iter
         self.tol = tol
         self.random_state = random_state
         self.dtype = dtype
         self.device = device
+        self.distributed = distributed
         self.callback = callback
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
@@ -138,24 +196,12 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         y : array of shape (n_samples,) or (n_samples, n_outputs)
         """
         self._check_parameters()
-        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        X = np.ascontiguousarray(X)  # a restored model must see the same memory layout
-        samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
-        targets = torch.tensor(np.asarray(y, dtype=np.float64), device=self.device)
-        self._single_output = targets.ndim == 1
-        targets = targets.reshape(len(targets), -1)
-        seed = int(check_random_state(self.random_state).randint(2**31 - 1))
-        self._map = FEATURE_MAPS[self.feature_map](samples, self.sigma, self.n_components, seed)
-        solution = irwls(
-            FeatureBlocks(self._map, samples, BLOCK_ROWS),
-            targets,
-            self.C,
-            self.epsilon,
-            fit_intercept=self.fit_intercept,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            on_iteration=self.callback,
-        )
+        samples, targets = self._validated(X, y)
+        kind = MAPS[self.feature_map]
+        everywhere = self.distributed and kind.of_data
+        self._map = self._make_map(ranks.gathered(samples) if everywhere else samples)
+        total = ranks.total if self.distributed else ranks.alone
+        solution = self._solve(kind.design(self._map, samples, total), targets)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = solution.intercept.cpu().numpy()
         self.n_iter_ = solution.n_iter
@@ -174,6 +220,61 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             )
         return self
 
+    def cross_predictor(
+        self, X: ArrayLike, y: ArrayLike, folds: Sequence[NDArray[np.int64]]
+    ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
+        """Return what predicts each fold's samples by a model fitted to those of all others.
+
+        The models are those of `fit`, but all values of C and epsilon share one Gram matrix, from
+        which a fold's own is subtracted. Only for maps that do not depend on the samples
+        (``shares_gram``).
+
+        Parameters
+        ----------
+        X : array of shape (n_samples, n_inputs)
+        y : array of shape (n_samples, n_outputs)
+        folds : sequence of arrays
+            Row indices; each row is in one fold.
+
+        Returns
+        -------
+        callable
+            From a mapping with C and epsilon, where they are not the model's own, to a list of
+            predictions (n_fold, n_outputs). It raises ValueError if a system is singular to
+            working precision.
+        """
+        self._check_parameters()
+        samples, targets = self._validated(X, y)
+        feature_map = self._make_map(samples)
+        parts = [
+            DenseDesign(feature_map, samples[fold], cache_bytes=CACHE_BYTES // len(folds))
+            for fold in folds
+        ]
+        whole = functools.reduce(operator.add, (part.gram() for part in parts))
+        others = [
+            (
+                DenseDesign.joined(parts[:j] + parts[j + 1 :], whole - parts[j].gram()),
+                torch.cat([targets[fold] for k, fold in enumerate(folds) if k != j]),
+            )
+            for j in range(len(folds))
+        ]
+
+        def predict(setting: Mapping[str, float]) -> list[FloatArray]:
+            model = clone(self).set_params(**setting)
+            model._check_parameters()
+            solutions = (model._solve(design, kept) for design, kept in others)
+            return [
+                part.predict(Direction(found.coef, found.intercept)).cpu().numpy()
+                for part, found in zip(parts, solutions, strict=True)
+            ]
+
+        return predict
+
+    @property
+    def shares_gram(self) -> bool:
+        """Whether `held_out` serves this feature map."""
+        return self.feature_map in MAPS and not MAPS[self.feature_map].of_data
+
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was.
 
@@ -187,9 +288,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
         coef = torch.tensor(self.coef_, dtype=self._torch_dtype, device=self.device)
         predicted = np.empty((len(samples), coef.shape[1]))
-        for start in range(0, len(samples), BLOCK_ROWS):
-            rows = slice(start, start + BLOCK_ROWS)
-            predicted[rows] = (self._map(samples[rows]) @ coef).double().cpu().numpy()
+        for start in range(0, len(samples), PREDICT_ROWS):
+            rows = slice(start, start + PREDICT_ROWS)
+            predicted[rows] = self._map.apply(samples[rows], coef).double().cpu().numpy()
         predicted += self.intercept_
         return predicted[:, 0] if self._single_output else predicted
 
@@ -208,7 +309,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             If arrays are missing or their shapes disagree.
         """
         self._check_parameters()
-        map_type = MAP_TYPES[self.feature_map]
+        map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
         tensors = {
             name: torch.tensor(state[f"map.{name}"], dtype=self._torch_dtype, device=self.device)
@@ -231,20 +332,67 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def _torch_dtype(self) -> torch.dtype:
         return torch.float32 if self.dtype == "float32" else torch.float64
 
+    def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
+        """Return samples and targets (n_samples, n_outputs); a rank may have none."""
+        least = 0 if self.distributed and ranks.together() else 1
+        X, y = validate_data(
+            self,
+            X,
+            y,
+            multi_output=True,
+            y_numeric=True,
+            dtype=np.float64,
+            ensure_min_samples=least,
+        )
+        X = np.ascontiguousarray(X)  # a restored model must see the same memory layout
+        samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
+        targets = torch.tensor(np.asarray(y, dtype=np.float64), device=self.device)
+        self._single_output = targets.ndim == 1
+        return samples, targets[:, None] if targets.ndim == 1 else targets
+
+    def _make_map(self, samples: Tensor) -> Any:
+        seed = int(check_random_state(self.random_state).randint(2**31 - 1))
+        make = MAPS[self.feature_map].make
+        return make(samples, self.sigma, self.n_components, seed, self.kernel_tol)
+
+    def _solve(self, design: Design, targets: Tensor) -> Solution:
+        return irwls(
+            design,
+            targets,
+            self.C,
+            self.epsilon,
+            fit_intercept=self.fit_intercept,
+            max_iter=self.max_iter,
+            tol=self.tol,
+            on_iteration=self.callback,
+        )
+
     def _check_parameters(self) -> None:
         check_number("C", self.C, low=0, open_low=True)
         check_number("sigma", self.sigma, low=0, open_low=True)
         check_number("epsilon", self.epsilon, low=0)
         check_number("tol", self.tol, low=0)
+        check_number("kernel_tol", self.kernel_tol, low=0, open_low=True)
         check_number("max_iter", self.max_iter, low=1, whole=True)
         check_number("n_components", self.n_components, low=1, whole=True)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
-        if not isinstance(self.feature_map, str) or self.feature_map not in FEATURE_MAPS:
-            allowed = sorted(FEATURE_MAPS)
+        if not isinstance(self.feature_map, str) or self.feature_map not in MAPS:
+            allowed = sorted(MAPS)
             raise ValueError(f"`feature_map` must be one of {allowed}, got {self.feature_map!r}")
+        kind = MAPS[self.feature_map]
         if self.dtype not in ("float64", "float32"):
             raise ValueError(f"`dtype` must be 'float64' or 'float32', got {self.dtype!r}")
+        if self.dtype == "float32" and not kind.float32:
+            raise ValueError(
+                f"feature_map={self.feature_map!r} needs dtype='float64': its Gram matrix is too "
+                "ill conditioned for single precision"
+            )
+        if not kind.on_gpu and torch.device(self.device).type != "cpu":
+            raise ValueError(
+                f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
+                "feature_map='rff'"
+            )
 
 
 def check_number(

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+
+from suspnet.learning.ranks import Total, alone
 
 FloatArray = NDArray[np.float64]
 
@@ -26,8 +29,10 @@ class Scaling:
     log: bool = True
 
     @classmethod
-    def of(cls, values: FloatArray, log: bool = True) -> Scaling:
+    def of(cls, values: FloatArray, log: bool = True, total: Total = alone) -> Scaling:
         """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
+
+        `total` sums over ranks if each has some of the rows; one may have none.
 
         Raises
         ------
@@ -40,10 +45,14 @@ class Scaling:
         if log and not (values > 0).all():
             raise ValueError("values must be positive for a logarithmic scaling")
         moved = np.log(values) if log else values
-        constant = np.flatnonzero(np.ptp(moved, axis=0) == 0)
+        n_rows = float(total(torch.tensor([float(len(moved))])))
+        mean = total(torch.from_numpy(moved.sum(axis=0))).numpy() / n_rows
+        centred = moved - mean
+        scale = np.sqrt(total(torch.from_numpy((centred**2).sum(axis=0))).numpy() / n_rows)
+        constant = np.flatnonzero(scale <= np.finfo(float).eps * np.abs(mean))
         if constant.size:
             raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")
-        return cls(moved.mean(axis=0), moved.std(axis=0), log)
+        return cls(mean, scale, log)
 
     def apply(self, values: FloatArray) -> FloatArray:
         """Return scaled values, same shape."""

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.metrics import make_scorer, root_mean_squared_error
-from sklearn.model_selection import KFold, ParameterGrid, cross_val_score
+from sklearn.metrics import root_mean_squared_error
+from sklearn.model_selection import KFold, ParameterGrid
 
-from suspnet.learning.msvr import check_number
+from suspnet.learning.msvr import MSVR, SHARED, check_number
 from suspnet.learning.scaling import Scaling
 
 FloatArray = NDArray[np.float64]
@@ -95,30 +95,26 @@ class GridSearch:
         on_setting : callable, optional
             Called with the hyperparameters and their RMSE.
         """
-
-        def rmse(actual: FloatArray, predicted: FloatArray) -> float:
-            undone = [output_scaling.undo(v) for v in (actual, predicted)]
-            return float(root_mean_squared_error(*undone))
-
-        scorer = make_scorer(rmse, greater_is_better=False)
-        folds = KFold(self.n_folds, shuffle=True, random_state=self.seed)
-        result = SearchResult([], [])
-        for setting in ParameterGrid(dict(self._grid(name))):
-            candidate = clone(estimator).set_params(**setting)
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", ConvergenceWarning)
-                    scores = cross_val_score(
-                        candidate, X, Y, cv=folds, scoring=scorer, error_score="raise"
-                    )
-                value = -float(np.mean(scores))
-            except ValueError as error:
-                value = math.inf
-                result.failures.append(f"{setting}: {error}")
-            result.settings.append(setting)
-            result.rmse.append(value)
-            if on_setting is not None:
-                on_setting(setting, value)
+        folds = [
+            rows for _, rows in KFold(self.n_folds, shuffle=True, random_state=self.seed).split(X)
+        ]
+        actual = [output_scaling.undo(Y[rows]) for rows in folds]
+        settings = list(ParameterGrid(dict(self._grid(name))))
+        result = SearchResult(settings, [math.inf] * len(settings))
+        for group in _groups(estimator, settings):
+            candidate = clone(estimator).set_params(**settings[group[0]])
+            predict = _cross_predictor(candidate, X, Y, folds)
+            for k in group:
+                try:
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", ConvergenceWarning)
+                        predicted = [output_scaling.undo(values) for values in predict(settings[k])]
+                    errors = map(root_mean_squared_error, actual, predicted)
+                    result.rmse[k] = float(np.mean(list(errors)))
+                except ValueError as error:
+                    result.failures.append(f"{settings[k]}: {error}")
+                if on_setting is not None:
+                    on_setting(settings[k], result.rmse[k])
         if not np.isfinite(result.rmse).any():
             raise ValueError(
                 f"no setting of the search could be fitted; first: {result.failures[0]}"
@@ -129,3 +125,33 @@ class GridSearch:
         if name not in self.grids:
             raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
         return self.grids[name]
+
+
+def _groups(estimator: Any, settings: Sequence[Mapping[str, Any]]) -> list[list[int]]:
+    """Return the settings that share their work, as lists of places."""
+    groups: dict[str, list[int]] = {}
+    for k, setting in enumerate(settings):
+        candidate = clone(estimator).set_params(**setting)
+        apart: Any = setting
+        if isinstance(candidate, MSVR) and candidate.shares_gram:
+            apart = {key: value for key, value in setting.items() if key not in SHARED}
+        groups.setdefault(repr(apart), []).append(k)
+    return list(groups.values())
+
+
+def _cross_predictor(
+    estimator: Any, X: FloatArray, Y: FloatArray, folds: Sequence[NDArray[np.int64]]
+) -> Callable[[Mapping[str, Any]], list[FloatArray]]:
+    """Return what predicts each fold with a model, at a given setting, of all the others."""
+    if isinstance(estimator, MSVR) and estimator.shares_gram:
+        return estimator.cross_predictor(X, Y, folds)
+
+    def predict(setting: Mapping[str, Any]) -> list[FloatArray]:
+        found = []
+        for rows in folds:
+            others = np.setdiff1d(np.arange(len(X)), rows)
+            model = clone(estimator).set_params(**setting).fit(X[others], Y[others])
+            found.append(model.predict(X[rows]))
+        return found
+
+    return predict

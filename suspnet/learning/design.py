@@ -1,0 +1,303 @@
+"""The design matrix Phi of a training set, and the normal equations of Eq. (9) on it.
+
+Phi is never whole in memory unless it is small: products are made block by block of its rows, each
+summed over all ranks where the samples are spread over several processes. `DenseDesign` serves any
+feature map that can be called; ``equispaced`` has a design of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from suspnet.learning.feature_maps import FeatureMap
+from suspnet.learning.ranks import Total, alone
+
+CACHE_BYTES = 400_000_000
+"""Features of a whole training set are kept in memory up to this size, else made again."""
+BLOCK_ROWS = 4096
+GRAM_COLUMNS = 256
+"""The Gram matrix is made in stripes of this width, of which only the upper part is needed."""
+Columns = Callable[[slice, Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A change of W and b.
+
+    Attributes
+    ----------
+    coef : tensor of shape (n_features, n_outputs)
+    intercept : tensor of shape (n_outputs,)
+    """
+
+    coef: Tensor
+    intercept: Tensor
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """The gradient of F at a point, and the samples' weights a_i of Eq. (10) there.
+
+    Attributes
+    ----------
+    coef : tensor of shape (n_features, n_outputs)
+    intercept : tensor of shape (n_outputs,)
+        Zero if b is not fitted.
+    weights : tensor of shape (n_samples,)
+        Of this rank's samples.
+    """
+
+    coef: Tensor
+    intercept: Tensor
+    weights: Tensor
+
+    @property
+    def norm(self) -> float:
+        """Its Euclidean norm."""
+        return float(torch.cat([self.coef, self.intercept[None]]).norm())
+
+
+class NormalEquations(Protocol):
+    """What gives the solver a direction, exactly or nearly that of Eq. (9)."""
+
+    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+        """Return a direction; F need not be found better than to `accuracy`."""
+        ...
+
+
+class Design(Protocol):
+    """What the solver needs of Phi."""
+
+    n_features: int
+    total: Total
+    """Sums a tensor over ranks, in place."""
+
+    def pull(self, columns: Tensor) -> Tensor:
+        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+        ...
+
+    def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V for the V that `columns` makes of the rows of that."""
+        ...
+
+    def fixed(self, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return equations made once, good where nearly all weights are near 2 C."""
+        ...
+
+    def reweighted(self, C: float, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Eq. (9), made anew for the weights of every iteration."""
+        ...
+
+
+@dataclass(frozen=True)
+class Gram:
+    """Sums over the samples: of w phi phi^T, of w phi, and of w.
+
+    Attributes
+    ----------
+    products : float64 tensor of shape (n_features, n_features)
+    sums : float64 tensor of shape (n_features,)
+    total : float
+    """
+
+    products: Tensor
+    sums: Tensor
+    total: float
+
+    def __add__(self, other: Gram) -> Gram:
+        """Return the sums over the samples of both."""
+        return Gram(
+            self.products + other.products, self.sums + other.sums, self.total + other.total
+        )
+
+    def __sub__(self, other: Gram) -> Gram:
+        """Return the sums over the samples of this that are not in `other`."""
+        return Gram(
+            self.products - other.products, self.sums - other.sums, self.total - other.total
+        )
+
+
+class DenseDesign:
+    """Phi in blocks of rows.
+
+    Parameters
+    ----------
+    feature_map : FeatureMap
+    X : tensor of shape (n_samples, n_inputs)
+    block_rows : int
+        Rows of Phi in memory at once, unless all of it fits ...
+    cache_bytes : int
+        ... this.
+    total : callable, optional
+        Sums a tensor over ranks.
+    """
+
+    def __init__(
+        self,
+        feature_map: FeatureMap,
+        X: Tensor,
+        total: Total = alone,
+        *,
+        block_rows: int = BLOCK_ROWS,
+        cache_bytes: int = CACHE_BYTES,
+    ) -> None:
+        self.feature_map, self.X, self.total = feature_map, X, total
+        self.slices = [
+            slice(start, min(start + block_rows, len(X))) for start in range(0, len(X), block_rows)
+        ]
+        first = feature_map(X.new_zeros(1, X.shape[1]))
+        self.n_features = first.shape[1]
+        whole = len(X) * self.n_features * first.element_size()
+        self._kept = [feature_map(X[s]) for s in self.slices] if whole <= cache_bytes else []
+        self._gram: Gram | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[DenseDesign], gram: Gram) -> DenseDesign:
+        """Return the design of the samples of all parts, whose Gram matrix is known; no copies."""
+        whole = cls(parts[0].feature_map, torch.cat([part.X for part in parts]), cache_bytes=0)
+        starts = accumulate((len(part.X) for part in parts), initial=0)
+        whole.slices = [
+            slice(start + rows.start, start + rows.stop)
+            for part, start in zip(parts, starts, strict=False)
+            for rows in part.slices
+        ]
+        if all(part._kept for part in parts):
+            whole._kept = [phi for part in parts for phi in part._kept]
+        whole._gram = gram
+        return whole
+
+    def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
+        """Yield (rows, Phi[rows])."""
+        if self._kept:
+            yield from zip(self.slices, self._kept, strict=True)
+        else:
+            for rows in self.slices:
+                yield rows, self.feature_map(self.X[rows])
+
+    def predict(self, model: Direction) -> Tensor:
+        """Return Phi W + b, shape (n_samples, n_outputs)."""
+        none = self.X.new_zeros(1, 0)
+        return self.sweep(model, lambda rows, change: none.expand(len(change), 0))[0]
+
+    def pull(self, columns: Tensor) -> Tensor:
+        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+        product = self._zeros(columns.shape[1])
+        for rows, phi in self:
+            product += (columns[rows].T.to(phi.dtype) @ phi).T
+        return self.total(product)
+
+    def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V for the V that `columns` makes of the rows of that."""
+        moved = self.X.new_empty(len(self.X), change.coef.shape[1], dtype=torch.float64)
+        product: Tensor | None = None
+        for rows, phi in self:
+            moved[rows] = (phi @ change.coef.to(phi.dtype)).double() + change.intercept
+            pulled = (columns(rows, moved[rows]).T.to(phi.dtype) @ phi).T
+            product = pulled.double() if product is None else product.add_(pulled)
+        if product is None:
+            none = columns(slice(0, 0), moved)
+            product = self._zeros(none.shape[1])
+        return moved, self.total(product)
+
+    def gram(self) -> Gram:
+        """Return the Gram matrix of all samples, made once."""
+        if self._gram is None:
+            self._gram = self.weighted_gram(None)
+        return self._gram
+
+    def weighted_gram(self, weights: Tensor | None) -> Gram:
+        """Return the Gram matrix of the weighted samples; those of weight 0 cost nothing."""
+        products = torch.zeros(
+            self.n_features, self.n_features, dtype=torch.float64, device=self.X.device
+        )
+        sums = self._zeros(1)[:, 0]
+        count = products.new_zeros(1)
+        starts = range(0, self.n_features, GRAM_COLUMNS)
+        for rows, phi in self:
+            if weights is None:
+                scaled = phi
+                count += len(phi)
+            else:
+                w = weights[rows]
+                support = w.nonzero()[:, 0]
+                if len(support) < len(w):
+                    phi, w = phi[support], w[support]
+                scaled = phi * w[:, None].to(phi.dtype)
+                count += w.sum()
+            sums += scaled.sum(dim=0)
+            for start in starts:
+                stripe = slice(start, start + GRAM_COLUMNS)
+                products[stripe, start:] += scaled[:, stripe].T @ phi[:, start:]
+        self.total(products)
+        self.total(sums)
+        self.total(count)
+        return Gram(products.triu() + products.triu(1).T, sums, float(count))
+
+    def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
+        """Return the equations of all weights 2 C, factored once."""
+        return FixedGram(self.gram(), C, fit_intercept)
+
+    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedGram:
+        """Return the equations of Eq. (9), factored anew for the weights of every iteration."""
+        return ReweightedGram(self, fit_intercept)
+
+    def _zeros(self, n_columns: int) -> Tensor:
+        return torch.zeros(self.n_features, n_columns, dtype=torch.float64, device=self.X.device)
+
+
+class FixedGram:
+    """Directions of I + 2 C Phi^T Phi, b eliminated: one factorisation serves every iteration.
+
+    No weight exceeds 2 C, so F lies below this quadratic: a whole step never raises F. It is the
+    step "project each residual onto the epsilon-ball, then ridge regression on what is left".
+    """
+
+    def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
+        self._mean, self._total, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
+
+    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+        """Return -H^-1 g, exactly."""
+        return _solve(gradient, self._factor, self._mean, self._total)
+
+
+class ReweightedGram:
+    """Directions of Eq. (9), one factorisation an iteration: the textbook's IRWLS."""
+
+    def __init__(self, design: DenseDesign, fit_intercept: bool) -> None:
+        self._design, self._fit_intercept = design, fit_intercept
+
+    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+        """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
+        gram = self._design.weighted_gram(gradient.weights)
+        mean, total, factor = _centred_factor(gram, 1.0, self._fit_intercept)
+        return _solve(gradient, factor, mean, total)
+
+
+def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tensor, float, Tensor]:
+    """Return mean, total weight and Cholesky factor of I plus the scaled centred Gram matrix."""
+    matrix = scale * gram.products
+    mean, total = torch.zeros_like(gram.sums), 0.0
+    if fit_intercept and gram.total > 0:
+        mean, total = gram.sums / gram.total, scale * gram.total
+        matrix.addr_(mean, mean, alpha=-total)
+    matrix.diagonal().add_(1.0)
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    if int(info) or not bool(torch.isfinite(factor).all()):
+        raise ValueError(
+            f"the {len(matrix)} x {len(matrix)} system of IRWLS is singular to working precision "
+            f"with weights of {scale * gram.total:.1e} in all; lower C, or scale the outputs"
+        )
+    return mean, total, factor
+
+
+def _solve(gradient: Gradient, factor: Tensor, mean: Tensor, total: float) -> Direction:
+    """Solve for W and b with b eliminated: total db = -g_b - total mean . dW."""
+    shift = -gradient.intercept / total if total > 0 else torch.zeros_like(gradient.intercept)
+    coef = torch.cholesky_solve(-gradient.coef - total * torch.outer(mean, shift), factor)
+    return Direction(coef, shift - mean @ coef)

@@ -1,0 +1,430 @@
+"""Fourier modes on a regular grid: the RBF kernel to a given accuracy, for up to three inputs.
+
+The trapezoidal rule turns the spectrum of the kernel into modes with a regular spacing. Then the
+weighted Gram matrix is Toeplitz, one non-uniform FFT of the weights makes it, its products are
+FFTs, and the normal equations are solved by preconditioned conjugate gradients (Barnett,
+Greengard and Rachh, 2023: "Uniform approximation of common Gaussian process kernels using
+equispaced Fourier grids"). The cost of a fit is a few non-uniform FFTs over the samples.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.fft import next_fast_len
+from scipy.stats import chi
+from torch import Tensor
+
+from suspnet.learning.design import Columns, Direction, Gradient
+from suspnet.learning.feature_maps import TensorMap
+from suspnet.learning.ranks import Total, alone
+
+MAX_INPUTS = 3
+MAX_BOX = 800_000
+"""Points of the grid of modes, corners included, for which all arrays still fit about 1 GB."""
+FIRST_BLOCK, LARGEST_BLOCK = 800, 2000
+"""Waves that the preconditioner solves exactly, at first and at most; the rest it divides by the
+diagonal. The block doubles after ..."""
+PATIENCE = 100
+"""... so many iterations in a row."""
+MAX_CG_ITER = 1000
+TINY = torch.finfo(torch.float64).tiny
+FORCING = 1e-3
+"""Conjugate gradients stop when they have found all but about this part of the decrement."""
+FFT_ACCURACY = 1e-2
+"""Accuracy of the non-uniform FFTs, relative to the kernel's."""
+
+
+@dataclass(frozen=True)
+class EquispacedFeatures(TensorMap):
+    """phi(x) = sqrt(2 s_k) (cos(theta_k . z), ..., sin(theta_k . z), ...), z = x - centre.
+
+    theta_k = k spacing for whole numbers k, one of each pair k and -k, the constant first; s_k is
+    the kernel's spectral density at theta_k times the cell of the grid, so that
+    phi(x) . phi(z) = exp(-|x - z|^2 / sigma^2) to the accuracy asked for, within `reach` of the
+    centre. Inputs farther away are moved to that border: beyond it the features repeat.
+
+    Attributes
+    ----------
+    wave_numbers : tensor of shape (n_waves, n_inputs)
+        The k, whole numbers; the first is 0.
+    strengths : tensor of shape (n_waves,)
+        s_k.
+    spacing, centre, reach : tensors of shape (n_inputs,)
+    kernel_tol : tensor of shape ()
+    """
+
+    wave_numbers: Tensor
+    strengths: Tensor
+    spacing: Tensor
+    centre: Tensor
+    reach: Tensor
+    kernel_tol: Tensor
+
+    def __post_init__(self) -> None:
+        n_waves, n_inputs = self.wave_numbers.shape
+        shapes = [tuple(t.shape) for t in (self.strengths, self.spacing, self.centre, self.reach)]
+        whole = bool((self.wave_numbers == self.wave_numbers.round()).all())
+        box = float((2 * self.wave_numbers.abs().amax(dim=0) + 1).prod())
+        if (
+            shapes != [(n_waves,), *[(n_inputs,)] * 3]
+            or not whole
+            or not box <= MAX_BOX
+            or bool((self.wave_numbers[0] != 0).any())
+            or not bool((self.strengths > 0).all())
+        ):
+            raise ValueError("the arrays are not those of an equispaced feature map")
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of columns the map takes."""
+        return self.wave_numbers.shape[1]
+
+    @property
+    def n_features(self) -> int:
+        """Number of features."""
+        return 2 * len(self.strengths) - 1
+
+    def angles(self, X: Tensor) -> Tensor:
+        """Return spacing * (x - centre), inputs out of reach moved to the border; shape of X."""
+        offset = (X.double() - self.centre).clamp(-self.reach, self.reach)
+        return offset * self.spacing
+
+    def __call__(self, X: Tensor) -> Tensor:
+        """Return features of shape (n_samples, 2 n_waves - 1), cosines first."""
+        phase = self.angles(X) @ self.wave_numbers.T
+        amplitudes = (2 * self.strengths).sqrt()
+        cosines, sines = phase.cos() * amplitudes, phase.sin() * amplitudes
+        return torch.cat([cosines[:, :1] / math.sqrt(2), cosines[:, 1:], sines[:, 1:]], dim=1)
+
+    def apply(self, X: Tensor, coef: Tensor) -> Tensor:
+        """Return Phi coef, shape (n_samples, n_outputs), by a non-uniform FFT."""
+        return EquispacedDesign(self, X).apply(coef)
+
+
+def equispaced_fourier(
+    X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 1e-6
+) -> EquispacedFeatures:
+    """Return as many modes as the kernel needs to be right to `kernel_tol` on the data of `X`.
+
+    Up to half of it goes to the modes left out, those beyond a radius (frequencies are normal with
+    variance 2 / sigma^2), and half to the images of the kernel that the grid repeats every
+    2 pi / spacing.
+
+    Parameters
+    ----------
+    X : tensor of shape (n_samples, n_inputs), n_inputs <= 3
+    sigma : float
+    n_components, seed : int
+        Not used.
+    kernel_tol : float
+        Largest error of the kernel.
+
+    Raises
+    ------
+    ValueError
+        If there are more than three inputs, or the modes would be too many.
+    """
+    n_inputs = X.shape[1]
+    if n_inputs > MAX_INPUTS:
+        raise ValueError(
+            f"feature_map='equispaced' serves up to {MAX_INPUTS} inputs, these are {n_inputs}: "
+            "the modes grow with their power; use feature_map='rff'"
+        )
+    X = X.double()
+    low, high = X.amin(dim=0), X.amax(dim=0)
+    reach = (high - low) / 2 + sigma
+    images = math.sqrt(math.log(4 * n_inputs / kernel_tol)) * sigma
+    spacing = 2 * math.pi / (high - low + sigma + images)
+    radius = float(chi.isf(kernel_tol / 2, n_inputs)) * math.sqrt(2) / sigma
+    counts = [math.floor(radius / step) for step in spacing.tolist()]
+    n_box = math.prod(2 * count + 1 for count in counts)
+    if n_box > MAX_BOX:
+        raise ValueError(
+            f"feature_map='equispaced' would need a grid of {n_box} modes: sigma={sigma:g} is "
+            f"small for data of extent {(high - low).max():.3g}; raise sigma or kernel_tol, or use "
+            "feature_map='rff'"
+        )
+    axes = [torch.arange(-count, count + 1, dtype=torch.float64) for count in counts]
+    k = torch.cartesian_prod(*axes).reshape(-1, n_inputs).to(X.device)
+    distance = (k * spacing).norm(dim=1)
+    k, distance = k[distance <= radius], distance[distance <= radius]
+    rank = k @ (2.0 * max(counts) + 1) ** torch.arange(n_inputs, dtype=torch.float64)
+    k, distance = k[rank >= 0], distance[rank >= 0]  # one of k and -k, its last non-zero part > 0
+    order = distance.argsort(stable=True)
+    k, distance = k[order], distance[order]
+    density = (sigma / (2 * math.sqrt(math.pi))) ** n_inputs
+    strengths = float(spacing.prod()) * density * torch.exp(-((sigma * distance) ** 2) / 4)
+    return EquispacedFeatures(
+        k,
+        strengths,
+        spacing,
+        (low + high) / 2,
+        reach,
+        torch.tensor(kernel_tol, dtype=torch.float64),
+    )
+
+
+class EquispacedDesign:
+    """Phi as non-uniform FFTs of the samples; only the samples themselves are in memory.
+
+    Parameters
+    ----------
+    modes : EquispacedFeatures
+    X : tensor of shape (n_samples, n_inputs)
+    total : callable, optional
+        Sums a tensor over ranks.
+
+    Raises
+    ------
+    ValueError
+        If finufft is not installed.
+    """
+
+    def __init__(self, modes: EquispacedFeatures, X: Tensor, total: Total = alone) -> None:
+        self.modes, self.total = modes, total
+        self.n_features, self.n_samples = modes.n_features, len(X)
+        self._finufft = _finufft()
+        self.waves = modes.wave_numbers.long()
+        self.counts = self.waves.abs().amax(dim=0).tolist()
+        self._scale = modes.strengths.sqrt()
+        self._angles = [np.ascontiguousarray(c) for c in modes.angles(X).numpy().T]
+        self._plans: dict[tuple[int, int], Any] = {}
+        shape = [2 * count + 1 for count in self.counts]
+        self._places = _flat_index(self.waves + torch.tensor(self.counts), shape)
+        self._size = math.prod(shape)
+
+    def apply(self, coef: Tensor) -> Tensor:
+        """Return Phi coef, shape (n_samples, n_outputs); one transform serves two outputs."""
+        spectra = self.spectrum(coef)
+        grid = torch.zeros(coef.shape[1], self._size, dtype=torch.complex128)
+        grid[:, self._size - 1 - self._places] = spectra.conj()
+        grid[:, self._places] = spectra
+        values = torch.empty(self.n_samples, coef.shape[1], dtype=torch.float64)
+        for j in range(0, coef.shape[1], 2):
+            pair = grid[j] if j + 1 == len(grid) else grid[j] + 1j * grid[j + 1]
+            found = torch.view_as_real(self._transform(2, 1, pair))
+            values[:, j : j + 2] = found[:, : values.shape[1] - j]
+        return values
+
+    def pull(self, columns: Tensor) -> Tensor:
+        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+        sums = []
+        for pair in columns.double().split(2, dim=1):
+            strengths = torch.zeros(self.n_samples, 2, dtype=torch.float64)
+            strengths[:, : pair.shape[1]] = pair
+            found = self._transform(1, 1, torch.view_as_complex(strengths)).flatten()
+            here, mirrored = found[self._places], found[self._size - 1 - self._places].conj()
+            sums += [0.5 * (here + mirrored), -0.5j * (here - mirrored)][: pair.shape[1]]
+        return self.total(self.real(torch.stack(sums)))
+
+    def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V for the V that `columns` makes of that."""
+        moved = self.apply(change.coef) + change.intercept
+        return moved, self.pull(columns(slice(0, self.n_samples), moved))
+
+    def toeplitz(self, weights: Tensor) -> Tensor:
+        """Return t_k = sum_i w_i exp(-i k . angles_i) for k up to twice the counts, centred."""
+        sums = torch.view_as_real(self._transform(1, 2, weights.to(torch.complex128)))
+        return torch.view_as_complex(self.total(sums.contiguous()))
+
+    def spectrum(self, vector: Tensor) -> Tensor:
+        """Return sqrt(s_k) f_k of a vector over features, (n_features, n) to (n, n_waves).
+
+        f_0 is the coefficient of the constant, f_k = (cosine's - i sine's) / sqrt(2), and f_-k its
+        conjugate: a unitary change of basis.
+        """
+        n_waves = len(self.waves)
+        sines = torch.cat([torch.zeros_like(vector[:1]), vector[n_waves:]])
+        found = torch.complex(vector[:n_waves], -sines) / math.sqrt(2)
+        found[0] *= math.sqrt(2)
+        return (found * self._scale[:, None]).T
+
+    def real(self, spectra: Tensor) -> Tensor:
+        """Return the vector over features of spectra times sqrt(s_k): what `spectrum` undoes."""
+        found = (spectra * self._scale).T * math.sqrt(2)
+        found[0] /= math.sqrt(2)
+        return torch.cat([found.real, -found.imag[1:]])
+
+    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of all weights 2 C."""
+        return ToeplitzEquations(self, C, fit_intercept, reweighted=False)
+
+    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of Eq. (9), made anew for the weights of every iteration."""
+        return ToeplitzEquations(self, C, fit_intercept, reweighted=True)
+
+    def _transform(self, kind: int, width: int, values: Tensor) -> Tensor:
+        """Transform: kind 1 from samples to modes, kind 2 back; width 2 for twice the modes."""
+        shape = tuple(2 * width * count + 1 for count in self.counts)
+        if not self.n_samples:
+            return torch.zeros(shape if kind == 1 else 0, dtype=torch.complex128)
+        if (kind, width) not in self._plans:
+            accuracy = max(FFT_ACCURACY * float(self.modes.kernel_tol), 1e-14)
+            plan = self._finufft.Plan(
+                kind, shape, eps=accuracy, isign=2 * kind - 3, nthreads=torch.get_num_threads()
+            )
+            plan.setpts(*self._angles)
+            self._plans[kind, width] = plan
+        array = values.numpy() if kind == 1 else values.reshape(shape).numpy()
+        return torch.from_numpy(self._plans[kind, width].execute(array))
+
+
+class ToeplitzEquations:
+    """Normal equations with a Toeplitz Gram matrix, by preconditioned conjugate gradients.
+
+    Parameters
+    ----------
+    design : EquispacedDesign
+    C : float
+    fit_intercept : bool
+    reweighted : bool
+        Make the matrix anew for the weights of each call; else all weights are 2 C.
+    """
+
+    def __init__(
+        self, design: EquispacedDesign, C: float, fit_intercept: bool, reweighted: bool
+    ) -> None:
+        self._design, self._fit_intercept, self._reweighted = design, fit_intercept, reweighted
+        self._shape = tuple(next_fast_len(4 * count + 1, real=True) for count in design.counts)
+        half = (*self._shape[:-1], self._shape[-1] // 2 + 1)
+        self._half = half
+        size = torch.tensor(self._shape)
+        self._places = _flat_index(design.waves % size, half)
+        plane = design.waves[:, -1] == 0
+        self._plane = plane
+        self._mirrored = _flat_index(-design.waves[plane] % size, half)
+        wide = [4 * count + 1 for count in design.counts]
+        self._steps, self._middle = _flat_index(design.waves, wide), math.prod(wide) // 2
+        self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
+        strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
+        self._diagonal = 1 + strengths * self._centre
+        self._largest = min(len(design.waves), LARGEST_BLOCK)
+        self._invert_leading(min(self._largest, FIRST_BLOCK))
+
+    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+        """Return an approximate solution of the normal equations."""
+        if self._reweighted:
+            self._use(self._design.toeplitz(gradient.weights))
+        shift = torch.zeros_like(gradient.intercept)
+        if self._weight > 0:
+            shift = -gradient.intercept / self._weight
+        coef = self._solve(-gradient.coef - torch.outer(self._sums, shift), accuracy)
+        if self._weight > 0:
+            shift = shift - self._sums @ coef / self._weight
+        return Direction(coef, shift)
+
+    def _use(self, toeplitz: Tensor) -> None:
+        """Take the Fourier sums of the weights as those of the matrix."""
+        design = self._design
+        self._toeplitz = toeplitz.flatten()
+        self._centre = float(self._toeplitz[self._middle].real)
+        indices = [
+            torch.arange(-2 * count, 2 * count + 1) % size
+            for count, size in zip(design.counts, self._shape, strict=True)
+        ]
+        indices[-1] = indices[-1][2 * design.counts[-1] :]
+        spectrum = torch.zeros(self._half, dtype=torch.complex128)
+        spectrum[torch.meshgrid(*indices, indexing="ij")] = toeplitz[..., 2 * design.counts[-1] :]
+        self._density = torch.fft.irfftn(spectrum, s=self._shape, norm="forward")
+        sums = design.real(self._toeplitz[self._middle + self._steps][None])[:, 0]
+        # without b, or without any weight, there is nothing to eliminate
+        self._weight = self._centre if self._fit_intercept else 0.0
+        self._sums = sums if self._weight > 0 else torch.zeros_like(sums)
+
+    def _multiply(self, vector: Tensor) -> Tensor:
+        """Return (I + Phi^T D Phi - sums sums^T / weight) vector."""
+        spectra = self._design.spectrum(vector)
+        grid = torch.zeros(len(spectra), math.prod(self._half), dtype=torch.complex128)
+        grid[:, self._places] = spectra
+        grid[:, self._mirrored] = spectra[:, self._plane].conj()
+        axes = tuple(range(1, len(self._shape) + 1))
+        grid = grid.reshape(-1, *self._half)
+        field = torch.fft.irfftn(grid, s=self._shape, dim=axes, norm="forward")
+        grid = torch.fft.rfftn(field.mul_(self._density), dim=axes, norm="forward")
+        found = vector + self._design.real(grid.flatten(1)[:, self._places])
+        if self._weight > 0:
+            found -= torch.outer(self._sums, self._sums @ vector / self._weight)
+        return found
+
+    def _solve(self, right: Tensor, accuracy: float) -> Tensor:
+        """Return the solution by conjugate gradients, one for each column at the same time."""
+        solution, left = torch.zeros_like(right), right.clone()
+        search = torch.zeros_like(right)
+        before = torch.ones_like(right[0])
+        for iteration in range(MAX_CG_ITER):
+            if iteration % PATIENCE == PATIENCE - 1 and self._n_block < self._largest:
+                self._invert_leading(min(2 * self._n_block, self._largest))
+                search.zero_()
+            preconditioned = self._precondition(left)
+            energy = (left * preconditioned).sum(dim=0)
+            decrement = float((solution * right).sum())
+            if float(energy.sum()) <= FORCING * decrement:
+                last = 0.5 * decrement <= accuracy
+                if not last or float(left.square().sum()) <= accuracy:
+                    break
+            search = preconditioned + energy / before * search
+            pushed = self._multiply(search)
+            step = energy / (search * pushed).sum(dim=0).clamp(min=TINY)
+            solution += step * search
+            left -= step * pushed
+            before = energy.clamp(min=TINY)
+        return solution
+
+    def _precondition(self, vector: Tensor) -> Tensor:
+        found = vector / self._diagonal[:, None]
+        found[self._leading] = self._inverse @ vector[self._leading]
+        return found
+
+    def _invert_leading(self, n_block: int) -> None:
+        """Invert the matrix's block of the strongest waves."""
+        n_waves = len(self._design.waves)
+        self._n_block = n_block
+        self._leading = torch.cat([torch.arange(n_block), n_waves + torch.arange(n_block - 1)])
+        factor, info = torch.linalg.cholesky_ex(self._leading_block())
+        if int(info):
+            raise ValueError(
+                f"the system of IRWLS is singular to working precision with weights of "
+                f"{self._centre:.1e} in all; lower C, or scale the outputs"
+            )
+        self._inverse = torch.cholesky_inverse(factor)
+
+    def _leading_block(self) -> Tensor:
+        """Return that block, entry by entry: products of cosines and sines are sums of t_k."""
+        n = self._n_block
+        step = self._steps[:n]
+        less = self._toeplitz[self._middle + step[:, None] - step]
+        more = self._toeplitz[self._middle + step[:, None] + step]
+        scale = self._design.modes.strengths[:n].sqrt()
+        scale[0] /= math.sqrt(2)
+        scale = torch.outer(scale, scale)
+        even = scale * (less.real + more.real)
+        odd = (scale * (less.real - more.real))[1:, 1:]
+        mixed = (scale * (less.imag - more.imag))[:, 1:]
+        block = torch.cat([torch.cat([even, mixed], dim=1), torch.cat([mixed.T, odd], dim=1)])
+        if self._weight > 0:
+            sums = self._sums[self._leading]
+            block.addr_(sums, sums, alpha=-1 / self._weight)
+        block.diagonal().add_(1.0)
+        return block
+
+
+def _flat_index(index: Tensor, shape: list[int] | tuple[int, ...]) -> Tensor:
+    """Return the place of each row (n, n_axes) of indices in a flattened array of that shape."""
+    strides = torch.tensor([math.prod(shape[axis + 1 :]) for axis in range(len(shape))])
+    return index @ strides
+
+
+def _finufft() -> Any:
+    try:
+        return importlib.import_module("finufft")
+    except ImportError as error:
+        raise ValueError(
+            "feature_map='equispaced' needs finufft: pip install finufft (the extra "
+            "`nufft`), or use feature_map='rff'"
+        ) from error
