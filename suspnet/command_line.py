@@ -69,7 +69,17 @@ def _one_writer() -> Iterator[None]:
                 "hydra/job_logging=none",
                 "progress=false",
             ]
+            stack.enter_context(_without_words())
         yield
+
+
+@contextmanager
+def _without_words() -> Iterator[None]:
+    """Keep an exit's message from being printed: the first process prints its own."""
+    try:
+        yield
+    except SystemExit as error:
+        raise SystemExit(1 if isinstance(error.code, str) else error.code) from None
 
 
 def join_ranks(device: str) -> None:

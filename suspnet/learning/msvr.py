@@ -334,16 +334,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return samples and targets (n_samples, n_outputs); a rank may have none."""
-        least = 0 if self.distributed and ranks.together() else 1
-        X, y = validate_data(
-            self,
-            X,
-            y,
-            multi_output=True,
-            y_numeric=True,
-            dtype=np.float64,
-            ensure_min_samples=least,
-        )
+        if self.distributed and ranks.together() and len(np.asarray(X)) == 0:
+            X = validate_data(self, X, dtype=np.float64, ensure_min_samples=0)
+        else:
+            X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         X = np.ascontiguousarray(X)  # a restored model must see the same memory layout
         samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
         targets = torch.tensor(np.asarray(y, dtype=np.float64), device=self.device)
