@@ -20,6 +20,29 @@ def naive_msvr_objective(Phi, Y, W, b, C, epsilon):
     return total
 
 
+def naive_msvr_weights(Phi, Y, W, b, C, epsilon):
+    """Eq. (10), sample by sample: a_i = C L'(u_i) / u_i."""
+    norms = [math.sqrt(sum(r * r for r in y - phi @ W - b)) for phi, y in zip(Phi, Y, strict=True)]
+    limit = 2 * C if epsilon == 0 else 0.0
+    return np.array([C * 2 * (u - epsilon) / u if u > epsilon else limit for u in norms])
+
+
+def naive_lower_bound(Phi, Y, W, b, dW, db, C, epsilon, fit_intercept):
+    """F + q(d) - |r|^2 / 2, b eliminated, from dense matrices; what irwls proves F to exceed."""
+    a = naive_msvr_weights(Phi, Y, W, b, C, epsilon)
+    residual = Y - Phi @ W - b
+    if fit_intercept and a.sum() > 0:
+        # The best db for this dW: the weighted mean of what is left vanishes.
+        db = a @ (residual - Phi @ dW) / a.sum()
+    left = residual - Phi @ dW - db
+    # L(u) >= L(u_0) + L'(u_0) (u^2 - u_0^2) / (2 u_0), which is C times it for every sample.
+    norms = np.linalg.norm(residual, axis=1)
+    touching = C * np.maximum(norms - epsilon, 0) ** 2 - 0.5 * a * norms**2
+    value = 0.5 * ((W + dW) ** 2).sum() + (touching + 0.5 * a * (left**2).sum(axis=1)).sum()
+    remaining = W + dW - Phi.T @ (a[:, None] * left)
+    return value - 0.5 * (remaining**2).sum()
+
+
 def naive_rbf(X, Z, sigma):
     """exp(-|x - z|^2 / sigma^2), pair by pair, from the differences."""
     return np.array([[math.exp(-sum((x - z) ** 2) / sigma**2) for z in Z] for x in X])

@@ -3,21 +3,11 @@
 import numpy as np
 import pytest
 import torch
-from learning_reference import naive_rbf
 from scipy import stats
 from sklearn.metrics.pairwise import rbf_kernel
 
-from suspnet.learning import feature_maps
-from suspnet.learning.feature_maps import (
-    FEATURE_MAPS,
-    MAP_TYPES,
-    FeatureBlocks,
-    exact,
-    nystroem,
-    orthogonal_fourier,
-    pivoted_cholesky,
-    random_fourier,
-)
+from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
+from suspnet.learning.msvr import MAPS
 
 SIGMA = 1.3
 FOURIER = [random_fourier, orthogonal_fourier]
@@ -33,13 +23,6 @@ def gram(phi):
 
 def kernel(X, sigma=SIGMA):
     return rbf_kernel(X.numpy(), gamma=1 / sigma**2)
-
-
-def test_kernel_has_no_factor_two():
-    X, Z = samples(12), samples(7, seed=1)
-    expected = naive_rbf(X.numpy(), Z.numpy(), SIGMA)
-    assert 0.01 < expected.mean() < 0.9
-    np.testing.assert_allclose(feature_maps.rbf_kernel(X, Z, SIGMA), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("make", FOURIER)
@@ -81,35 +64,6 @@ def test_fourier_frequencies_are_marginally_normal(make):
     assert stats.kstest(draws[1], "norm").pvalue > 0.01
     lengths = (draws**2).sum(axis=0)
     assert stats.kstest(lengths, stats.chi2(4).cdf).pvalue > 0.01
-
-
-def test_exact_map_reproduces_the_kernel():
-    X = samples()
-    # Directions dropped have eigenvalues below 1e-14 of the largest.
-    np.testing.assert_allclose(gram(exact(X, SIGMA, 1, 0)(X)), kernel(X), atol=1e-8, rtol=0)
-
-
-def test_exact_map_reproduces_the_kernel_between_landmarks_and_new_points():
-    X, Z = samples(), samples(9, seed=5)
-    phi = exact(X, SIGMA, 1, 0)
-    expected = naive_rbf(Z.numpy(), X.numpy(), SIGMA)
-    np.testing.assert_allclose((phi(Z) @ phi(X).T).numpy(), expected, atol=1e-8, rtol=0)
-
-
-def test_nystroem_with_all_points_is_exact():
-    X, sigma = samples(), 0.7
-    phi = nystroem(X, sigma, len(X), seed=0)
-    assert len(phi.landmarks) == len(X)
-    np.testing.assert_allclose(gram(phi(X)), gram(exact(X, sigma, 1, 0)(X)), atol=1e-8, rtol=0)
-
-
-def test_nystroem_never_exceeds_the_kernel_and_improves():
-    X = samples(100)
-    gaps = [kernel(X) - gram(nystroem(X, SIGMA, n, seed=1)(X)) for n in (10, 30, 60)]
-    for gap in gaps:  # the Schur complement is positive semidefinite
-        assert np.linalg.eigvalsh(gap).min() > -1e-10
-    traces = [np.trace(gap) for gap in gaps]
-    assert traces[0] > 2 * traces[1] > 4 * traces[2] > 0
 
 
 def test_rff_error_is_smaller_than_that_of_scikit_learns_sampler_on_average():
@@ -168,88 +122,63 @@ def test_orf_beats_rff_for_a_wide_kernel():
     assert error(orthogonal_fourier) < 0.8 * error(random_fourier)
 
 
-def test_pivots_are_distinct_rows():
-    pivots = pivoted_cholesky(samples(50), 0.5, 50, seed=0).tolist()
-    assert sorted(pivots) == list(range(50))
-
-
-def test_pivots_stop_where_the_residual_vanishes():
-    distinct = samples(15)
-    pivots = pivoted_cholesky(distinct.repeat(4, 1), 1.0, 60, seed=0)
-    assert len(pivots) == 15
-    assert len(np.unique(pivots.numpy() % 15)) == 15
-
-
-def test_nystroem_takes_fewer_landmarks_where_fewer_suffice():
-    X = samples(15).repeat(4, 1)
-    phi = nystroem(X, 1.0, 60, seed=0)
-    assert len(phi.landmarks) == 15
-    np.testing.assert_allclose(gram(phi(X)), kernel(X, 1.0), atol=1e-8, rtol=0)
-
-
 @pytest.mark.parametrize("name", ["rff", "orf", "nystroem"])
 def test_seed_decides_the_map(name):
-    X, make = samples(), FEATURE_MAPS[name]
+    X, make = samples(), MAPS[name].make
     first = make(X, SIGMA, 20, 1)(X)
     assert torch.equal(first, make(X, SIGMA, 20, 1)(X))
     assert not torch.allclose(first, make(X, SIGMA, 20, 2)(X), atol=1e-3)
 
 
-@pytest.mark.parametrize("name", sorted(FEATURE_MAPS))
+@pytest.mark.parametrize("name", sorted(MAPS))
 def test_map_is_rebuilt_from_its_tensors(name):
     X = samples()
-    phi = FEATURE_MAPS[name](X, SIGMA, 20, 0)
-    again = MAP_TYPES[name](**phi.tensors())
+    phi = MAPS[name].make(X, SIGMA, 20, 0)
+    again = MAPS[name].holds(**phi.tensors())
     assert torch.equal(again(X), phi(X))
 
 
-@pytest.mark.parametrize("name", sorted(FEATURE_MAPS))
+@pytest.mark.parametrize("name", sorted(MAPS))
 def test_map_leaves_samples_and_the_global_generator_alone(name):
     X = samples()
     before, state = X.clone(), torch.get_rng_state()
-    FEATURE_MAPS[name](X, SIGMA, 20, 0)(X)
+    MAPS[name].make(X, SIGMA, 20, 0)(X)
     assert torch.equal(X, before)
     assert torch.equal(torch.get_rng_state(), state)
 
 
-@pytest.mark.parametrize("name", sorted(FEATURE_MAPS))
+@pytest.mark.parametrize("name", ["exact", "nystroem", "orf", "rff"])
 def test_float32_samples_give_float32_features(name):
     X = samples()
-    double = gram(FEATURE_MAPS[name](X, 0.7, 20, 0)(X))
-    single = FEATURE_MAPS[name](X.float(), 0.7, 20, 0)(X.float())
+    double = gram(MAPS[name].make(X, 0.7, 20, 0)(X))
+    single = MAPS[name].make(X.float(), 0.7, 20, 0)(X.float())
     assert single.dtype == torch.float32
     # Whitening magnifies float32 rounding by the inverse root of the least eigenvalue.
     np.testing.assert_allclose(gram(single.double()), double, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
-@pytest.mark.parametrize("block_rows", [1, 7, 60, 1000])
-def test_blocks_make_up_the_whole_matrix(monkeypatch, cache_bytes, block_rows):
-    monkeypatch.setattr(feature_maps, "CACHE_BYTES", cache_bytes)
+@pytest.mark.parametrize("name", sorted(MAPS))
+@pytest.mark.parametrize("n_outputs", [1, 3])
+def test_apply_is_the_product_with_the_features(name, n_outputs):
+    if name == "equispaced":
+        pytest.importorskip("finufft")
     X = samples()
-    phi = random_fourier(X, SIGMA, 20, seed=0)
-    blocks = FeatureBlocks(phi, X, block_rows)
-    found = torch.full((len(X), blocks.n_features), torch.nan, dtype=X.dtype)
-    for rows, block in blocks:
-        assert len(block) <= block_rows
-        found[rows] = block
-    # Matrix products of other heights may round differently.
-    np.testing.assert_allclose(found, phi(X), atol=1e-14, rtol=0)
+    phi = MAPS[name].make(X, SIGMA, 20, 0)
+    coef = torch.tensor(np.random.default_rng(1).standard_normal((phi(X).shape[1], n_outputs)))
+    expected = phi(X) @ coef
+    assert float(expected.abs().max()) > 0.5
+    # The non-uniform FFT is right to a hundredth of `kernel_tol`, times the coefficients.
+    np.testing.assert_allclose(phi.apply(X, coef), expected, atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize(("cache_bytes", "calls_of_a_second_pass"), [(0, 9), (400_000_000, 0)])
-def test_blocks_are_made_again_only_without_room(monkeypatch, cache_bytes, calls_of_a_second_pass):
-    monkeypatch.setattr(feature_maps, "CACHE_BYTES", cache_bytes)
-    X, calls = samples(), []
-    phi = random_fourier(X, SIGMA, 20, seed=0)
+@pytest.mark.parametrize("name", sorted(MAPS))
+def test_map_says_how_many_columns_it_takes(name):
+    assert MAPS[name].make(samples(), SIGMA, 20, 0).n_inputs == 3
 
-    def counting(rows):
-        calls.append(len(rows))
-        return phi(rows)
 
-    blocks = FeatureBlocks(counting, X, 7)
-    first = [block.clone() for _, block in blocks]
-    calls.clear()
-    second = [block for _, block in blocks]
-    assert len(calls) == calls_of_a_second_pass
-    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+@pytest.mark.parametrize("name", ["rff", "orf"])
+def test_map_that_is_not_of_the_data_ignores_them(name):
+    X = samples()
+    assert not MAPS[name].of_data
+    first, second = (MAPS[name].make(x, SIGMA, 20, 0)(X) for x in (X, 7 * X[:5] + 3))
+    assert torch.equal(first, second)

@@ -1,17 +1,38 @@
 """The IRWLS solver on its own functional, against other people's optimisers."""
 
+import dataclasses
+import functools
+import math
+
 import numpy as np
 import pytest
 import torch
-from learning_reference import lbfgs_msvr, naive_msvr_objective, smooth_data
+from hypothesis import given
+from hypothesis import strategies as st
+from learning_reference import (
+    lbfgs_msvr,
+    naive_lower_bound,
+    naive_msvr_objective,
+    naive_msvr_weights,
+    smooth_data,
+)
 from sklearn.linear_model import Ridge
 from sklearn.svm import LinearSVR
 
-from suspnet.learning.feature_maps import FeatureBlocks, random_fourier
-from suspnet.learning.irwls import Status, irwls
+from suspnet.learning.design import DenseDesign, Direction, Gram
+from suspnet.learning.feature_maps import random_fourier
+from suspnet.learning.irwls import SLOW, Status, _Functional, irwls
 from suspnet.learning.loss import loss
 
 N_COMPONENTS = 40
+PATHS = {"fixed": math.inf, "reweighted": -1.0, "as it goes": SLOW}
+"""Values of SLOW: never leave the fixed equations, leave them after a step, or as they are."""
+
+
+@pytest.fixture(params=sorted(PATHS))
+def path(request, monkeypatch):
+    monkeypatch.setattr("suspnet.learning.irwls.SLOW", PATHS[request.param])
+    return request.param
 
 
 def problem(sigma=1.0, seed=0, n_samples=150):
@@ -19,7 +40,7 @@ def problem(sigma=1.0, seed=0, n_samples=150):
     X, Y = smooth_data(seed, n_samples)
     X = torch.tensor(X)
     phi = random_fourier(X, sigma, N_COMPONENTS, seed)
-    return FeatureBlocks(phi, X), phi(X).numpy(), torch.tensor(Y)
+    return DenseDesign(phi, X), phi(X).numpy(), torch.tensor(Y)
 
 
 @pytest.mark.parametrize("epsilon", [1e-6, 1e-3, 0.05, 0.3])
@@ -38,14 +59,362 @@ def test_minimum_is_that_of_lbfgs(C, sigma, epsilon):
     assert excess <= found.gap + 1e-12
 
 
-@pytest.mark.parametrize("epsilon", [1e-3, 0.3])
-@pytest.mark.parametrize("n_iter", [1, 2, 4])
-def test_gap_bounds_the_excess_on_the_way(epsilon, n_iter):
-    blocks, Phi, Y = problem()
-    _, _, minimum = lbfgs_msvr(Phi, Y.numpy(), 10.0, epsilon)
-    found = irwls(blocks, Y, 10.0, epsilon, fit_intercept=False, max_iter=n_iter, tol=0.0)
+@functools.cache
+def small_problem(n_outputs=2, n_samples=60):
+    """As `problem`, with any number of outputs."""
+    X, Y = smooth_data(1, n_samples)
+    X = torch.tensor(X)
+    phi = random_fourier(X, 1.0, 20, 1)
+    Y = np.column_stack([Y, Y[:, 0] * Y[:, 1]])[:, :n_outputs]
+    return DenseDesign(phi, X), phi(X).numpy(), torch.tensor(Y)
+
+
+@functools.cache
+def small_minimum(C, epsilon, fit_intercept, n_outputs=2):
+    _, Phi, Y = small_problem(n_outputs)
+    return lbfgs_msvr(Phi, Y.numpy(), C, epsilon, fit_intercept)[2]
+
+
+@pytest.mark.parametrize("n_outputs", [1, 2, 3])
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.1, 0.3])
+@pytest.mark.parametrize("C", [0.5, 10.0, 1e3])
+def test_every_path_leads_to_the_minimum(path, C, epsilon, fit_intercept, n_outputs):
+    design, _, Y = small_problem(n_outputs)
+    minimum = small_minimum(C, epsilon, fit_intercept, n_outputs)
+    slow = path == "fixed" and C * epsilon > 1  # thousands of iterations
+    found = irwls(
+        design, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=100 if slow else 3000
+    )
+    assert found.status == Status.CONVERGED or slow
+    assert minimum > 0.1
+    # L-BFGS stops at a relative decrease of 1e-15 a step, within about 1e-11 of the minimum.
+    assert -1e-10 < found.objective / minimum - 1 < found.gap + 1e-10
+    assert fit_intercept or found.intercept.count_nonzero() == 0
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("epsilon", [0.05, 0.3])
+@pytest.mark.parametrize("n_iter", [1, 2, 3, 4, 5, 6])
+def test_gap_bounds_the_excess_on_the_way(path, epsilon, fit_intercept, n_iter):
+    design, _, Y = small_problem()
+    minimum = small_minimum(10.0, epsilon, fit_intercept)
+    found = irwls(design, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=n_iter, tol=0.0)
+    assert found.n_iter == n_iter
     excess = (found.objective - minimum) / found.objective
-    assert -1e-9 <= excess <= found.gap + 1e-12
+    # Rounding, and what L-BFGS leaves.
+    assert -1e-10 <= excess <= found.gap + 1e-10
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("epsilon", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("C", [0.5, 100.0])
+def test_fixed_step_projects_residuals_onto_the_ball_and_is_ridge_regression(
+    monkeypatch, C, epsilon, fit_intercept
+):
+    monkeypatch.setattr("suspnet.learning.irwls.SLOW", math.inf)
+    design, Phi, Y = small_problem()
+    W, b = np.zeros((Phi.shape[1], 2)), np.zeros(2)
+    ridge = Ridge(alpha=1 / (2 * C), fit_intercept=fit_intercept, solver="cholesky")
+    for n_iter in range(1, 4 if epsilon else 2):
+        residual = Y.numpy() - Phi @ W - b
+        outside = np.maximum(np.linalg.norm(residual, axis=1, keepdims=True), epsilon)
+        ridge.fit(Phi, Y.numpy() - residual * (epsilon / outside if epsilon else 0.0))
+        W, b = ridge.coef_.T, ridge.intercept_
+        steps = []
+        found = irwls(
+            design,
+            Y,
+            C,
+            epsilon,
+            fit_intercept=fit_intercept,
+            max_iter=n_iter,
+            tol=0.0,
+            on_iteration=lambda told, steps=steps: steps.append(told.step),
+        )
+        assert steps == [1.0] * n_iter  # F lies below the quadratic
+        # Systems of condition 1e5 or less.
+        np.testing.assert_allclose(found.coef, W, atol=1e-9, rtol=0)
+        np.testing.assert_allclose(found.intercept, b, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+def test_path_through_reweighted_equations_is_the_textbooks(monkeypatch, fit_intercept):
+    monkeypatch.setattr("suspnet.learning.irwls.SLOW", -1.0)
+    design, Phi, Y = small_problem()
+    C, epsilon, steps = 10.0, 0.3, []
+    first, second = (
+        irwls(
+            design,
+            Y,
+            C,
+            epsilon,
+            fit_intercept=fit_intercept,
+            max_iter=n,
+            tol=0.0,
+            on_iteration=lambda told: steps.append(told.step),
+        )
+        for n in (1, 2)
+    )
+    W, b = first.coef.numpy(), first.intercept.numpy()
+    a = naive_msvr_weights(Phi, Y.numpy(), W, b, C, epsilon)
+    assert 0 < np.count_nonzero(a) < len(a)
+    extended = np.column_stack([Phi, np.ones(len(Phi))])[:, : Phi.shape[1] + fit_intercept]
+    penalty = np.diag([1.0] * Phi.shape[1] + [0.0] * fit_intercept)
+    target = np.linalg.solve(  # Eq. (9)
+        extended.T @ (a[:, None] * extended) + penalty, extended.T @ (a[:, None] * Y.numpy())
+    )
+    start = np.vstack([W, b])[: len(target)]
+    expected = start + steps[-1] * (target - start)  # Eq. (11)
+    assert 0.1 < np.abs(expected - start).max()
+    reached = np.vstack([second.coef, second.intercept])[: len(target)]
+    np.testing.assert_allclose(reached, expected, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("epsilon", [0.0, 0.3])
+def test_gradient_and_weights_are_those_of_equation_10(epsilon, fit_intercept):
+    design, Phi, Y = small_problem()
+    W = np.linalg.lstsq(Phi, Y.numpy(), rcond=0.1)[0]
+    b = np.full(2, 0.1 * fit_intercept)
+    residual = Y.numpy() - Phi @ W - b
+    functional = _Functional(design, 7.0, epsilon, fit_intercept)
+    found = functional.gradient(torch.tensor(W), torch.tensor(residual))
+    a = naive_msvr_weights(Phi, Y.numpy(), W, b, 7.0, epsilon)
+    assert epsilon == 0 or 0 < np.count_nonzero(a) < len(a)
+    np.testing.assert_allclose(found.weights, a, rtol=1e-12, atol=0)
+    weighted = a[:, None] * residual
+    np.testing.assert_allclose(found.coef, W - Phi.T @ weighted, atol=1e-10, rtol=0)
+    expected = -weighted.sum(axis=0) * fit_intercept
+    np.testing.assert_allclose(found.intercept, expected, atol=1e-10, rtol=0)
+
+
+def bound_from(direction, W, b, C, epsilon, fit_intercept):
+    """What `lower_bound` says at (W, b), and its gradient, from any direction."""
+    design, Phi, Y = small_problem()
+    functional = _Functional(design, C, epsilon, fit_intercept)
+    W, b = torch.tensor(W), torch.tensor(b)
+    residual = Y - torch.tensor(Phi) @ W - b
+    gradient = functional.gradient(W, residual)
+    change, products = design.sweep(direction, functional.columns(residual, gradient))
+    objective = functional.value(W, residual)
+    return functional.lower_bound(objective, gradient, direction, change, products), gradient
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    size=st.floats(-3, 1),
+    away=st.floats(-3, 1),
+    epsilon=st.sampled_from([0.0, 0.1, 0.3, 3.0]),
+    fit_intercept=st.booleans(),
+)
+def test_lower_bound_holds_for_any_direction_at_any_point(seed, size, away, epsilon, fit_intercept):
+    _, Phi, Y = small_problem()
+    rng, C = np.random.default_rng(seed), 10.0
+    W, dW = 10**away * rng.standard_normal((Phi.shape[1], 2)), rng.standard_normal((20, 2))
+    b, db = 10**away * rng.standard_normal(2), rng.standard_normal(2)
+    b, db = (b, db) if fit_intercept else (0 * b, 0 * db)
+    direction = Direction(torch.tensor(10**size * dW), torch.tensor(10**size * db))
+    bound, _ = bound_from(direction, W, b, C, epsilon, fit_intercept)
+    minimum = small_minimum(C, epsilon, fit_intercept)
+    # Sums of squares as large as 1e6 cancel.
+    assert bound <= minimum + 1e-8
+    naive = naive_lower_bound(
+        Phi, Y.numpy(), W, b, 10**size * dW, 10**size * db, C, epsilon, fit_intercept
+    )
+    assert bound == pytest.approx(naive, rel=1e-9, abs=1e-8)
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("epsilon", [0.0, 0.3])
+def test_lower_bound_of_the_exact_direction_is_the_minimum_of_the_quadratic(epsilon, fit_intercept):
+    design, Phi, Y = small_problem()
+    W, b = np.full((Phi.shape[1], 2), 0.1), np.full(2, 0.2 * fit_intercept)
+    nowhere = Direction(torch.zeros(len(W), 2).double(), torch.zeros(2).double())
+    weak, gradient = bound_from(nowhere, W, b, 10.0, epsilon, fit_intercept)
+    exact = design.reweighted(10.0, fit_intercept).direction(gradient, 0.0)
+    bound, _ = bound_from(exact, W, b, 10.0, epsilon, fit_intercept)
+    inner = (gradient.coef * exact.coef).sum() + (gradient.intercept * exact.intercept).sum()
+    # The quadratic falls by half the decrement.
+    start = naive_msvr_objective(Phi, Y.numpy(), W, b, 10.0, epsilon)
+    assert bound == pytest.approx(start + 0.5 * float(inner), rel=1e-10)
+    minimum = small_minimum(10.0, epsilon, fit_intercept)
+    assert weak < bound <= minimum + 1e-9
+    if epsilon == 0:
+        assert bound == pytest.approx(minimum, rel=1e-9)
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+def test_lower_bound_is_summed_over_ranks(fit_intercept):
+    design, _, Y = small_problem()
+    rank = DenseDesign(design.feature_map, design.X, lambda values: values.mul_(2))
+    both = DenseDesign(design.feature_map, design.X.repeat(2, 1))
+    source, bounds = np.random.default_rng(0), []
+    W, dW, b, db = (torch.tensor(source.standard_normal(s)) for s in ((20, 2), (20, 2), 2, 2))
+    direction = Direction(dW, db * fit_intercept)
+    for whole, targets in ((rank, Y), (both, Y.repeat(2, 1))):
+        functional = _Functional(whole, 10.0, 0.3, fit_intercept)
+        residual = targets - whole.predict(Direction(W, b * fit_intercept))
+        gradient = functional.gradient(W, residual)
+        change, products = whole.sweep(direction, functional.columns(residual, gradient))
+        objective = functional.value(W, residual)
+        bounds.append(functional.lower_bound(objective, gradient, direction, change, products))
+    assert bounds[0] == pytest.approx(bounds[1], rel=1e-10)
+
+
+@pytest.mark.parametrize("max_iter", [1, 3, 1000])
+def test_gap_is_that_of_the_best_bound(path, monkeypatch, max_iter):
+    bounds = []
+
+    def spying(*args):
+        bounds.append(plain(*args))
+        return bounds[-1]
+
+    plain = _Functional.lower_bound
+    monkeypatch.setattr(_Functional, "lower_bound", spying)
+    design, _, Y = small_problem()
+    found = irwls(design, Y, 10.0, 0.3, max_iter=max_iter, tol=1e-6)
+    gap = (found.objective - max(0.0, *bounds)) / found.objective
+    assert found.gap == pytest.approx(max(gap, 0.0), abs=1e-15)
+    assert (found.gap <= 1e-6) == (found.status == Status.CONVERGED)
+    assert len(bounds) == found.n_iter
+    assert min(bounds) < max(bounds) or max_iter == 1
+
+
+def test_solver_stops_exactly_at_its_tolerance():
+    design, _, Y = small_problem()
+    gap = irwls(design, Y, 10.0, 0.3, max_iter=10, tol=0.0).gap
+    assert 1e-6 < gap < 0.1
+    for tol, status in ((gap, Status.CONVERGED), (gap * 0.999, Status.MAX_ITER)):
+        found = irwls(design, Y, 10.0, 0.3, max_iter=10, tol=tol)
+        assert (found.gap, found.status, found.n_iter) == (gap, status, 10)
+
+
+class Rigged:
+    """A design whose equations point elsewhere: `change` is applied to the right direction."""
+
+    def __init__(self, design, fixed, reweighted):
+        self._design, self._changes = design, {"fixed": fixed, "reweighted": reweighted}
+
+    def __getattr__(self, name):
+        return getattr(self._design, name)
+
+    def _equations(self, kind, C, fit_intercept):
+        equations, change = getattr(self._design, kind)(C, fit_intercept), self._changes[kind]
+
+        class Changed:
+            def direction(self, gradient, accuracy):
+                right = equations.direction(gradient, accuracy)
+                return Direction(change * right.coef, change * right.intercept)
+
+        return Changed()
+
+    def fixed(self, C, fit_intercept):
+        return self._equations("fixed", C, fit_intercept)
+
+    def reweighted(self, C, fit_intercept):
+        return self._equations("reweighted", C, fit_intercept)
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0, 100.0, -1.0])
+def test_wrong_fixed_equations_do_not_change_the_minimum(factor):
+    design, _, Y = small_problem()
+    steps = []
+    found = irwls(
+        Rigged(design, factor, 1.0),
+        Y,
+        10.0,
+        0.1,
+        max_iter=1000,
+        on_iteration=lambda told: steps.append(told.step),
+    )
+    assert found.status == Status.CONVERGED
+    assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
+    assert (np.diff(found.objectives) <= 0).all()
+    assert min(steps) < 1 or factor < 2  # twice too far is where F rises again
+
+
+@pytest.mark.parametrize("factor", [0.3, 2.5])
+def test_wrong_reweighted_equations_do_not_change_the_minimum(monkeypatch, factor):
+    monkeypatch.setattr("suspnet.learning.irwls.SLOW", -1.0)
+    design, _, Y = small_problem()
+    found = irwls(Rigged(design, 1.0, factor), Y, 10.0, 0.1, max_iter=3000)
+    assert found.status == Status.CONVERGED
+    assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
+
+
+def test_directions_that_only_lead_uphill_end_in_stagnation():
+    design, _, Y = small_problem()
+    found = irwls(Rigged(design, -1.0, -1.0), Y, 10.0, 0.1)
+    assert found.status == Status.STAGNATED
+    assert found.n_iter == 0
+    assert found.objectives == [found.objective]
+    assert found.gap > 1e-8
+    assert float(found.coef.abs().max()) == 0
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("scale", [0.3, 1.0, 3.0])
+def test_badly_rounded_gram_matrix_is_only_a_worse_preconditioner(scale, noise):
+    design, _, Y = small_problem()
+    whole, source = design.gram(), torch.Generator().manual_seed(0)
+    error = torch.randn(whole.products.shape, generator=source, dtype=torch.float64)
+    spoilt = DenseDesign(design.feature_map, design.X)
+    spoilt._gram = Gram(
+        scale * (whole.products + noise * (error + error.T)), scale * whole.sums, scale * 60
+    )
+    found = irwls(spoilt, Y, 10.0, 0.01, max_iter=3000)
+    assert found.status == Status.CONVERGED
+    assert found.objective == pytest.approx(small_minimum(10.0, 0.01, True), rel=2e-8)
+
+
+def test_gram_matrix_that_is_not_positive_is_named():
+    design, _, Y = small_problem()
+    spoilt = DenseDesign(design.feature_map, design.X)
+    spoilt._gram = dataclasses.replace(design.gram(), products=-design.gram().products)
+    with pytest.raises(ValueError, match=r"20 x 20 system .* singular to working precision"):
+        irwls(spoilt, Y, 10.0, 0.01)
+
+
+@pytest.mark.parametrize("n_components", [40, 300])
+@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.02])
+@pytest.mark.parametrize("C", [1.0, 100.0, 1e4])
+def test_float32_features_lead_to_the_float64_minimum(C, epsilon, n_components):
+    X, Y = smooth_data(0, 400)
+    X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
+    phi = random_fourier(X, 1.0, n_components, 0)
+    single = DenseDesign(phi, X)
+    double = DenseDesign(lambda rows: phi(rows.float()).double(), X.double())
+    found, best = (irwls(design, Y, C, epsilon, max_iter=1000) for design in (single, double))
+    reached = naive_msvr_objective(
+        phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), C, epsilon
+    )
+    assert best.status == Status.CONVERGED
+    assert found.status == Status.CONVERGED
+    # Fitted values are rounded to 6e-8 of the terms they sum, which grow with C.
+    assert -1e-8 < reached / best.objective - 1 < 1e-5
+    assert found.objective == pytest.approx(reached, rel=1e-5)
+
+
+@pytest.mark.xfail(strict=True, reason="in float32 F is rounded to 1e-6 and the gap says 0")
+def test_gap_is_a_bound_in_float32_too():
+    X, Y = smooth_data(0, 400)
+    X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
+    phi = random_fourier(X, 1.0, 40, 0)
+    found = irwls(DenseDesign(phi, X), Y, 1e4, 0.0)
+    best = irwls(DenseDesign(lambda rows: phi(rows.float()).double(), X.double()), Y, 1e4, 0.0)
+    reached = naive_msvr_objective(
+        phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), 1e4, 0.0
+    )
+    assert reached / best.objective - 1 < found.gap + 1e-9
+
+
+def test_float32_says_when_it_cannot():
+    X, Y = smooth_data(0, 400)
+    X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
+    design = DenseDesign(random_fourier(X, 1.0, 300, 0), X)
+    with pytest.raises(ValueError, match=r"singular to working precision.*lower C"):
+        irwls(design, Y, 1e7, 1e-3)
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.3])
@@ -112,10 +481,10 @@ def test_one_output_is_linear_svr_with_squared_loss(C, epsilon):
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
-@pytest.mark.parametrize("epsilon", [1e-3, 0.3])
-def test_gradient_norm_is_that_of_autograd(fit_intercept, epsilon):
+@pytest.mark.parametrize(("epsilon", "n"), [(1e-3, 2), (0.3, 1), (0.3, 5)])
+def test_gradient_norm_is_that_of_autograd(path, fit_intercept, epsilon, n):
     blocks, Phi, Y = problem()
-    found = irwls(blocks, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=2, tol=0.0)
+    found = irwls(blocks, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=n, tol=0.0)
     W, b = found.coef.clone().requires_grad_(), found.intercept.clone().requires_grad_()
     u = (Y - torch.tensor(Phi) @ W - b).norm(dim=1)
     gradients = torch.autograd.grad(0.5 * W.square().sum() + 10.0 * loss(u, epsilon).sum(), (W, b))
@@ -137,9 +506,9 @@ def test_everything_inside_the_tube_gives_the_zero_model():
 @pytest.mark.parametrize("fit_intercept", [False, True])
 @pytest.mark.parametrize("epsilon", [1e-6, 0.05, 0.3, 0.8])
 @pytest.mark.parametrize("C", [1.0, 1e4])
-def test_objective_never_rises(C, epsilon, fit_intercept):
+def test_objective_never_rises(path, C, epsilon, fit_intercept):
     blocks, _, Y = problem(sigma=0.5)
-    found = irwls(blocks, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=300)
+    found = irwls(blocks, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=60)
     assert len(found.objectives) == found.n_iter + 1
     assert found.n_iter >= 1
     assert (np.diff(found.objectives) <= 0).all()
@@ -171,7 +540,7 @@ def test_targets_stay_untouched():
 
 def test_blocks_of_any_height_give_the_same_solution():
     blocks, _, Y = problem()
-    small = FeatureBlocks(blocks.feature_map, blocks.X, 11)
+    small = DenseDesign(blocks.feature_map, blocks.X, block_rows=11)
     whole, pieces = (irwls(b, Y, 10.0, 0.05, tol=1e-12, max_iter=2000) for b in (blocks, small))
     # Sums in another order, through as many iterations.
     np.testing.assert_allclose(pieces.coef, whole.coef, atol=1e-7, rtol=0)

@@ -6,14 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from learning_reference import lbfgs_msvr, naive_rbf, smooth_data
+from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.linear_model import Ridge
 
 from suspnet.learning import MSVR, msvr
 
 PEER = Path(__file__).resolve().parents[2] / "shared" / "reference" / "msvr_peer.json"
-MAPS = ["rff", "orf", "nystroem", "exact"]
+MAPS = ["rff", "orf", "nystroem", "equispaced", "exact"]
 tight = {"tol": 1e-13, "max_iter": 5000}
+
+
+@pytest.fixture
+def _finufft_where_needed(request):
+    """Skip what fits or predicts with `equispaced` where its library is missing."""
+    if request.getfixturevalue("feature_map") == "equispaced":
+        pytest.importorskip("finufft")
 
 
 def small(**settings):
@@ -174,8 +182,10 @@ def test_fit_changes_neither_parameters_nor_data():
     np.testing.assert_array_equal(Y, kept_Y)
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-@pytest.mark.parametrize("feature_map", MAPS)
+@pytest.mark.usefixtures("_finufft_where_needed")
+@pytest.mark.parametrize(
+    ("feature_map", "dtype"), [*((name, "float64") for name in MAPS), ("rff", "float32")]
+)
 def test_restored_model_predicts_bit_for_bit(feature_map, dtype):
     X, Y = smooth_data(15, n_samples=60)
     # epsilon = 0 needs one solve, so that float32 features do not keep the solver busy.
@@ -187,12 +197,13 @@ def test_restored_model_predicts_bit_for_bit(feature_map, dtype):
     assert set(restored.state()) == set(state)
 
 
+@pytest.mark.usefixtures("_finufft_where_needed")
 @pytest.mark.parametrize("feature_map", MAPS)
 def test_prediction_in_chunks_is_the_whole(monkeypatch, feature_map):
     X, Y = smooth_data(17, n_samples=60)
     model = small(feature_map=feature_map, sigma=0.5).fit(X, Y)
     whole = model.predict(X)
-    monkeypatch.setattr(msvr, "BLOCK_ROWS", 7)
+    monkeypatch.setattr(msvr, "PREDICT_ROWS", 7)
     # Products of other heights may round differently; whitening magnifies that for two maps.
     np.testing.assert_allclose(model.predict(X), whole, atol=1e-9, rtol=0)
 
@@ -208,7 +219,7 @@ def test_too_few_iterations_warn():
 
 
 @pytest.mark.parametrize("value", [0, -1, np.inf, -np.inf, np.nan])
-@pytest.mark.parametrize("name", ["C", "sigma"])
+@pytest.mark.parametrize("name", ["C", "sigma", "kernel_tol"])
 def test_values_out_of_range_are_refused(name, value):
     X, Y = smooth_data(19, n_samples=20)
     model = small(**{name: value})
@@ -217,7 +228,7 @@ def test_values_out_of_range_are_refused(name, value):
 
 
 @pytest.mark.parametrize("value", ["abc", True, None, 1j])
-@pytest.mark.parametrize("name", ["C", "sigma", "epsilon", "tol"])
+@pytest.mark.parametrize("name", ["C", "sigma", "epsilon", "tol", "kernel_tol"])
 def test_values_that_are_no_numbers_are_refused(name, value):
     X, Y = smooth_data(19, n_samples=20)
     model = small(**{name: value})
@@ -234,6 +245,14 @@ def test_values_that_are_no_numbers_are_refused(name, value):
         ({"n_components": 0}, ValueError, "`n_components` must be finite and >= 1"),
         ({"feature_map": "fourier"}, ValueError, r"`feature_map` must be one of .*'fourier'"),
         ({"dtype": "float16"}, ValueError, "`dtype` must be 'float64' or 'float32'"),
+        *(
+            (
+                {"dtype": "float32", "feature_map": name},
+                ValueError,
+                f"feature_map='{name}' needs dtype='float64'",
+            )
+            for name in ("nystroem", "equispaced", "exact")
+        ),
     ],
 )
 def test_wrong_settings_are_named(settings, error, message):
@@ -302,7 +321,7 @@ def _features(model, X):
 def test_singular_system_is_named():
     X = np.random.default_rng(0).standard_normal((200, 3))
     with pytest.raises(ValueError, match=r"singular to working precision.*lower C"):
-        MSVR(C=1e14, n_components=200).fit(X, X[:, :2])
+        MSVR(C=1e17, n_components=200).fit(X, X[:, :2])
 
 
 def test_wrong_kinds_of_settings_are_named():
@@ -311,3 +330,66 @@ def test_wrong_kinds_of_settings_are_named():
         MSVR(feature_map=["rff"]).fit(X, X[:, :2])
     with pytest.raises(TypeError, match="`fit_intercept` must be True or False"):
         MSVR(fit_intercept="no").fit(X, X[:, :2])
+
+
+def test_kernel_tol_decides_the_number_of_landmarks():
+    X, Y = smooth_data(22)
+    sizes = [
+        len(small(feature_map="nystroem", kernel_tol=tol, n_components=150).fit(X, Y).coef_)
+        for tol in (1e-1, 1e-3, 1e-6)
+    ]
+    assert sizes[0] < sizes[1] < sizes[2] < 150
+
+
+@pytest.mark.parametrize("feature_map", ["rff", "orf", "exact"])
+def test_kernel_tol_is_not_used_by_other_maps(feature_map):
+    X, Y = smooth_data(22, n_samples=40)
+    first, second = (
+        small(feature_map=feature_map, kernel_tol=tol).fit(X, Y).predict(X) for tol in (0.5, 1e-9)
+    )
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.usefixtures("_finufft_where_needed")
+@pytest.mark.parametrize("feature_map", MAPS)
+def test_distributed_without_other_ranks_is_the_same(feature_map):
+    X, Y = smooth_data(23, n_samples=60)
+    alone, one = (small(feature_map=feature_map, distributed=d).fit(X, Y) for d in (False, True))
+    np.testing.assert_array_equal(alone.predict(X), one.predict(X))
+    with pytest.raises(ValueError, match="0 sample"):
+        one.fit(X[:0], Y[:0])  # only one of several ranks may have none
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("feature_map", ["rff", "orf"])
+def test_cross_predictions_are_those_of_separate_fits(feature_map, fit_intercept):
+    X, Y = smooth_data(24, n_samples=61)
+    folds = np.array_split(np.random.default_rng(0).permutation(61), 4)
+    model = small(feature_map=feature_map, fit_intercept=fit_intercept, tol=1e-12, max_iter=5000)
+    predict = model.cross_predictor(X, Y, folds)
+    for setting in ({"C": 1.0, "epsilon": 0.0}, {"C": 100.0}, {"epsilon": 0.1}, {}):
+        found = predict(setting)
+        for rows, predicted in zip(folds, found, strict=True):
+            others = np.setdiff1d(np.arange(61), rows)
+            plain = clone(model).set_params(**setting).fit(X[others], Y[others])
+            assert predicted.shape == (len(rows), 2)
+            # Gram matrices are right to 1e-14; tol 1e-12 in F leaves 1e-5 where there is a tube.
+            atol = 1e-9 if setting.get("epsilon") == 0 else 1e-5
+            np.testing.assert_allclose(predicted, plain.predict(X[rows]), atol=atol, rtol=0)
+    assert not hasattr(model, "coef_")
+
+
+def test_cross_predictions_check_each_setting():
+    X, Y = smooth_data(24, n_samples=30)
+    predict = small().cross_predictor(X, Y, np.array_split(np.arange(30), 3))
+    with pytest.raises(ValueError, match="`C` must be finite"):
+        predict({"C": -1.0})
+    with pytest.raises(ValueError, match="singular to working precision"):
+        predict({"C": float(np.finfo(float).max)})
+    assert len(predict({"C": 1.0})) == 3
+
+
+@pytest.mark.parametrize("feature_map", MAPS)
+def test_only_maps_that_are_not_of_the_data_share_a_gram_matrix(feature_map):
+    assert small(feature_map=feature_map).shares_gram == (feature_map in ("rff", "orf"))
+    assert not small(feature_map="bogus").shares_gram

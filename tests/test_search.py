@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from learning_reference import smooth_data
 from sklearn import linear_model
-from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import make_scorer, root_mean_squared_error
-from sklearn.model_selection import GridSearchCV, KFold
+from sklearn.model_selection import GridSearchCV, KFold, ParameterGrid, cross_val_score
 
-from suspnet.learning import MSVR, Scaling
+from suspnet.learning import MSVR, SVR, LinearRegression, Scaling
 from suspnet.learning.search import GridSearch, SearchResult
 
 GRID = {"C": [0.1, 10.0], "sigma": [0.2, 1.0, 5.0]}
@@ -162,3 +162,96 @@ def test_setting_that_fails_in_some_folds_is_a_failure():
     search = GridSearch({"linear": {}}, n_folds=5)
     with pytest.raises(ValueError, match=r"no setting of the search could be fitted.*poison"):
         search.run("linear", FailsOnTheFirstRow(), X, Y, Scaling.of(Y, log=False))
+
+
+SHARING = {"C": [1.0, 100.0], "epsilon": [0.0, 1e-3], "sigma": [0.5, 2.0]}
+IDENTITY_METRIC = make_scorer(root_mean_squared_error, greater_is_better=False)
+
+
+@pytest.mark.parametrize(
+    ("estimator", "grid"),
+    [
+        (MSVR(n_components=32, tol=1e-12), SHARING),
+        (MSVR(n_components=32, feature_map="orf", tol=1e-12), SHARING),
+        (MSVR(n_components=32, dtype="float32", tol=1e-6), {"C": [1.0], "epsilon": [0.0, 1e-3]}),
+        (MSVR(n_components=20, feature_map="nystroem"), {"C": [1.0, 10.0], "epsilon": [1e-3]}),
+        (MSVR(n_components=32), {"n_components": [8, 33], "C": [1.0, 10.0], "dtype": ["float64"]}),
+        (MSVR(n_components=32), {"feature_map": ["nystroem", "rff", "orf"], "C": [1.0, 10.0]}),
+        (SVR(), {"C": [1.0, 10.0]}),
+        (LinearRegression(), {}),
+    ],
+    ids=["rff", "orf", "float32", "nystroem", "components", "maps", "svr", "linear"],
+)
+def test_search_is_cross_validation_of_clones(estimator, grid):
+    X, Y = smooth_data(1, n_samples=60)
+    folds, heard = KFold(4, shuffle=True, random_state=5), []
+    found = GridSearch({"m": grid}, n_folds=4, seed=5).run(
+        "m", estimator, X, Y, IDENTITY, on_setting=lambda *told: heard.append(told)
+    )
+    assert found.settings == list(ParameterGrid(grid))
+    assert not found.failures
+    # Each setting is told of once, in whatever order, with its own RMSE.
+    key = repr
+    expected_told = list(zip(found.settings, found.rmse, strict=True))
+    assert sorted(heard, key=key) == sorted(expected_told, key=key)
+    for setting, rmse in zip(found.settings, found.rmse, strict=True):
+        candidate = clone(estimator).set_params(**setting)
+        scores = cross_val_score(candidate, X, Y, cv=folds, scoring=IDENTITY_METRIC)
+        rel = 1e-4 if estimator.get_params().get("dtype") == "float32" else 1e-8
+        assert rmse == pytest.approx(-scores.mean(), rel=rel)
+    assert len(found.rmse) == 1 or max(found.rmse) > min(found.rmse)
+
+
+def test_settings_that_share_a_gram_matrix_make_their_features_once(monkeypatch):
+    made = []
+    plain = MSVR._make_map
+    monkeypatch.setattr(MSVR, "_make_map", lambda self, X: made.append(len(X)) or plain(self, X))
+    X, Y = smooth_data(1, n_samples=60)
+    GridSearch({"m": SHARING}).run("m", MSVR(n_components=16), X, Y, IDENTITY)
+    assert made == [60, 60]  # one for each sigma
+
+
+def test_setting_that_is_singular_leaves_the_others_of_its_group():
+    X, Y = smooth_data(1, n_samples=60)
+    huge = float(np.finfo(float).max)
+    for values in ([1.0, huge, 10.0], [huge, 1.0, 10.0]):
+        grid, heard = {"C": values, "epsilon": [1e-3]}, []
+        found = GridSearch({"m": grid}).run(
+            "m",
+            MSVR(n_components=16),
+            X,
+            Y,
+            IDENTITY,
+            on_setting=lambda *told, heard=heard: heard.append(told),
+        )
+        alone = GridSearch({"m": grid | {"C": [1.0, 10.0]}}).run(
+            "m", MSVR(n_components=16), X, Y, IDENTITY
+        )
+        assert [np.isinf(rmse) for rmse in found.rmse] == [C == huge for C in values]
+        assert [rmse for rmse in found.rmse if np.isfinite(rmse)] == alone.rmse
+        assert len(heard) == 3
+        assert len(found.failures) == 1
+        assert "singular to working precision" in found.failures[0]
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        {"C": [1.0, -1.0]},
+        *(
+            pytest.param(
+                grid,
+                marks=pytest.mark.xfail(
+                    strict=True, raises=ValueError, reason="cross_predictor is outside of the try"
+                ),
+            )
+            for grid in ({"C": [-1.0, 1.0]}, {"sigma": [-1.0, 1.0]}, {"n_components": [0, 8]})
+        ),
+    ],
+    ids=["second C", "first C", "sigma", "n_components"],
+)
+def test_setting_out_of_range_leaves_the_others(grid):
+    X, Y = smooth_data(1, n_samples=30)
+    found = GridSearch({"m": grid}).run("m", MSVR(n_components=16), X, Y, IDENTITY)
+    assert sum(np.isfinite(found.rmse)) == 1
+    assert len(found.failures) == 1

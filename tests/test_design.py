@@ -1,0 +1,272 @@
+"""The design matrix in blocks, its products and its Gram matrix, against the whole matrix."""
+
+import numpy as np
+import pytest
+import torch
+from learning_reference import smooth_data
+
+from suspnet.learning.design import DenseDesign, Direction, FixedGram, Gradient
+from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
+from suspnet.learning.irwls import irwls
+
+SIGMA = 1.3
+
+
+def samples(n_samples=60, n_inputs=3, seed=0):
+    return torch.tensor(np.random.default_rng(seed).standard_normal((n_samples, n_inputs)))
+
+
+def normal(*shape, seed=9):
+    return torch.tensor(np.random.default_rng(seed).standard_normal(shape))
+
+
+def linear(n_features):
+    """A map to any number of features, odd ones too."""
+    weights = normal(3, n_features, seed=5)
+    return lambda X: (X @ weights).sin()
+
+
+def total_of_two(values):
+    """The sum over two ranks that hold the same samples."""
+    return values.mul_(2)
+
+
+@pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
+@pytest.mark.parametrize("block_rows", [1, 7, 60, 1000])
+def test_blocks_make_up_the_whole_matrix(cache_bytes, block_rows):
+    X = samples()
+    phi = random_fourier(X, SIGMA, 20, seed=0)
+    blocks = DenseDesign(phi, X, block_rows=block_rows, cache_bytes=cache_bytes)
+    found = torch.full((len(X), blocks.n_features), torch.nan, dtype=X.dtype)
+    for rows, block in blocks:
+        assert len(block) <= block_rows
+        found[rows] = block
+    # Matrix products of other heights may round differently.
+    np.testing.assert_allclose(found, phi(X), atol=1e-14, rtol=0)
+
+
+@pytest.mark.parametrize(("cache_bytes", "calls_of_a_second_pass"), [(0, 9), (400_000_000, 0)])
+def test_blocks_are_made_again_only_without_room(cache_bytes, calls_of_a_second_pass):
+    X, calls = samples(), []
+    phi = random_fourier(X, SIGMA, 20, seed=0)
+
+    def counting(rows):
+        calls.append(len(rows))
+        return phi(rows)
+
+    blocks = DenseDesign(counting, X, block_rows=7, cache_bytes=cache_bytes)
+    first = [block.clone() for _, block in blocks]
+    calls.clear()
+    second = [block for _, block in blocks]
+    assert len(calls) == calls_of_a_second_pass
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
+@pytest.mark.parametrize("block_rows", [7, 60])
+def test_products_are_those_of_the_whole_matrix(block_rows, cache_bytes, dtype):
+    X, change, V = samples().to(dtype), Direction(normal(21, 2), normal(2)), normal(60, 4)
+    feature_map = linear(21)
+    design = DenseDesign(
+        lambda rows: feature_map(rows.double()).to(dtype),
+        X,
+        block_rows=block_rows,
+        cache_bytes=cache_bytes,
+    )
+    Phi = feature_map(X.double()).to(dtype).double()
+    seen = []
+
+    def columns(rows, moved):
+        seen.append(rows)
+        return torch.cat([V[rows], moved.square()], dim=1)
+
+    fitted = Phi @ change.coef + change.intercept
+    moved, products = design.sweep(change, columns)
+    atol = 1e-12 if dtype == torch.float64 else 1e-4
+    assert moved.dtype == products.dtype == torch.float64
+    assert [rows.start for rows in seen] == list(range(0, 60, block_rows))
+    np.testing.assert_allclose(moved, fitted, atol=atol, rtol=0)
+    expected = Phi.T @ torch.cat([V, fitted.square()], dim=1)
+    np.testing.assert_allclose(products, expected, atol=20 * atol, rtol=0)
+    np.testing.assert_allclose(design.pull(V), Phi.T @ V, atol=atol, rtol=0)
+    np.testing.assert_allclose(design.predict(change), fitted, atol=atol, rtol=0)
+
+
+WEIGHTS = {
+    "none": None,
+    "some": normal(60).abs(),
+    "a third": normal(60).clamp(min=0.4) - 0.4,
+    "whole blocks": torch.cat([torch.zeros(20), torch.ones(20), torch.zeros(20)]).double(),
+    "all zero": torch.zeros(60).double(),
+}
+
+
+@pytest.mark.parametrize("weights", sorted(WEIGHTS))
+@pytest.mark.parametrize(("n_features", "stripe"), [(21, 256), (21, 5), (21, 7), (1, 1), (8, 3)])
+def test_weighted_gram_is_that_of_the_whole_matrix(monkeypatch, weights, n_features, stripe):
+    monkeypatch.setattr("suspnet.learning.design.GRAM_COLUMNS", stripe)
+    X, feature_map, w = samples(), linear(n_features), WEIGHTS[weights]
+    found = DenseDesign(feature_map, X, block_rows=11).weighted_gram(w)
+    Phi, w = feature_map(X), torch.ones(60).double() if w is None else w
+    np.testing.assert_allclose(found.products, Phi.T @ (w[:, None] * Phi), atol=1e-12, rtol=0)
+    np.testing.assert_allclose(found.sums, Phi.T @ w, atol=1e-12, rtol=0)
+    assert found.total == pytest.approx(float(w.sum()), rel=1e-14, abs=0)
+    assert torch.equal(found.products, found.products.T)
+
+
+def test_samples_of_weight_zero_cost_no_product():
+    X, feature_map, heights = samples(), linear(5), []
+
+    class Watched(torch.Tensor):
+        def __matmul__(self, other):
+            heights.append(self.shape[1])
+            return super().__matmul__(other)
+
+    design = DenseDesign(lambda rows: feature_map(rows).as_subclass(Watched), X, block_rows=30)
+    design.weighted_gram(torch.cat([torch.ones(4), torch.zeros(56)]).double())
+    assert sum(heights) == 4
+
+
+def test_gram_is_made_once_and_float32_is_summed_in_float64():
+    calls, feature_map = [], linear(6)
+
+    def counting(rows):
+        calls.append(len(rows))
+        return feature_map(rows.double()).float()
+
+    X = samples(3000).float()
+    design = DenseDesign(counting, X, block_rows=100, cache_bytes=0)
+    calls.clear()
+    assert design.gram() is design.gram()
+    assert sum(calls) == 3000
+    Phi = feature_map(X.double()).float().double()
+    # Blocks of 100 rows in float32 are right to about 1e-7 of 100, sums over 30 blocks no worse.
+    np.testing.assert_allclose(design.gram().products, Phi.T @ Phi, atol=2e-4, rtol=0)
+
+
+def test_gram_of_the_rest_is_the_difference():
+    X, feature_map = samples(), orthogonal_fourier(samples(), SIGMA, 20, seed=0)
+    whole, part, rest = (DenseDesign(feature_map, x).gram() for x in (X, X[:23], X[23:]))
+    for gram in (whole - part, rest + part - part):
+        np.testing.assert_allclose(gram.products, rest.products, atol=1e-12, rtol=0)
+        np.testing.assert_allclose(gram.sums, rest.sums, atol=1e-12, rtol=0)
+        assert gram.total == rest.total == 37
+    assert (rest + part).total == whole.total == 60
+
+
+@pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
+@pytest.mark.parametrize("sizes", [(20, 33, 7), (60,), (0, 60), (31, 0, 29)])
+def test_joined_designs_are_one(sizes, cache_bytes):
+    X, feature_map = samples(), linear(21)
+    parts = [
+        DenseDesign(feature_map, x, block_rows=8, cache_bytes=cache_bytes) for x in X.split(sizes)
+    ]
+    one = DenseDesign(feature_map, X)
+    joined = DenseDesign.joined(parts, one.gram())
+    V, change = normal(60, 2), Direction(normal(21, 2), normal(2))
+    assert joined.n_features == 21
+    assert joined.gram() is one.gram()
+    np.testing.assert_allclose(joined.pull(V), one.pull(V), atol=1e-12, rtol=0)
+    pairs = zip(
+        joined.sweep(change, lambda rows, moved: V[rows] * moved),
+        one.sweep(change, lambda rows, moved: V[rows] * moved),
+        strict=True,
+    )
+    for found, expected in pairs:
+        np.testing.assert_allclose(found, expected, atol=1e-11, rtol=0)
+    w = WEIGHTS["a third"]
+    found, expected = joined.weighted_gram(w), one.weighted_gram(w)
+    np.testing.assert_allclose(found.products, expected.products, atol=1e-12, rtol=0)
+
+
+def test_joined_designs_hold_no_second_copy_of_the_features():
+    X, feature_map = samples(), linear(21)
+    parts = [DenseDesign(feature_map, x) for x in X.split(20)]
+    joined = DenseDesign.joined(parts, parts[0].gram())
+    kept = [phi.data_ptr() for part in parts for _, phi in part]
+    assert [phi.data_ptr() for _, phi in joined] == kept
+
+
+def test_design_without_samples_sums_to_nothing():
+    design = DenseDesign(linear(21), samples(0))
+    change = Direction(normal(21, 2), normal(2))
+    assert torch.equal(design.pull(normal(0, 3)), torch.zeros(21, 3).double())
+    moved, products = design.sweep(change, lambda rows, moved: torch.cat([moved, moved], dim=1))
+    assert moved.shape == (0, 2)
+    assert torch.equal(products, torch.zeros(21, 4).double())
+    for gram in (design.gram(), design.weighted_gram(normal(0))):
+        assert gram.total == 0
+        assert float(gram.products.abs().max()) == float(gram.sums.abs().max()) == 0
+    assert design.predict(change).shape == (0, 2)
+
+
+def test_products_are_summed_over_ranks():
+    X, feature_map = samples(), linear(21)
+    rank = DenseDesign(feature_map, X, total_of_two, block_rows=11)
+    both = DenseDesign(feature_map, X.repeat(2, 1))
+    V, change, w = normal(60, 2), Direction(normal(21, 2), normal(2)), WEIGHTS["a third"]
+    np.testing.assert_allclose(rank.pull(V), both.pull(V.repeat(2, 1)), atol=1e-12, rtol=0)
+    moved, products = rank.sweep(change, lambda rows, moved: moved)
+    np.testing.assert_allclose(
+        products, both.sweep(change, lambda rows, moved: moved)[1], atol=1e-12, rtol=0
+    )
+    assert moved.shape == (60, 2)
+    found, expected = rank.weighted_gram(w), both.weighted_gram(w.repeat(2))
+    np.testing.assert_allclose(found.products, expected.products, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(found.sums, expected.sums, atol=1e-12, rtol=0)
+    assert found.total == pytest.approx(expected.total, rel=1e-14)
+
+
+@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize("epsilon", [1e-3, 0.3])
+def test_ranks_together_reach_the_solution_of_all_samples(epsilon, fit_intercept):
+    X, Y = (torch.tensor(values) for values in smooth_data(3, 60))
+    feature_map = random_fourier(X, 1.0, 20, 0)
+    setting = {"fit_intercept": fit_intercept, "max_iter": 500, "tol": 1e-12}
+    rank = irwls(DenseDesign(feature_map, X, total_of_two), Y, 10.0, epsilon, **setting)
+    both = irwls(DenseDesign(feature_map, X.repeat(2, 1)), Y.repeat(2, 1), 10.0, epsilon, **setting)
+    assert rank.objective == pytest.approx(both.objective, rel=1e-11)
+    assert rank.support_fraction == both.support_fraction
+    np.testing.assert_allclose(rank.coef, both.coef, atol=1e-5, rtol=0)
+    np.testing.assert_allclose(rank.intercept, both.intercept, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("weights", ["fixed", "some", "a third", "all zero"])
+@pytest.mark.parametrize("fit_intercept", [False, True])
+def test_directions_solve_the_dense_normal_equations(weights, fit_intercept):
+    X, feature_map, C = samples(), linear(9), 7.0
+    design, Phi = DenseDesign(feature_map, X), feature_map(X).numpy()
+    w = torch.full((60,), 2 * C).double() if weights == "fixed" else WEIGHTS[weights]
+    offset = normal(2) * (fit_intercept and weights != "all zero")
+    gradient = Gradient(normal(9, 2), offset, w)
+    equations = getattr(design, "fixed" if weights == "fixed" else "reweighted")(C, fit_intercept)
+    found = equations.direction(gradient, 0.0)
+    extended = np.column_stack([Phi, np.ones(60)]) if fit_intercept else Phi
+    hessian = extended.T @ (w.numpy()[:, None] * extended)
+    hessian[:9, :9] += np.eye(9)
+    right = -np.vstack([gradient.coef, gradient.intercept])[: len(hessian)]
+    expected = np.linalg.lstsq(hessian, right, rcond=1e-13)[0]
+    np.testing.assert_allclose(found.coef, expected[:9], atol=1e-10, rtol=0)
+    assert fit_intercept or found.intercept.count_nonzero() == 0
+    if fit_intercept:
+        np.testing.assert_allclose(found.intercept, expected[9], atol=1e-10, rtol=0)
+
+
+def test_fixed_equations_leave_the_gram_matrix_as_it_was():
+    design = DenseDesign(linear(9), samples())
+    before = design.gram().products.clone()
+    FixedGram(design.gram(), 0.5, True)  # 2 C = 1: a product with 1 may be the same memory
+    assert torch.equal(design.gram().products, before)
+
+
+def test_gradient_norm_is_that_of_all_its_numbers():
+    gradient = Gradient(torch.tensor([[3.0], [0.0]]), torch.tensor([4.0]), torch.ones(1))
+    assert gradient.norm == 5
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_features_that_are_no_numbers_are_an_error(bad):
+    design = DenseDesign(lambda X: torch.full((len(X), 4), bad, dtype=X.dtype), samples())
+    with pytest.raises(ValueError, match=r"4 x 4 system .* singular to working precision"):
+        design.fixed(1.0, True)

@@ -1,0 +1,200 @@
+"""Maps from landmarks: Nystroem by randomly pivoted Cholesky, and the exact kernel."""
+
+import numpy as np
+import pytest
+import torch
+from learning_reference import naive_rbf
+from scipy import stats
+
+from suspnet.learning import landmarks
+from suspnet.learning.landmarks import exact, nystroem, pivoted_cholesky
+
+SIGMA = 1.3
+
+
+def samples(n_samples=60, n_inputs=3, seed=0):
+    return torch.tensor(np.random.default_rng(seed).standard_normal((n_samples, n_inputs)))
+
+
+def gram(phi):
+    return (phi @ phi.T).numpy()
+
+
+def kernel(X, sigma=SIGMA):
+    return naive_rbf(X.numpy(), X.numpy(), sigma)
+
+
+def test_kernel_has_no_factor_two():
+    X, Z = samples(12), samples(7, seed=1)
+    expected = naive_rbf(X.numpy(), Z.numpy(), SIGMA)
+    assert 0.01 < expected.mean() < 0.9
+    np.testing.assert_allclose(landmarks.rbf_kernel(X, Z, SIGMA), expected, rtol=1e-12)
+
+
+def test_exact_map_reproduces_the_kernel():
+    X = samples()
+    # Directions dropped have eigenvalues below 1e-14 of the largest.
+    np.testing.assert_allclose(gram(exact(X, SIGMA, 1, 0)(X)), kernel(X), atol=1e-8, rtol=0)
+
+
+def test_exact_map_reproduces_the_kernel_between_landmarks_and_new_points():
+    X, Z = samples(), samples(9, seed=5)
+    phi = exact(X, SIGMA, 1, 0)
+    expected = naive_rbf(Z.numpy(), X.numpy(), SIGMA)
+    np.testing.assert_allclose((phi(Z) @ phi(X).T).numpy(), expected, atol=1e-8, rtol=0)
+
+
+def test_nystroem_with_all_points_is_exact():
+    X, sigma = samples(), 0.7
+    phi = nystroem(X, sigma, len(X), seed=0)
+    assert len(phi.landmarks) == len(X)
+    np.testing.assert_allclose(gram(phi(X)), gram(exact(X, sigma, 1, 0)(X)), atol=1e-8, rtol=0)
+
+
+def test_nystroem_never_exceeds_the_kernel_and_improves():
+    X = samples(100)
+    gaps = [kernel(X) - gram(nystroem(X, SIGMA, n, seed=1)(X)) for n in (10, 30, 60)]
+    for gap in gaps:  # the Schur complement is positive semidefinite
+        assert np.linalg.eigvalsh(gap).min() > -1e-10
+    traces = [np.trace(gap) for gap in gaps]
+    assert traces[0] > 2 * traces[1] > 4 * traces[2] > 0
+
+
+def test_pivots_are_distinct_rows():
+    pivots = pivoted_cholesky(samples(50), 0.5, 50, seed=0).tolist()
+    assert sorted(pivots) == list(range(50))
+
+
+def test_pivots_stop_where_the_residual_vanishes():
+    distinct = samples(15)
+    pivots = pivoted_cholesky(distinct.repeat(4, 1), 1.0, 60, seed=0)
+    assert len(pivots) == 15
+    assert len(np.unique(pivots.numpy() % 15)) == 15
+
+
+def test_nystroem_takes_fewer_landmarks_where_fewer_suffice():
+    X = samples(15).repeat(4, 1)
+    phi = nystroem(X, 1.0, 60, seed=0)
+    assert len(phi.landmarks) == 15
+    np.testing.assert_allclose(gram(phi(X)), kernel(X, 1.0), atol=1e-8, rtol=0)
+
+
+def naive_residual(X, pivots, sigma):
+    """What is left of the kernel's diagonal: the Schur complement, from a dense solve."""
+    K = kernel(X, sigma)
+    known = K[:, pivots]
+    return 1 - np.einsum("ij,ji->i", known, np.linalg.solve(K[np.ix_(pivots, pivots)], known.T))
+
+
+@pytest.mark.parametrize("kernel_tol", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("sigma", [0.7, 3.0])
+def test_landmarks_are_as_many_as_the_tolerance_needs(sigma, kernel_tol):
+    X = samples(200, n_inputs=2)
+    pivots = pivoted_cholesky(X, sigma, 200, 0, kernel_tol).tolist()
+    assert 3 < len(pivots) < 200
+    assert naive_residual(X, pivots, sigma).mean() <= kernel_tol
+    # Up to 64 are taken at a time, so the last step may go too far, by one batch.
+    assert naive_residual(X, pivots[:-64], sigma).mean() > kernel_tol if len(pivots) > 64 else True
+    assert len(pivots) <= len(pivoted_cholesky(X, sigma, 200, 0, kernel_tol / 10))
+    phi = nystroem(X, sigma, 200, 0, kernel_tol)
+    assert len(phi.landmarks) == len(pivots)
+    error = kernel(X, sigma) - gram(phi(X))
+    assert -1e-9 < np.trace(error) / 200 <= kernel_tol * (1 + 1e-6) + 1e-9
+
+
+def test_one_proposal_at_a_time_stops_at_once(monkeypatch):
+    monkeypatch.setattr(landmarks, "PROPOSALS", 1)
+    X = samples(100, n_inputs=2)
+    pivots = pivoted_cholesky(X, 1.5, 100, 0, 1e-4).tolist()
+    assert naive_residual(X, pivots, 1.5).mean() <= 1e-4
+    assert naive_residual(X, pivots[:-1], 1.5).mean() > 1e-4
+
+
+def test_number_of_components_caps_the_landmarks():
+    X = samples(200)
+    for n in (1, 5, 63, 64, 65, 130):
+        pivots = pivoted_cholesky(X, 0.3, n, 0, 1e-6).tolist()
+        assert len(set(pivots)) == len(pivots) == n
+    assert nystroem(X, 0.3, 7, 0).landmarks.shape == (7, 3)
+    assert len(nystroem(X, 0.3, 1000, 0).landmarks) == 200
+
+
+def first_pivots(X, sigma, n_pivots, n_draws):
+    draws = [tuple(pivoted_cholesky(X, sigma, n_pivots, s).tolist()) for s in range(n_draws)]
+    return np.array(draws)
+
+
+@pytest.mark.parametrize("proposals", [1, 2, 64])
+def test_pivots_are_drawn_like_one_at_a_time(monkeypatch, proposals):
+    monkeypatch.setattr(landmarks, "PROPOSALS", proposals)
+    # Two close to each other, two clusters farther off: the residual differs much between samples.
+    X, n_draws = torch.tensor([[0.0], [0.3], [1.0], [1.2], [2.5]]).double(), 1500
+    draws = first_pivots(X, 1.0, 3, n_draws)
+    # Every ordered triple: each pivot in proportion to what the Schur complement leaves.
+    expected = {}
+    for i in range(5):
+        second = naive_residual(X, [i], 1.0).clip(0)
+        for j in set(range(5)) - {i}:
+            third = naive_residual(X, [i, j], 1.0).clip(0)
+            for k in set(range(5)) - {i, j}:
+                expected[i, j, k] = second[j] / second.sum() * third[k] / third.sum() / 5
+    assert sum(expected.values()) == pytest.approx(1)
+    counts = {triple: 0 for triple in expected}
+    for triple in draws:
+        counts[tuple(triple)] += 1
+    found, probable = np.array(list(counts.values())), np.array(list(expected.values())) * n_draws
+    common = probable > 5  # the rest together, as chi-square needs
+    found = np.append(found[common], found[~common].sum())
+    probable = np.append(probable[common], probable[~common].sum())
+    # At fixed seeds; uniform second pivots give p < 1e-12.
+    assert stats.chisquare(found, probable).pvalue > 0.005
+    assert probable.max() > 3 * probable.min()
+
+
+def test_candidates_are_a_random_part_of_many_samples(monkeypatch):
+    monkeypatch.setattr(landmarks, "CANDIDATES", 50)
+    X = samples(400, n_inputs=2)
+    first, again, other = (nystroem(X, 0.2, 300, seed).landmarks for seed in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    places = [int((X == landmark).all(dim=1).nonzero()) for landmark in first]
+    assert len(set(places)) == len(places) <= 50
+    assert max(places) > 300  # from everywhere
+    assert min(places) < 100
+    assert len(nystroem(X[:50], 0.2, 50, 0).landmarks) > 40  # as many as there are: all
+
+
+@pytest.mark.parametrize("kernel_tol", [1e-30, 5e-324])
+def test_tiny_tolerance_ends_at_rounding(kernel_tol):
+    X = samples(40, n_inputs=1)
+    pivots = pivoted_cholesky(X, 3.0, 40, 0, kernel_tol).tolist()
+    assert 8 < len(pivots) < 40
+    assert len(set(pivots)) == len(pivots)
+    phi = nystroem(X, 3.0, 40, 0, kernel_tol)
+    np.testing.assert_allclose(gram(phi(X)), kernel(X, 3.0), atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e3, 1e6])
+@pytest.mark.parametrize("kernel_tol", [1e-6, 1e-15])
+def test_copies_of_a_few_samples_end_the_search(offset, kernel_tol):
+    # Far from the origin squared distances are rounded to offset^2 1e-16: a few copies more.
+    X = samples(15).repeat(4, 1) + offset
+    pivots = pivoted_cholesky(X, 1.0, 60, 0, kernel_tol).tolist()
+    assert 15 <= len(pivots) <= 25
+    assert len({p % 15 for p in pivots}) == 15
+    assert len(pivoted_cholesky(X[:1].repeat(60, 1), 1.0, 60, 0, kernel_tol)) == 1
+
+
+def test_exact_map_drops_directions_below_rounding():
+    X = samples(15).repeat(2, 1)
+    phi = exact(X, SIGMA, 1, 0)
+    assert phi.whitening.shape == (30, 15)
+    np.testing.assert_allclose(gram(phi(X)), kernel(X), atol=1e-8, rtol=0)
+
+
+def test_landmarks_are_samples_and_the_map_says_how_many_columns():
+    X = samples(30)
+    phi = nystroem(X, SIGMA, 10, 0)
+    assert all((X == landmark).all(dim=1).any() for landmark in phi.landmarks)
+    assert phi.n_inputs == 3
+    assert float(phi.sigma) == SIGMA
