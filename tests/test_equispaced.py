@@ -74,14 +74,10 @@ def test_kernel_is_right_to_its_tolerance(extents, log_sigma, log_tol, seed):
     outside = np.vstack([corners, rng.uniform(size=(6, n_inputs)) * extents]) - 3 * sigma
     outside[:2] += sigma * np.array([[-1], [1]])
     outside[2:] += rng.uniform(-sigma, sigma, (6, n_inputs))
-    # In one dimension with hardly any extent, the sum over a few modes beyond the radius exceeds
-    # the integral: see the next test.
-    factor = 3 if n_inputs == 1 else 1
-    assert kernel_error(modes, X, X, sigma) <= factor * kernel_tol
-    assert kernel_error(modes, torch.tensor(outside), X, sigma) <= factor * kernel_tol
+    assert kernel_error(modes, X, X, sigma) <= kernel_tol
+    assert kernel_error(modes, torch.tensor(outside), X, sigma) <= kernel_tol
 
 
-@pytest.mark.xfail(strict=True, reason="modes left out sum to more than their integral: 2.4e-6")
 def test_kernel_is_right_to_its_tolerance_for_one_constant_input():
     worst = 0.0
     for kernel_tol in np.geomspace(1e-7, 1e-6, 40):
@@ -494,7 +490,7 @@ def test_box_at_the_limit_is_served_and_beyond_refused(monkeypatch):
     monkeypatch.setattr("suspnet.learning.equispaced.MAX_BOX", int(box))
     equispaced_fourier(X, 1.0, 1, 0)
     monkeypatch.setattr("suspnet.learning.equispaced.MAX_BOX", int(box) - 1)
-    with pytest.raises(ValueError, match=f"a grid of {int(box)} modes"):
+    with pytest.raises(ValueError, match=f"more than {int(box) - 1} modes"):
         equispaced_fourier(X, 1.0, 1, 0)
 
 
@@ -572,16 +568,15 @@ SLIPS = {
     "infinite tolerance": ("kernel_tol", lambda t: t * np.inf),
     "two tolerances": ("kernel_tol", lambda t: np.ones(2)),
 }
-slip = pytest.mark.xfail(strict=True, reason="such arrays are accepted, or end in IndexError")
 
 
-@pytest.mark.parametrize("broken", [*BROKEN, *(pytest.param(n, marks=slip) for n in SLIPS)])
+@pytest.mark.parametrize("broken", [*BROKEN, *SLIPS])
 def test_tampered_arrays_are_refused(broken):
     name, change = (BROKEN | SLIPS)[broken]
     state = state_of_a_model()
     state[f"map.{name}"] = np.ascontiguousarray(change(state[f"map.{name}"]))
     model = MSVR(feature_map="equispaced", sigma=1.0)
-    with pytest.raises(ValueError, match=r"not those of an equispaced|values to unpack"):
+    with pytest.raises(ValueError, match="not those of an equispaced"):
         model.restore(state)
 
 
@@ -598,7 +593,6 @@ def test_tolerance_of_one_is_served():
     assert equispaced_fourier(samples(60, 1), 1.0, 1, 0, 1.0).n_features >= 1
 
 
-@pytest.mark.xfail(strict=True, reason="'cannot convert float NaN', 'math domain error'")
 @pytest.mark.parametrize("kernel_tol", [2.5, 100.0])
 def test_tolerance_beyond_the_kernel_is_named(kernel_tol):
     X, Y = data(1)
@@ -606,7 +600,6 @@ def test_tolerance_beyond_the_kernel_is_named(kernel_tol):
         MSVR(feature_map="equispaced", kernel_tol=kernel_tol).fit(X, Y)
 
 
-@pytest.mark.xfail(strict=True, raises=OverflowError, reason="the radius overflows")
 def test_least_sigma_of_all_says_what_to_do():
     X, Y = data(1)
     with pytest.raises(ValueError, match="raise sigma"):

@@ -46,8 +46,9 @@ class EquispacedFeatures(TensorMap):
 
     theta_k = k spacing for whole numbers k, one of each pair k and -k, the constant first; s_k is
     the kernel's spectral density at theta_k times the cell of the grid, so that
-    phi(x) . phi(z) = exp(-|x - z|^2 / sigma^2) to the accuracy asked for, within `reach` of the
-    centre. Inputs farther away are moved to that border: beyond it the features repeat.
+    phi(x) . phi(z) = exp(-|x - z|^2 / sigma^2) to the accuracy asked for, where z lies within the
+    data that the map was made for, and x within `reach` of the centre, sigma farther. Inputs beyond
+    are moved to that border, as the features repeat.
 
     Attributes
     ----------
@@ -67,17 +68,19 @@ class EquispacedFeatures(TensorMap):
     kernel_tol: Tensor
 
     def __post_init__(self) -> None:
-        n_waves, n_inputs = self.wave_numbers.shape
-        shapes = [tuple(t.shape) for t in (self.strengths, self.spacing, self.centre, self.reach)]
-        whole = bool((self.wave_numbers == self.wave_numbers.round()).all())
-        box = float((2 * self.wave_numbers.abs().amax(dim=0) + 1).prod())
-        if (
-            shapes != [(n_waves,), *[(n_inputs,)] * 3]
-            or not whole
-            or not box <= MAX_BOX
-            or bool((self.wave_numbers[0] != 0).any())
-            or not bool((self.strengths > 0).all())
-        ):
+        sound = self.wave_numbers.ndim == 2 and len(self.wave_numbers) > 0
+        if sound:
+            n_waves, n_inputs = self.wave_numbers.shape
+            expected = [(n_waves,), (n_inputs,), (n_inputs,), (n_inputs,), ()]
+            others = [self.strengths, self.spacing, self.centre, self.reach, self.kernel_tol]
+            sound = [tuple(t.shape) for t in others] == expected
+            sound &= all(bool(t.isfinite().all()) for t in [self.wave_numbers, *others])
+            sound &= all(bool((t > 0).all()) for t in others if t is not self.centre)
+        if sound:
+            whole = bool((self.wave_numbers == self.wave_numbers.round()).all())
+            sound = whole and not bool(self.wave_numbers[0].any())
+            sound &= _box(self.wave_numbers) <= MAX_BOX
+        if not sound:
             raise ValueError("the arrays are not those of an equispaced feature map")
 
     @property
@@ -112,9 +115,8 @@ def equispaced_fourier(
 ) -> EquispacedFeatures:
     """Return as many modes as the kernel needs to be right to `kernel_tol` on the data of `X`.
 
-    Up to half of it goes to the modes left out, those beyond a radius (frequencies are normal with
-    variance 2 / sigma^2), and half to the images of the kernel that the grid repeats every
-    2 pi / spacing.
+    Up to half of it goes to the modes left out, the weakest, and half to the images of the kernel
+    that the grid repeats every 2 pi / spacing.
 
     Parameters
     ----------
@@ -136,37 +138,48 @@ def equispaced_fourier(
             f"feature_map='equispaced' serves up to {MAX_INPUTS} inputs, these are {n_inputs}: "
             "the modes grow with their power; use feature_map='rff'"
         )
+    if not kernel_tol <= 1:
+        raise ValueError(
+            f"`kernel_tol` must be <= 1 for feature_map='equispaced', got {kernel_tol:g}"
+        )
     X = X.double()
     low, high = X.amin(dim=0), X.amax(dim=0)
     reach = (high - low) / 2 + sigma
     images = math.sqrt(math.log(4 * n_inputs / kernel_tol)) * sigma
     spacing = 2 * math.pi / (high - low + sigma + images)
-    radius = float(chi.isf(kernel_tol / 2, n_inputs)) * math.sqrt(2) / sigma
-    counts = [math.floor(radius / step) for step in spacing.tolist()]
-    n_box = math.prod(2 * count + 1 for count in counts)
-    if n_box > MAX_BOX:
-        raise ValueError(
-            f"feature_map='equispaced' would need a grid of {n_box} modes: sigma={sigma:g} is "
-            f"small for data of extent {(high - low).max():.3g}; raise sigma or kernel_tol, or use "
-            "feature_map='rff'"
-        )
-    axes = [torch.arange(-count, count + 1, dtype=torch.float64) for count in counts]
-    k = torch.cartesian_prod(*axes).reshape(-1, n_inputs).to(X.device)
+    # beyond this radius a hundredth of the tolerance is left, each mode counted with its cell
+    radius = float(chi.isf(kernel_tol / 200, n_inputs)) * math.sqrt(2) / sigma
+    counts = ((radius + spacing.norm()) / spacing).floor()
+    if not float((2 * counts + 1).prod()) <= 4 * MAX_BOX:
+        raise ValueError(_too_many(sigma, high - low))
+    axes = [torch.arange(-count, count + 1, dtype=torch.float64) for count in counts.tolist()]
+    k = torch.cartesian_prod(*axes).reshape(-1, n_inputs)
+    rank = k @ (2.0 * float(counts.max()) + 1) ** torch.arange(n_inputs, dtype=torch.float64)
+    k = k[rank >= 0]  # one of k and -k, its last non-zero part > 0
     distance = (k * spacing).norm(dim=1)
-    k, distance = k[distance <= radius], distance[distance <= radius]
-    rank = k @ (2.0 * max(counts) + 1) ** torch.arange(n_inputs, dtype=torch.float64)
-    k, distance = k[rank >= 0], distance[rank >= 0]  # one of k and -k, its last non-zero part > 0
     order = distance.argsort(stable=True)
     k, distance = k[order], distance[order]
     density = (sigma / (2 * math.sqrt(math.pi))) ** n_inputs
     strengths = float(spacing.prod()) * density * torch.exp(-((sigma * distance) ** 2) / 4)
-    return EquispacedFeatures(
-        k,
-        strengths,
-        spacing,
-        (low + high) / 2,
-        reach,
-        torch.tensor(kernel_tol, dtype=torch.float64),
+    left_out = 2 * strengths.flip(0).cumsum(0).flip(0)  # from this mode on
+    n_kept = max(1, int((left_out > 0.49 * kernel_tol).sum()))
+    k, strengths = k[:n_kept], strengths[:n_kept]
+    if _box(k) > MAX_BOX:
+        raise ValueError(_too_many(sigma, high - low))
+    tolerance = torch.tensor(kernel_tol, dtype=torch.float64)
+    return EquispacedFeatures(k, strengths, spacing, (low + high) / 2, reach, tolerance)
+
+
+def _box(wave_numbers: Tensor) -> float:
+    """Return the number of points of the grid that holds all wave numbers and their negatives."""
+    return float((2 * wave_numbers.abs().amax(dim=0) + 1).prod())
+
+
+def _too_many(sigma: float, extent: Tensor) -> str:
+    return (
+        f"feature_map='equispaced' would need a grid of more than {MAX_BOX:,} modes: "
+        f"sigma={sigma:g} is small for data of extent {float(extent.max()):.3g}; raise sigma or "
+        "kernel_tol, or use feature_map='rff'"
     )
 
 

@@ -19,14 +19,17 @@ from enum import StrEnum
 import torch
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Design, Direction, Gradient
+from suspnet.learning.design import Columns, Design, Direction, Gradient, NormalEquations
 from suspnet.learning.loss import loss, weight
 from suspnet.learning.ranks import agreed
 
 SUFFICIENT_DECREASE = 1e-4
 SMALLEST_STEP = 1e-10
 SLOW = 0.3
-"""The fixed equations are left when the decrement falls by less than this factor in a step."""
+"""The fixed equations give way when the decrement falls by less than this factor in a step ..."""
+PATIENCE = 20
+"""... and the reweighted ones when it does so this many times in a row: where many samples lie on
+the border of the tube they can circle for long."""
 
 
 class Status(StrEnum):
@@ -120,8 +123,9 @@ def irwls(
     residual = Y.double().clone()
     objective, lower = functional.value(coef, residual), 0.0
     gradient = functional.gradient(coef, residual)
-    equations, decrement = design.fixed(C, fit_intercept), float("inf")
-    quick = True
+    equations: NormalEquations = design.fixed(C, fit_intercept)
+    other: NormalEquations | None = None
+    quick, slow, decrement = True, 0, float("inf")
     objectives, status, n_iter = [objective], Status.MAX_ITER, 0
     while (gap := _relative(objective - lower, objective)) > tol and n_iter < max_iter:
         direction = functional.agreed(equations.direction(gradient, tol * objective))
@@ -135,8 +139,10 @@ def irwls(
             gap = _relative(objective - lower, objective)
             status = Status.STAGNATED
             break
-        if quick and (step == 0 or decrement > SLOW * before):
-            quick, equations = False, design.reweighted(C, fit_intercept)
+        slow = slow + 1 if step == 0 or decrement > SLOW * before else 0
+        if slow >= (1 if quick else PATIENCE):
+            other = other or design.reweighted(C, fit_intercept)
+            quick, slow, equations, other = not quick, 0, other, equations
         if step == 0:
             continue
         coef += step * direction.coef

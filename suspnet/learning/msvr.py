@@ -107,8 +107,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     random_state : int, RandomState or None, default=0
         Seed of the feature map's draws.
     dtype : {"float64", "float32"}, default="float64"
-        Precision of the features of `rff` and `orf`; sums over blocks and solves are float64. With
-        float32 the gradient is rounded, so `tol` may have to be raised.
+        Precision of the features of `rff` and `orf` and of products with them; sums over blocks
+        and solves are float64. With float32 `gap_` does not count the rounding of products: at
+        C = 1e4 the objective may lie 1e-5 above its minimum.
     device : str, default="cpu"
         Torch device; `equispaced` runs on the CPU only.
     distributed : bool, default=False
@@ -272,7 +273,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     @property
     def shares_gram(self) -> bool:
-        """Whether `held_out` serves this feature map."""
+        """Whether `cross_predictor` serves this feature map."""
         return self.feature_map in MAPS and not MAPS[self.feature_map].of_data
 
     def predict(self, X: ArrayLike) -> FloatArray:

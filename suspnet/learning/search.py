@@ -19,6 +19,7 @@ from suspnet.learning.msvr import MSVR, SHARED, check_number
 from suspnet.learning.scaling import Scaling
 
 FloatArray = NDArray[np.float64]
+Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -102,12 +103,12 @@ class GridSearch:
         settings = list(ParameterGrid(dict(self._grid(name))))
         result = SearchResult(settings, [math.inf] * len(settings))
         for group in _groups(estimator, settings):
-            candidate = clone(estimator).set_params(**settings[group[0]])
-            predict = _cross_predictor(candidate, X, Y, folds)
+            predict: Predictor | None = None
             for k in group:
                 try:
                     with warnings.catch_warnings():
                         warnings.simplefilter("ignore", ConvergenceWarning)
+                        predict = predict or _predictor(estimator, settings[k], X, Y, folds)
                         predicted = [output_scaling.undo(values) for values in predict(settings[k])]
                     errors = map(root_mean_squared_error, actual, predicted)
                     result.rmse[k] = float(np.mean(list(errors)))
@@ -139,12 +140,17 @@ def _groups(estimator: Any, settings: Sequence[Mapping[str, Any]]) -> list[list[
     return list(groups.values())
 
 
-def _cross_predictor(
-    estimator: Any, X: FloatArray, Y: FloatArray, folds: Sequence[NDArray[np.int64]]
-) -> Callable[[Mapping[str, Any]], list[FloatArray]]:
-    """Return what predicts each fold with a model, at a given setting, of all the others."""
-    if isinstance(estimator, MSVR) and estimator.shares_gram:
-        return estimator.cross_predictor(X, Y, folds)
+def _predictor(
+    estimator: Any,
+    first: Mapping[str, Any],
+    X: FloatArray,
+    Y: FloatArray,
+    folds: Sequence[NDArray[np.int64]],
+) -> Predictor:
+    """Return what predicts each fold by a model of all the others, for settings like `first`."""
+    candidate = clone(estimator).set_params(**first)
+    if isinstance(candidate, MSVR) and candidate.shares_gram:
+        return candidate.cross_predictor(X, Y, folds)
 
     def predict(setting: Mapping[str, Any]) -> list[FloatArray]:
         found = []
