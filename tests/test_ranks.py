@@ -11,8 +11,9 @@ import torch
 import torch.multiprocessing
 from learning_reference import smooth_data
 from safetensors.numpy import load_file
-from test_cli import ROOT, SMALL, command
+from test_cli import ROOT, SMALL, command, run_main
 
+import train
 from suspnet.learning import MSVR, Scaling, ranks
 
 CASES = {
@@ -61,6 +62,18 @@ def work(rank, folder):
     ranks.stop()
 
 
+def torchrun(n_ranks, *overrides, cwd):
+    launcher = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={n_ranks}"]
+    return subprocess.run(
+        [sys.executable, *launcher, str(ROOT / "train.py"), *overrides, *SMALL, "threads=1"],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
 @pytest.fixture(scope="module")
 def spread(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ranks")
@@ -99,18 +112,7 @@ def test_one_process_is_all_there_is():
 def test_torchrun_trains_the_model_of_one_process(tmp_path):
     one, three = tmp_path / "one", tmp_path / "three"
     assert command("train.py", *SMALL, "threads=1", f"hydra.run.dir={one}").returncode == 0
-    started = subprocess.run(
-        [
-            *[sys.executable, "-m", "torch.distributed.run", "--standalone"],
-            *[f"--nproc-per-node={N_RANKS}", str(ROOT / "train.py")],
-            *[*SMALL, "threads=1", f"hydra.run.dir={three}"],
-        ],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
+    started = torchrun(N_RANKS, f"hydra.run.dir={three}", cwd=tmp_path)
     assert started.returncode == 0, started.stderr
     assert started.stdout.count("| k_p ") == 1  # one process prints the table
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "three"]
@@ -123,28 +125,23 @@ def test_torchrun_trains_the_model_of_one_process(tmp_path):
         assert scores[1][output] == pytest.approx(values, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["model=linear"], "model=linear cannot be spread over processes, only msvr"),
-        (["search=table5"], "a search cannot be spread over processes"),
-        (["-m", "group=primary,secondary"], "a multirun cannot be spread by torchrun"),
-    ],
-)
-def test_what_cannot_be_spread_is_named(overrides, message, tmp_path):
-    started = subprocess.run(
-        [
-            *[sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"],
-            *[str(ROOT / "train.py"), *overrides, *SMALL, "threads=1"],
-            *[f"hydra.run.dir={tmp_path}/run", f"hydra.sweep.dir={tmp_path}/sweep"],
-        ],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
+def test_multirun_is_not_spread_and_said_so_once(tmp_path):
+    started = torchrun(2, "-m", "group=primary,secondary", cwd=tmp_path)
     assert started.returncode != 0
     own = [line for line in started.stderr.splitlines() if line.startswith("error:")]
     assert len(own) == 1
-    assert message in own[0]
+    assert "a multirun cannot be spread by torchrun" in own[0]
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("model=linear", "model=linear cannot be spread over processes, only msvr"),
+        ("search=table5", "a search cannot be spread over processes"),
+    ],
+)
+def test_what_cannot_be_spread_is_named(override, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(ranks, "together", lambda: True)
+    monkeypatch.setattr(ranks, "first", lambda: True)
+    with pytest.raises(SystemExit, match=message):
+        run_main(train, tmp_path / "run", override, *SMALL, "threads=1")
