@@ -122,3 +122,12 @@ def test_foreign_target_is_rejected():
 def test_evaluate_composes_with_and_without_a_protocol():
     assert composed(name="evaluate").get("protocol") is None
     assert composed("protocol=joint", name="evaluate").protocol.name == "joint"
+
+
+def test_slurm_preset_asks_for_modest_jobs():
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
+        config = compose("train", ["hydra/launcher=slurm"], return_hydra_config=True)
+    launcher = config.hydra.launcher
+    assert launcher._target_.endswith("SlurmLauncher")
+    assert (launcher.timeout_min, launcher.cpus_per_task, launcher.mem_gb) == (60, 8, 8)

@@ -126,6 +126,9 @@ class Gram:
 class DenseDesign:
     """Phi in blocks of rows.
 
+    Where a map ends with a product with a fixed basis, Phi = K V, the blocks are those of K, and V
+    multiplies coefficients and sums instead of every block; the Gram matrix alone is made of Phi.
+
     Parameters
     ----------
     feature_map : FeatureMap
@@ -148,13 +151,16 @@ class DenseDesign:
         cache_bytes: int = CACHE_BYTES,
     ) -> None:
         self.feature_map, self.X, self.total = feature_map, X, total
+        self._basis: Tensor | None = getattr(feature_map, "basis", None)
+        self._make = getattr(feature_map, "raw", feature_map)
         self.slices = [
             slice(start, min(start + block_rows, len(X))) for start in range(0, len(X), block_rows)
         ]
-        first = feature_map(X.new_zeros(1, X.shape[1]))
-        self.n_features = first.shape[1]
-        whole = len(X) * self.n_features * first.element_size()
-        self._kept = [feature_map(X[s]) for s in self.slices] if whole <= cache_bytes else []
+        first = self._make(X.new_zeros(1, X.shape[1]))
+        self._width = first.shape[1]
+        self.n_features = self._width if self._basis is None else self._basis.shape[1]
+        whole = len(X) * self._width * first.element_size()
+        self._kept = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
         self._gram: Gram | None = None
 
     @classmethod
@@ -173,12 +179,12 @@ class DenseDesign:
         return whole
 
     def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
-        """Yield (rows, Phi[rows])."""
+        """Yield (rows, Phi[rows]), or K in place of Phi."""
         if self._kept:
             yield from zip(self.slices, self._kept, strict=True)
         else:
             for rows in self.slices:
-                yield rows, self.feature_map(self.X[rows])
+                yield rows, self._make(self.X[rows])
 
     def predict(self, model: Direction) -> Tensor:
         """Return Phi W + b, shape (n_samples, n_outputs)."""
@@ -187,23 +193,24 @@ class DenseDesign:
 
     def pull(self, columns: Tensor) -> Tensor:
         """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
-        product = self._zeros(columns.shape[1])
+        product = self._zeros(self._width, columns.shape[1])
         for rows, phi in self:
             product += (columns[rows].T.to(phi.dtype) @ phi).T
-        return self.total(product)
+        return self.total(self._projected(product))
 
     def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V for the V that `columns` makes of the rows of that."""
         moved = self.X.new_empty(len(self.X), change.coef.shape[1], dtype=torch.float64)
         product: Tensor | None = None
+        coef = change.coef if self._basis is None else self._basis.to(change.coef) @ change.coef
         for rows, phi in self:
-            moved[rows] = (phi @ change.coef.to(phi.dtype)).double() + change.intercept
+            moved[rows] = (phi @ coef.to(phi.dtype)).double() + change.intercept
             pulled = (columns(rows, moved[rows]).T.to(phi.dtype) @ phi).T
             product = pulled.double() if product is None else product.add_(pulled)
         if product is None:
             none = columns(slice(0, 0), moved)
-            product = self._zeros(none.shape[1])
-        return moved, self.total(product)
+            product = self._zeros(self._width, none.shape[1])
+        return moved, self.total(self._projected(product))
 
     def gram(self) -> Gram:
         """Return the Gram matrix of all samples, made once."""
@@ -216,20 +223,18 @@ class DenseDesign:
         products = torch.zeros(
             self.n_features, self.n_features, dtype=torch.float64, device=self.X.device
         )
-        sums = self._zeros(1)[:, 0]
+        sums = self._zeros(self.n_features, 1)[:, 0]
         count = products.new_zeros(1)
         starts = range(0, self.n_features, GRAM_COLUMNS)
         for rows, phi in self:
-            if weights is None:
-                scaled = phi
-                count += len(phi)
-            else:
-                w = weights[rows]
+            w = None if weights is None else weights[rows]
+            if w is not None and not bool(w.all()):
                 support = w.nonzero()[:, 0]
-                if len(support) < len(w):
-                    phi, w = phi[support], w[support]
-                scaled = phi * w[:, None].to(phi.dtype)
-                count += w.sum()
+                phi, w = phi[support], w[support]
+            if self._basis is not None:
+                phi = phi @ self._basis
+            scaled = phi if w is None else phi * w[:, None].to(phi.dtype)
+            count += len(phi) if w is None else w.sum()
             sums += scaled.sum(dim=0)
             for start in starts:
                 stripe = slice(start, start + GRAM_COLUMNS)
@@ -247,8 +252,11 @@ class DenseDesign:
         """Return the equations of Eq. (9), factored anew for the weights of every iteration."""
         return ReweightedGram(self, fit_intercept)
 
-    def _zeros(self, n_columns: int) -> Tensor:
-        return torch.zeros(self.n_features, n_columns, dtype=torch.float64, device=self.X.device)
+    def _projected(self, product: Tensor) -> Tensor:
+        return product if self._basis is None else self._basis.to(product).T @ product
+
+    def _zeros(self, n_rows: int, n_columns: int) -> Tensor:
+        return torch.zeros(n_rows, n_columns, dtype=torch.float64, device=self.X.device)
 
 
 class FixedGram:

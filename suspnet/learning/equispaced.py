@@ -27,14 +27,14 @@ from suspnet.learning.ranks import Total, alone
 MAX_INPUTS = 3
 MAX_BOX = 800_000
 """Points of the grid of modes, corners included, for which all arrays still fit about 1 GB."""
-FIRST_BLOCK, LARGEST_BLOCK = 800, 2000
+FIRST_BLOCK, LARGEST_BLOCK = 1000, 2000
 """Waves that the preconditioner solves exactly, at first and at most; the rest it divides by the
 diagonal. The block doubles after ..."""
 PATIENCE = 100
 """... so many iterations in a row."""
 MAX_CG_ITER = 1000
 TINY = torch.finfo(torch.float64).tiny
-FORCING = 1e-3
+FORCING = 1e-4
 """Conjugate gradients stop when they have found all but about this part of the decrement."""
 FFT_ACCURACY = 1e-2
 """Accuracy of the non-uniform FFTs, relative to the kernel's."""

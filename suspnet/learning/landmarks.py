@@ -35,9 +35,22 @@ class LandmarkFeatures(TensorMap):
         """Number of columns the map takes."""
         return self.landmarks.shape[1]
 
+    @property
+    def basis(self) -> Tensor:
+        """What the kernel's columns are multiplied with at the end."""
+        return self.whitening
+
+    def raw(self, X: Tensor) -> Tensor:
+        """Return the kernel of samples and landmarks, shape (n_samples, n_landmarks)."""
+        return rbf_kernel(X, self.landmarks, float(self.sigma))
+
     def __call__(self, X: Tensor) -> Tensor:
         """Return features of shape (n_samples, n_features)."""
-        return rbf_kernel(X, self.landmarks, float(self.sigma)) @ self.whitening
+        return self.raw(X) @ self.whitening
+
+    def apply(self, X: Tensor, coef: Tensor) -> Tensor:
+        """Return Phi coef, shape (n_samples, n_outputs)."""
+        return self.raw(X) @ (self.whitening @ coef)
 
 
 def rbf_kernel(X: Tensor, Z: Tensor, sigma: float) -> Tensor:
