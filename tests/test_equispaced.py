@@ -261,8 +261,8 @@ def test_direction_solves_the_dense_normal_equations(
     for name, value in zip(
         ("FIRST_BLOCK", "LARGEST_BLOCK", "PATIENCE"), BLOCKS[block], strict=True
     ):
-        monkeypatch.setattr(f"suspnet.learning.equispaced.{name}", value)
-    monkeypatch.setattr("suspnet.learning.equispaced.FORCING", 1e-15)
+        monkeypatch.setattr(f"suspnet.learning.toeplitz.{name}", value)
+    monkeypatch.setattr("suspnet.learning.toeplitz.FORCING", 1e-15)
     modes = modes_of(n_inputs, {1: 1e-10, 2: 1e-6, 3: 1e-3}[n_inputs])
     X = samples(40, n_inputs, seed=1)
     Phi = modes(X).numpy()
@@ -315,13 +315,13 @@ def test_leading_block_is_that_of_the_dense_matrix(n_inputs, fit_intercept, bloc
 def test_block_grows_only_where_iterations_are_many(monkeypatch):
     design, _ = problem(2)
     for name, value in (("FIRST_BLOCK", 4), ("LARGEST_BLOCK", 15), ("PATIENCE", 3)):
-        monkeypatch.setattr(f"suspnet.learning.equispaced.{name}", value)
+        monkeypatch.setattr(f"suspnet.learning.toeplitz.{name}", value)
     equations, gradient = equations_at(design, "fixed", True)
     sizes, plain = [], equations._invert_leading
     monkeypatch.setattr(equations, "_invert_leading", lambda n: sizes.append(n) or plain(n))
     equations.direction(gradient, 1e-12)
     assert sizes == [8, 15]  # doubled, to the largest at most, and no more
-    monkeypatch.setattr("suspnet.learning.equispaced.PATIENCE", 10**6)
+    monkeypatch.setattr("suspnet.learning.toeplitz.PATIENCE", 10**6)
     fresh, _ = equations_at(design, "fixed", True)
     fresh.direction(gradient, 1e-12)
     assert fresh._n_block == 4

@@ -1,7 +1,7 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
 What a map is, and random Fourier features. Maps from landmarks are in ``landmarks``, that on a
-regular grid of frequencies in ``equispaced``; ``msvr.MAPS`` lists them all.
+regular grid of frequencies in ``equispaced``; ``maps.MAPS`` lists them all.
 """
 
 from __future__ import annotations

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import functools
-import math
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -21,51 +18,15 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
 from suspnet.learning import ranks
+from suspnet.learning.checks import check_number
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
-from suspnet.learning.equispaced import EquispacedDesign, EquispacedFeatures, equispaced_fourier
-from suspnet.learning.feature_maps import FourierFeatures, orthogonal_fourier, random_fourier
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
-from suspnet.learning.landmarks import LandmarkFeatures, exact, nystroem
+from suspnet.learning.maps import MAPS
 
 PREDICT_ROWS = 8192
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class MapKind:
-    """A kind of feature map: how it is made, what it is, and the design matrix it gives.
-
-    Attributes
-    ----------
-    make : callable
-        ``make(X, sigma, n_components, seed, kernel_tol)`` gives the map for samples X.
-    holds : type
-        What the map is, made again from its tensors.
-    design : type
-    of_data : bool
-        Whether the map depends on the samples.
-    float32 : bool
-        Whether its Gram matrix may be summed in single precision.
-    on_gpu : bool
-        Whether it runs on other devices than the CPU.
-    """
-
-    make: Callable[[Tensor, float, int, int, float], Any]
-    holds: type[Any]
-    design: type[Any] = DenseDesign
-    of_data: bool = True
-    float32: bool = False
-    on_gpu: bool = True
-
-
-MAPS = {
-    "rff": MapKind(random_fourier, FourierFeatures, of_data=False, float32=True),
-    "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
-    "nystroem": MapKind(nystroem, LandmarkFeatures),
-    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
-    "exact": MapKind(exact, LandmarkFeatures),
-}
-"""The feature maps by name. To add one, write it beside these and enter it here."""
 SHARED = ("C", "epsilon")
 """Parameters whose values can share one Gram matrix."""
 
@@ -388,24 +349,3 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
                 f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
                 "feature_map='rff'"
             )
-
-
-def check_number(
-    name: str, value: Any, *, low: float, open_low: bool = False, whole: bool = False
-) -> None:
-    """Raise unless `value` is a finite number >= low (> low if `open_low`).
-
-    Raises
-    ------
-    TypeError
-        If it is not a number, or not a whole one where it must be.
-    ValueError
-        If it is out of range.
-    """
-    kind = Integral if whole else Real
-    if isinstance(value, bool) or not isinstance(value, kind):
-        raise TypeError(f"`{name}` must be a {'whole ' if whole else ''}number, got {value!r}")
-    number = float(value)
-    if not math.isfinite(number) or number < low or (open_low and number == low):
-        bound = f"in ({low}, inf)" if open_low else f">= {low}"
-        raise ValueError(f"`{name}` must be finite and {bound}, got {value}")

@@ -18,8 +18,8 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
+from suspnet.learning.checks import check_number
 from suspnet.learning.landmarks import rbf_kernel
-from suspnet.learning.msvr import check_number
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
