@@ -65,9 +65,9 @@ def train(
         What metrics.json holds; empty where another process (torchrun) writes and tests.
     """
     name = method_name(estimator)
+    if search is not None and ranks.together():
+        raise ValueError("a search cannot be spread over processes: start it with python")
     if not ranks.first():
-        if search is not None:
-            tune(problem, estimator, search, None)
         fit(problem, estimator, None)
         return {}
     with RunLog(folder) as run_log:

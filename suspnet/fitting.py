@@ -109,21 +109,16 @@ def method_name(estimator: Any) -> str:
     raise TypeError(f"`model` must be one of {sorted(ESTIMATORS)}, got {type(estimator).__name__}")
 
 
-def tune(
-    problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog | None
-) -> SearchResult:
+def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
     """Return the cross-validated RMSE of every setting of a search, on the training curves."""
     name = method_name(estimator)
-    if ranks.together():
-        raise ValueError("a search cannot be spread over processes: start it with python")
     data = problem.source.features(TRAIN).complete()
     inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
     with tqdm(total=n_settings, desc=f"search {name}", disable=quiet(problem.progress)) as bar:
 
         def told(setting: Mapping[str, Any], rmse: float) -> None:
-            if run_log is not None:
-                run_log.scalars("search", {"rmse": rmse}, int(bar.n))
+            run_log.scalars("search", {"rmse": rmse}, int(bar.n))
             bar.update()
 
         return search.run(
@@ -164,7 +159,9 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     if not isinstance(estimator, CurveFit):
-        part = ranks.share(source.n_batches(TRAIN)) if ranks.together() else None
+        part = None
+        if ranks.together():
+            part = ranks.share(source.n_batches(len(source.ratios(TRAIN))))
         data = source.features(TRAIN, part)
         kept = data.subset(data.valid)
         n_made, n_kept = (_count(rows) for rows in (data.inputs, kept.inputs))

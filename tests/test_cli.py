@@ -38,9 +38,9 @@ def run_main(module, folder, *overrides):
     return json.loads((folder / "metrics.json").read_text())
 
 
-def command(program, *overrides, cwd=ROOT, **options):
+def command(program, *overrides, launcher=(), cwd=ROOT, **options):
     return subprocess.run(
-        [sys.executable, str(ROOT / program), *overrides],
+        [sys.executable, *launcher, str(ROOT / program), *overrides],
         cwd=cwd,
         capture_output=True,
         text=True,

@@ -170,10 +170,6 @@ class CurveSource:
             write_atomically(path, dump_arrays(asdict(data)))
         return data
 
-    def n_batches(self, stream: int) -> int:
-        """Return the number of batches that a stream's curves are made in."""
-        return -(-len(self.ratios(stream)) // BATCH)
-
     def ratios(self, stream: int) -> FloatArray:
         """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
         wanted = self.settings.n_test if stream == TEST else self.settings.n_train
@@ -216,9 +212,13 @@ class CurveSource:
         """Return the number of blocks that hold `n_curves`."""
         return -(-n_curves // BLOCK)
 
+    def n_batches(self, n_curves: int) -> int:
+        """Return the number of batches that `n_curves` are made in."""
+        return -(-n_curves // BATCH)
+
     def _make_features(self, stream: int, part: slice | None) -> FeatureData:
         ratios = self.ratios(stream)
-        batches = range(self.n_batches(stream))[part or slice(None)]
+        batches = range(self.n_batches(len(ratios)))[part or slice(None)]
         asked = slice(batches.start * BATCH, batches.stop * BATCH)
         healthy = self.healthy_features()
         values = np.empty((len(ratios), len(healthy)))

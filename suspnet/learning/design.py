@@ -13,7 +13,7 @@ from itertools import accumulate
 from typing import Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, cholesky_solve
 
 from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.ranks import Total, alone
@@ -267,11 +267,13 @@ class FixedGram:
     """
 
     def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
-        self._mean, self._total, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
+        self._sums, self._total, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return -H^-1 g, exactly."""
-        return _solve(gradient, self._factor, self._mean, self._total)
+        return without_intercept(
+            gradient, self._sums, self._total, lambda right: cholesky_solve(right, self._factor)
+        )
 
 
 class ReweightedGram:
@@ -283,17 +285,17 @@ class ReweightedGram:
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
         gram = self._design.weighted_gram(gradient.weights)
-        mean, total, factor = _centred_factor(gram, 1.0, self._fit_intercept)
-        return _solve(gradient, factor, mean, total)
+        sums, total, factor = _centred_factor(gram, 1.0, self._fit_intercept)
+        return without_intercept(gradient, sums, total, lambda right: cholesky_solve(right, factor))
 
 
 def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tensor, float, Tensor]:
-    """Return mean, total weight and Cholesky factor of I plus the scaled centred Gram matrix."""
+    """Return sums, total weight and Cholesky factor of I plus the scaled centred Gram matrix."""
     matrix = scale * gram.products
-    mean, total = torch.zeros_like(gram.sums), 0.0
+    sums, total = torch.zeros_like(gram.sums), 0.0
     if fit_intercept and gram.total > 0:
-        mean, total = gram.sums / gram.total, scale * gram.total
-        matrix.addr_(mean, mean, alpha=-total)
+        sums, total = scale * gram.sums, scale * gram.total
+        matrix.addr_(sums, sums, alpha=-1 / total)
     matrix.diagonal().add_(1.0)
     factor, info = torch.linalg.cholesky_ex(matrix)
     if int(info) or not bool(torch.isfinite(factor).all()):
@@ -302,11 +304,21 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
             f"with weights of {scale * gram.total:.1e} in all; lower C, or scale the outputs, or "
             "use dtype='float64'"
         )
-    return mean, total, factor
+    return sums, total, factor
 
 
-def _solve(gradient: Gradient, factor: Tensor, mean: Tensor, total: float) -> Direction:
-    """Solve for W and b with b eliminated: total db = -g_b - total mean . dW."""
-    shift = -gradient.intercept / total if total > 0 else torch.zeros_like(gradient.intercept)
-    coef = torch.cholesky_solve(-gradient.coef - total * torch.outer(mean, shift), factor)
-    return Direction(coef, shift - mean @ coef)
+def without_intercept(
+    gradient: Gradient, sums: Tensor, total: float, solve: Callable[[Tensor], Tensor]
+) -> Direction:
+    """Solve for W and b with b eliminated: total db = -g_b - sums . dW.
+
+    `sums` and `total` are those of the weighted samples, 0 where b is not fitted; `solve` solves
+    the equations for W that are left.
+    """
+    shift = torch.zeros_like(gradient.intercept)
+    if total > 0:
+        shift = -gradient.intercept / total
+    coef = solve(-gradient.coef - torch.outer(sums, shift))
+    if total > 0:
+        shift = shift - sums @ coef / total
+    return Direction(coef, shift)

@@ -9,7 +9,7 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from suspnet.learning.design import Direction, Gradient
+from suspnet.learning.design import Direction, Gradient, without_intercept
 
 if TYPE_CHECKING:
     from suspnet.learning.equispaced import EquispacedDesign
@@ -61,13 +61,9 @@ class ToeplitzEquations:
         """Return an approximate solution of the normal equations."""
         if self._reweighted:
             self._use(self._design.toeplitz(gradient.weights))
-        shift = torch.zeros_like(gradient.intercept)
-        if self._weight > 0:
-            shift = -gradient.intercept / self._weight
-        coef = self._solve(-gradient.coef - torch.outer(self._sums, shift), accuracy)
-        if self._weight > 0:
-            shift = shift - self._sums @ coef / self._weight
-        return Direction(coef, shift)
+        return without_intercept(
+            gradient, self._sums, self._weight, lambda right: self._solve(right, accuracy)
+        )
 
     def _use(self, toeplitz: Tensor) -> None:
         """Take the Fourier sums of the weights as those of the matrix."""
