@@ -6,6 +6,7 @@ import torch
 from scipy import optimize
 
 from suspnet.learning import CurveFit, levenberg_marquardt
+from suspnet.learning.least_squares import _residual_and_jacobian
 
 TIMES = torch.linspace(0, 4, 40, dtype=torch.float64)
 
@@ -54,6 +55,65 @@ def test_each_row_is_the_fit_of_scipy():
         assert float(found.cost[row]) == pytest.approx(other.cost, rel=1e-10)
 
 
+def test_jacobian_is_that_of_automatic_differentiation():
+    _, data = decays()
+    theta = torch.tensor(np.random.default_rng(1).uniform(0.5, 2, (len(data), 3)))
+
+    def residual(theta, rows):
+        return data[rows] - _decay(theta)
+
+    rows = torch.tensor([3, 0, 5, 1, 2, 4])
+    values, found = _residual_and_jacobian(residual, theta, rows)
+    np.testing.assert_array_equal(values, residual(theta, rows))
+    expected = torch.func.vmap(
+        torch.func.jacfwd(lambda one, row: residual(one[None], row[None])[0])
+    )(theta, rows)
+    assert expected.abs().min(dim=0).values.max() > 0.9
+    # central differences with a step of 1e-5: rounding 1e-11, third derivative 1e-10
+    np.testing.assert_allclose(found, expected.transpose(1, 2), rtol=0, atol=1e-9)
+
+
+def test_information_is_the_product_of_derivatives_at_the_optimum():
+    truth, data = decays()
+    found = levenberg_marquardt(
+        lambda theta, rows: data[rows] - _decay(theta), torch.ones_like(truth)
+    )
+    for theta, information in zip(found.parameters.numpy(), found.information, strict=True):
+        a, b, _ = theta
+        t = TIMES.numpy()
+        jacobian = np.stack([np.exp(-b * t), -a * t * np.exp(-b * t), np.ones_like(t)])
+        # the last step began within 1e-8 or so of the optimum
+        np.testing.assert_allclose(information, jacobian @ jacobian.T, rtol=1e-6)
+
+
+def test_bounded_fit_is_that_of_scipy():
+    truth, data = decays(n_rows=8, seed=4)
+    lower, upper = np.array([0.8, 0.7, -0.5]), np.array([1.6, 1.5, 0.5])
+    bounds = torch.tensor(lower), torch.tensor(upper)
+    found = levenberg_marquardt(
+        lambda theta, rows: data[rows] - _decay(theta), torch.ones_like(truth), bounds=bounds
+    )
+    assert bool(found.converged.all())
+    pressed = 0
+    for row, observed in enumerate(data):
+        other = optimize.least_squares(
+            lambda theta, y=observed: (y - _decay(torch.tensor(theta)[None])[0]).numpy(),
+            np.clip(np.ones(3), lower + 1e-3, upper - 1e-3),
+            bounds=(lower, upper),
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-12,
+        )
+        # scipy's interior method ends about 1e-7 short of a bound
+        np.testing.assert_allclose(found.parameters[row], other.x, atol=1e-5)
+        assert float(found.cost[row]) == pytest.approx(other.cost, rel=1e-6)
+        held = (found.parameters[row] == bounds[0]) | (found.parameters[row] == bounds[1])
+        # what is pressed against a bound counts as without effect
+        np.testing.assert_array_equal(found.information[row].diagonal() == 0, held)
+        pressed += int(held.sum())
+    assert pressed > 4
+
+
 def test_rows_do_not_see_each_other():
     truth, data = decays()
     start = torch.ones_like(truth)
@@ -86,11 +146,54 @@ def test_linear_problem_is_least_squares():
     np.testing.assert_allclose(found.parameters, expected, atol=1e-8, rtol=0)
 
 
-def test_parameter_without_effect_stays():
+@pytest.mark.parametrize("first_damping", [1e-3, 1e-6, 1e-12])
+def test_parameter_without_effect_stays_and_does_not_hold_the_others(first_damping):
     start = torch.tensor([[3.0, 7.0]], dtype=torch.float64)
-    found = levenberg_marquardt(lambda theta, rows: theta[:, :1] - 2 + 0 * theta[:, 1:], start)
+    found = levenberg_marquardt(
+        lambda theta, rows: theta[:, :1] - 2 + 0 * theta[:, 1:], start, first_damping=first_damping
+    )
     assert bool(found.converged[0])
     np.testing.assert_allclose(found.parameters, [[2.0, 7.0]], rtol=1e-8)
+    np.testing.assert_allclose(found.information[0], [[1.0, 0.0], [0.0, 0.0]], atol=1e-9)
+
+
+def test_little_damping_solves_a_linear_problem_in_one_step():
+    slopes = torch.tensor([[1.0, 0.5], [0.0, 2.0]], dtype=torch.float64)
+
+    def left_after_one_step(first_damping):
+        found = levenberg_marquardt(
+            lambda theta, rows: (theta - 3) @ slopes,
+            torch.zeros(1, 2, dtype=torch.float64),
+            max_iter=1,
+            first_damping=first_damping,
+        )
+        return (found.parameters[0] - 3).numpy()
+
+    # error / start: (H + d diag H)^-1 d diag H
+    hessian = (slopes @ slopes.T).numpy()
+    for damping in (1e-9, 1e-3):
+        extra = damping * np.diag(np.diag(hessian))
+        expected = np.linalg.solve(hessian + extra, extra @ [-3.0, -3.0])
+        np.testing.assert_allclose(left_after_one_step(damping), expected, rtol=1e-3, atol=1e-9)
+
+
+def test_start_beyond_the_bounds_is_brought_inside():
+    bounds = torch.tensor([0.0]), torch.tensor([5.0])
+    start = torch.tensor([[-9.0], [99.0], [3.0]], dtype=torch.float64)
+    found = levenberg_marquardt(lambda theta, rows: theta - 2, start, bounds=bounds)
+    np.testing.assert_allclose(found.parameters, np.full((3, 1), 2.0), rtol=1e-8)
+    assert start.tolist() == [[-9.0], [99.0], [3.0]]
+    held = levenberg_marquardt(lambda theta, rows: theta - 7, start, bounds=bounds)
+    assert held.parameters.tolist() == [[5.0]] * 3
+    assert bool(held.converged.all())
+
+
+def test_bound_is_left_when_the_others_have_moved():
+    bounds = torch.tensor([-1.5, -0.5]).double(), torch.tensor([2.0, 3.0]).double()
+    start = torch.tensor([[-1.5, 3.0], [2.0, -0.5], [1.9, 3.0]], dtype=torch.float64)
+    found = levenberg_marquardt(_rosenbrock, start, max_iter=200, bounds=bounds)
+    assert bool(found.converged.all())
+    np.testing.assert_allclose(found.parameters, np.ones((3, 2)), atol=1e-7, rtol=0)
 
 
 def test_cost_is_half_the_sum_of_squares_and_never_above_the_start():

@@ -1,0 +1,92 @@
+"""How far observed curves lie from a generator's, in units of their noise.
+
+The sum of squares of these residuals is -2 log likelihood, and with their derivative J the product
+J^T J is the Fisher information of `suspnet.evaluation.information`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from suspnet.data.curves import CurveObserver
+from suspnet.data.estimates import EstimateObserver
+
+
+@dataclass(frozen=True)
+class CurveMisfit:
+    """Magnitudes with white noise, its rms relative to the rms of each observed curve.
+
+    Attributes
+    ----------
+    observer : CurveObserver
+    observed : tensor of shape (n_rows, 2, n_freq), [-]
+    used : sequence of int
+        Which of G_p and G_s may be looked at.
+    """
+
+    observer: CurveObserver
+    observed: Tensor
+    used: Sequence[int] = (0, 1)
+    expected: float = 1.0
+    """Mean square of a residual if the model is true."""
+
+    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
+        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
+        observed = self.observed[rows][:, list(self.used)]
+        rms = observed.square().mean(dim=2, keepdim=True).sqrt()
+        rms = rms * 10 ** (-self.observer.settings.snr_db / 20)
+        expected = self.observer.noise_free(ratios)[:, list(self.used)]
+        return ((observed - expected) / rms).flatten(1)
+
+
+@dataclass(frozen=True)
+class EstimateMisfit:
+    """Complex responses estimated from trips, with the covariance of their logarithms.
+
+    With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
+    expected logarithms and r the correlation of neighbouring bins (see `estimate_information`), the
+    residuals are real and imaginary part of L^-1 u sqrt(2 / r).
+
+    Attributes
+    ----------
+    observer : EstimateObserver
+    observed : complex tensor of shape (n_rows, 2, n_freq), [-]
+    covariance : complex tensor of shape (n_rows, 2, 2, n_freq), [-]
+    """
+
+    observer: EstimateObserver
+    observed: Tensor
+    covariance: Tensor
+
+    @property
+    def expected(self) -> float:
+        """Mean square of a residual if the model is true: 1 / r."""
+        return 1 / self._correlation
+
+    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
+        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the estimates `rows`.
+
+        The covariance is that of the observation: it does not move with the ratios.
+        """
+        difference = (self.observed[rows] / self.observer.noise_free(ratios)).log()
+        sigma = self.covariance[rows]
+        first = sigma[:, 0, 0].real.sqrt()
+        mixed = sigma[:, 1, 0] / first
+        second = (sigma[:, 1, 1].real - mixed.abs().square()).sqrt()
+        white_p = difference[:, 0] / first
+        white_s = (difference[:, 1] - mixed * white_p) / second
+        white = torch.stack([white_p.real, white_p.imag, white_s.real, white_s.imag], dim=1)
+        return white.flatten(1) * math.sqrt(2 / self._correlation)
+
+    @property
+    def _correlation(self) -> float:
+        correlation = self.observer.settings.welch.correlation()
+        return float(2 * correlation.sum() - correlation[0])
+
+
+Misfit = CurveMisfit | EstimateMisfit
