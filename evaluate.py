@@ -20,6 +20,11 @@ SOME_WITHOUT_ESTIMATE = 2
 @hydra.main(version_base="1.3", config_path="configs", config_name="evaluate")
 @command_line.task
 def main(config: DictConfig) -> None:
+    if config.study is not None:
+        command_line.n_threads(config.threads)
+        command_line.save_config(config, command_line.run_folder())
+        instantiate(config.study, folder=command_line.run_folder())
+        return
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     runs, output = find_runs(Path(config.run)), command_line.run_folder()

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
@@ -37,6 +39,7 @@ def run(main: Callable[[], Any]) -> None:
     """
     os.environ[DEBUG] = "1"
     try:
+        check_experiment(Path(sys.argv[0]), sys.argv[1:])
         with _one_writer():
             main()
     except KeyboardInterrupt:
@@ -113,6 +116,22 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             raise SystemExit(one_line(error)) from None
 
     return wrapped
+
+
+def check_experiment(program: Path, overrides: Sequence[str]) -> None:
+    """Raise ValueError if an experiment is chosen that is of another program.
+
+    Studies, which have a key `study`, are of evaluate.py; all others are of train.py. Hydra itself
+    would name the first key that does not fit, or start a multirun.
+    """
+    chosen = [re.fullmatch(r"\+*experiment=(.*)", override) for override in overrides]
+    for name in (name for match in chosen if match for name in match[1].split(",")):
+        file = program.parent / "configs" / "experiment" / f"{name}.yaml"
+        if not file.is_file():
+            continue
+        owner = "evaluate.py" if "study" in (yaml.safe_load(file.read_text()) or {}) else "train.py"
+        if program.name != owner:
+            raise ValueError(f"experiment={name} is of {owner}: python {owner} experiment={name}")
 
 
 def one_line(error: BaseException) -> str:

@@ -21,6 +21,7 @@ from suspnet.evaluation.comparison import (
     table6_markdown,
     table6_records,
 )
+from suspnet.studies.ablation import write_ablation
 from suspnet.tracking import RunLog
 
 log = logging.getLogger(__name__)
@@ -89,6 +90,14 @@ class Sensitivity(_Summary):
         table = sensitivity_markdown(records)
         write_atomically(folder / "sensitivity.md", f"{table}\n")
         log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
+
+
+class Ablation(Callback):
+    """What each change about a baseline costs or gains: see `write_ablation`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Compare the jobs of the multirun that has just ended."""
+        write_ablation(Path(config.hydra.sweep.dir))
 
 
 def write_table6(runs: Sequence[Run], folder: Path) -> None:

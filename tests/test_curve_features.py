@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from suspnet.data.storage import dump_arrays, read_arrays, write_atomically
 from suspnet.dynamics import QuarterCar, Vehicle
 from suspnet.features import CurveFeatures
+from suspnet.features.curve import FLOOR
 
 AM96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
 FREQUENCIES = torch.arange(12, 180, 2, dtype=torch.float64) / 20
@@ -37,9 +38,38 @@ NOISY = with_noise(CLEAN, seed=1)
 HEALTHY = torch.stack(QuarterCar(AM96).responses(torch.ones(1, 5), FREQUENCIES), dim=1)[0]
 
 
+MAGNITUDES = CLEAN.abs()
+SPREAD = torch.tensor([[0.04], [0.02]], dtype=torch.float64)
+
+
+def with_white_noise(magnitudes, seed):
+    draws = np.random.default_rng(seed).standard_normal(magnitudes.shape)
+    return magnitudes + SPREAD * torch.as_tensor(draws)
+
+
+NOISY_MAGNITUDES = with_white_noise(MAGNITUDES, seed=1)
+
+
 @functools.cache
 def fitted(**changes):
     return CurveFeatures(**changes).fitted(CLEAN, NOISY, HEALTHY, FREQUENCIES)
+
+
+@functools.cache
+def fitted_to_magnitudes(**changes):
+    return CurveFeatures(**changes).fitted(MAGNITUDES, NOISY_MAGNITUDES, HEALTHY.abs(), FREQUENCIES)
+
+
+def soft_logarithms(magnitudes):
+    """Return asinh(m / 2a) relative to healthy by numpy, both responses side by side."""
+    noise = (NOISY_MAGNITUDES - MAGNITUDES).numpy()
+    floor = FLOOR * np.sqrt(np.mean(noise**2, axis=(0, 2)))
+    rows = [
+        np.arcsinh(magnitudes[:, k].numpy() / (2 * floor[k]))
+        - np.arcsinh(HEALTHY[k].abs().numpy() / (2 * floor[k]))
+        for k in (0, 1)
+    ]
+    return np.hstack(rows), floor
 
 
 @functools.cache
@@ -101,7 +131,50 @@ def test_rows_are_log_magnitude_and_phase_of_each_response():
     np.testing.assert_allclose(basis.mean[3 * n :], angles[1], atol=1e-9)
 
 
+def test_features_of_magnitudes_are_projections_on_numpys_directions():
+    features = fitted_to_magnitudes(n_components=5)
+    (clean, floor), (noisy, _) = soft_logarithms(MAGNITUDES), soft_logarithms(NOISY_MAGNITUDES)
+    mean, noise = clean.mean(axis=0), np.sqrt(np.mean((noisy - clean) ** 2, axis=0))
+    _, singular, directions = np.linalg.svd((clean - mean) / noise, full_matrices=False)
+    np.testing.assert_allclose(features.basis.floor, floor, rtol=1e-12)
+    np.testing.assert_allclose(features.basis.floor, FLOOR * SPREAD[:, 0], rtol=0.02)
+    np.testing.assert_allclose(
+        features.basis.explained, singular[:5] ** 2 / np.sum(singular**2), rtol=1e-9
+    )
+    new = with_white_noise(curves(30, seed=5).abs(), seed=6)
+    table = features.extract(new, FREQUENCIES)
+    expected = ((soft_logarithms(new)[0] - mean) / noise) @ directions[:5].T
+    signs = np.sign(np.sum(expected * table.values.numpy(), axis=0))
+    assert np.abs(expected).max() > 10
+    np.testing.assert_allclose(table.values, expected * signs, rtol=0, atol=1e-7)
+    assert not table.reasons.any()
+
+
 # limit
+
+
+def test_magnitudes_far_above_their_noise_are_taken_as_logarithms():
+    tiny = MAGNITUDES + 1e-9 * (NOISY_MAGNITUDES - MAGNITUDES)
+    features = CurveFeatures(n_components=4).fitted(MAGNITUDES, tiny, HEALTHY.abs(), FREQUENCIES)
+    logarithms = (MAGNITUDES / HEALTHY.abs()).log().flatten(1)
+    torch.testing.assert_close(features.basis.mean, logarithms.mean(dim=0), rtol=0, atol=1e-12)
+    assert features.basis.floor.max() < 1e-6
+
+
+def test_what_noise_buries_is_finite_and_does_not_count():
+    buried = MAGNITUDES.clone()
+    buried[..., 60:] *= 1e-6
+    noisy = with_white_noise(buried, seed=1)
+    assert (noisy[..., 60:] < 0).double().mean() > 0.4
+    features = CurveFeatures(n_components=4).fitted(buried, noisy, buried[0], FREQUENCIES)
+    # there the slope of asinh(m / 2a) is 1 / 2a: the noise of a bin is 1 / (2 FLOOR)
+    below = features.basis.noise.reshape(2, -1)[:, 60:]
+    np.testing.assert_allclose(below, 1 / (2 * FLOOR), rtol=0.2)
+    assert (features.basis.directions.reshape(4, 2, -1)[..., 60:].abs() < 1e-3).all()
+    table = features.extract(noisy, FREQUENCIES)
+    assert table.values.isfinite().all()
+    assert features.extract(-noisy, FREQUENCIES).values.isfinite().all()
+    assert not features.extract(torch.zeros(1, 2, 84).double(), FREQUENCIES).reasons.any()
 
 
 def test_healthy_curve_has_the_features_of_the_mean_taken_away():
@@ -150,6 +223,23 @@ def test_noise_of_every_feature_has_about_unit_variance():
     assert np.abs(correlation).max() < 0.12
 
 
+def test_noise_of_every_feature_of_magnitudes_has_about_unit_variance():
+    features = fitted_to_magnitudes(n_components=6)
+    healthy = HEALTHY.abs().expand(2000, 2, -1)
+    scatter = (
+        features.extract(with_white_noise(healthy, seed=9), FREQUENCIES).values
+        - features.extract(healthy, FREQUENCIES).values
+    )
+    # white noise weighs differently on each vehicle's logarithms: unity is the mean of them all
+    deviations = scatter.std(dim=0)
+    assert ((deviations > 0.5) & (deviations < 1.5)).all()
+    everyone = (
+        features.extract(NOISY_MAGNITUDES, FREQUENCIES).values
+        - features.extract(MAGNITUDES, FREQUENCIES).values
+    )
+    np.testing.assert_allclose(everyone.square().mean(dim=0).sqrt(), 1.0, atol=0.15)
+
+
 def test_directions_are_orthonormal_and_shares_fall():
     basis = fitted(n_components=8).basis
     gram = basis.directions @ basis.directions.T
@@ -188,6 +278,8 @@ def test_curve_with_a_hole_gives_nan_and_a_reason():
     new[2, 1, 0] = complex(math.inf, 0)
     table = features.extract(new, FREQUENCIES)
     assert table.reasons[:, 0].tolist() == [0, 1, 1, 0]
+    words = [CurveFeatures().missing(row.numpy()) for row in table.reasons]
+    assert words == ["", "curve (not finite)", "curve (not finite)", ""]
     assert table.values[[1, 2]].isnan().all()
     assert table.values[[0, 3]].isfinite().all()
     assert features.parts == ("curve",)
@@ -209,6 +301,23 @@ def test_state_is_restored_from_a_file(tmp_path):
     for name, array in features.state().items():
         np.testing.assert_array_equal(restored.state()[name], array)
         assert array.dtype == np.float64
+
+
+def test_state_of_magnitudes_is_restored_and_knows_its_kind(tmp_path):
+    features = fitted_to_magnitudes(n_components=4, low_hz=1.0)
+    path = write_atomically(tmp_path / "basis.safetensors", dump_arrays(features.state()))
+    restored = CurveFeatures(n_components=4, low_hz=1.0).restored(read_arrays(path))
+    new = with_white_noise(curves(4, seed=3).abs(), seed=4)
+    expected = features.extract(new, FREQUENCIES).values
+    assert torch.equal(restored.extract(new, FREQUENCIES).values, expected)
+    for name, array in features.state().items():
+        np.testing.assert_array_equal(restored.state()[name], array)
+    assert "floor" not in fitted(n_components=4).state()
+    # magnitudes are all it needs of curves with phases
+    turned = new * torch.exp(1j * torch.linspace(0, 5, 84, dtype=torch.float64))
+    positive = torch.where(new > 0, turned, new)
+    assert (new[..., FREQUENCIES >= 1] > 0).all()
+    torch.testing.assert_close(restored.extract(positive, FREQUENCIES).values, expected)
 
 
 def test_curves_are_left_untouched():
@@ -283,6 +392,30 @@ def test_arrays_that_do_not_fit_are_rejected(name, shape):
     arrays = fitted(n_components=3).state() | {name: np.zeros(shape)}
     with pytest.raises(ValueError, match=rf"`{name}` must have shape"):
         CurveFeatures().restored(arrays)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("healthy", (2, 84, 2)),
+        ("mean", (4 * 84,)),
+        ("noise", (2 * 84 + 1,)),
+        ("directions", (3, 4 * 84)),
+        ("floor", (1,)),
+    ],
+)
+def test_arrays_of_magnitudes_that_do_not_fit_are_rejected(name, shape):
+    arrays = fitted_to_magnitudes(n_components=3).state() | {name: np.zeros(shape)}
+    with pytest.raises(ValueError, match=rf"`{name}` must have shape"):
+        CurveFeatures().restored(arrays)
+
+
+def test_magnitudes_are_no_curves_with_phases():
+    with pytest.raises(ValueError, match="learnt with phases, these curves are magnitudes"):
+        fitted(n_components=2).extract(MAGNITUDES, FREQUENCIES)
+    arrays = fitted_to_magnitudes(n_components=2).state()
+    with pytest.raises(ValueError, match="`healthy` must have shape"):
+        CurveFeatures().restored({k: v for k, v in arrays.items() if k != "floor"})
 
 
 def test_missing_and_unknown_arrays_are_rejected():

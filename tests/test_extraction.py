@@ -11,6 +11,7 @@ from suspnet.data.noise import add_noise
 from suspnet.dynamics import PARAMETERS
 from suspnet.features import PeakFeatures, PeakReason, findpeaks
 from suspnet.features.extraction import PEAK_NAMES
+from suspnet.features.peaks import PeakFit
 
 GRID = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
 ALL = PeakFeatures(peaks=("secondary", "primary_lower", "primary_upper", "primary_largest"))
@@ -170,7 +171,39 @@ def test_largest_needs_no_secondary_curve(quarter_car):
     assert findpeaks(curves[:, 0, inside], GRID[inside]).valid.all()
 
 
+@pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
+def test_window_scales_the_windows_of_all_fits(quarter_car, task, shape):
+    ratios = torch.as_tensor(task("joint", "all").sample(50, seed=1, stream=0))
+    noisy = add_noise(quarter_car.magnitudes(ratios, GRID), 34.0, seed=0)
+    inside = (GRID >= 0.2) & (GRID <= 15.0)
+    below = 0.3 if shape == "lorentzian" else 0.25
+    for factor in (0.7, 1.0, 1.4):
+        extractor = PeakFeatures(("primary_largest",), shape, window=factor)
+        fit = PeakFit(shape, 0.2, factor * below, factor * below, top=factor * 0.7)
+        peaks = findpeaks(noisy[:, 0, inside], GRID[inside], fit=fit)
+        expected = torch.stack([peaks.position_hz, peaks.height, peaks.width_hz], dim=1)
+        found = extractor.extract(noisy, GRID).values
+        torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
+    assert PeakFeatures(window=1.0) == PeakFeatures()
+
+
+def test_narrower_windows_give_noisier_features(quarter_car):
+    healthy = quarter_car.magnitudes(torch.ones(1, 5), GRID).expand(300, -1, -1)
+    noisy = add_noise(healthy.contiguous(), 34.0, seed=0)
+    narrow, usual = (
+        PeakFeatures(window=factor).extract(noisy, GRID).values.std(dim=0) for factor in (0.5, 1.0)
+    )
+    assert (narrow > usual).all()
+    assert (narrow / usual).max() > 1.5
+
+
 # failure
+
+
+@pytest.mark.parametrize("window", [0.0, -1.0, math.nan, math.inf])
+def test_windows_out_of_range_are_rejected(window):
+    with pytest.raises(ValueError, match="`window` must be > 0"):
+        PeakFeatures(window=window)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +228,13 @@ def test_missing_primary_curve_leaves_the_secondary_feature(quarter_car):
     table = PeakFeatures().extract(curves, GRID)
     assert table.reasons.tolist() == [[0, PeakReason.NOT_FINITE, PeakReason.NOT_FINITE]]
     assert table.values[0].isnan().tolist() == [False] * 3 + [True] * 6
+
+
+def test_missing_peaks_are_named_with_their_reasons():
+    features = PeakFeatures(peaks=("secondary", "primary_lower", "primary_upper"))
+    assert features.missing(np.array([0, 0, 0])) == ""
+    reasons = np.array([PeakReason.NO_MAXIMUM, 0, PeakReason.OUTSIDE_WINDOW])
+    assert features.missing(reasons) == "secondary (no maximum), primary_upper (outside window)"
 
 
 @pytest.mark.parametrize("peaks", [(), ("tertiary",), ("secondary", "primary")])

@@ -12,6 +12,8 @@ from tabulate import tabulate
 
 from suspnet.evaluation.metrics import METRICS
 
+REFINED = "+refine"
+"""Ends the name of a method whose estimates were refined on the curve."""
 MODEL_TITLES = {
     "msvr": "MSVR",
     "svr": "SVR",
@@ -19,6 +21,7 @@ MODEL_TITLES = {
     "linear": "MV-LR",
     "curve_fit": "curve fit",
 }
+MODEL_TITLES |= {f"{name}{REFINED}": f"{title} refined" for name, title in MODEL_TITLES.items()}
 GROUP_OF_OUTPUT = {
     "k_p": "primary",
     "c_p": "primary",
@@ -170,28 +173,28 @@ def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
     return stream.getvalue()
 
 
-def scores_table(
-    scores: Mapping[str, Mapping[str, float]],
-    limit: Mapping[str, Mapping[str, float]],
-    cramer_rao_percent: Mapping[str, float],
-) -> str:
+def scores_table(metrics: Mapping[str, Any]) -> str:
     """Return the scores of one run beside what is possible, as Markdown.
 
-    The last column is the Cramer-Rao bound as a relative standard deviation, inf where a parameter
-    cannot be identified.
+    Parameters
+    ----------
+    metrics : mapping
+        scores, limit, cramer_rao_percent (inf where a parameter cannot be identified), rms_ratio
+        (rms error over the bound) and, of a calibrated model, intervals.
     """
-    rows = [
-        [
-            output,
-            _number(values["mape_percent"]),
-            _number(limit[output]["mape_percent"]),
-            _number(values["rmse"]),
-            _number(limit[output]["rmse"]),
-            _number(cramer_rao_percent[output]),
-        ]
-        for output, values in scores.items()
-    ]
-    header = ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %"]
+    rows = []
+    for output, values in metrics["scores"].items():
+        limit = metrics["limit"][output]
+        row = [values["mape_percent"], limit["mape_percent"], values["rmse"], limit["rmse"]]
+        row += [metrics["cramer_rao_percent"][output], metrics["rms_ratio"][output]]
+        if "intervals" in metrics:
+            interval = metrics["intervals"]["outputs"][output]
+            row += [interval["half_width_percent"], interval["coverage_percent"]]
+        rows.append([output, *map(_number, row)])
+    header = ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %", "rms / bound"]
+    if "intervals" in metrics:
+        level = 100 * metrics["intervals"]["level"]
+        header += [f"{level:g} % interval +- %", "covers %"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import erfcx
 from torch import Tensor
 
 from suspnet.data.curves import CurveObserver
@@ -22,6 +23,10 @@ from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 
 ROWS = 256
+NODES = 24
+"""Of the quadrature over the noise."""
+WIDEST = 1e4
+"""Bounds of so many times the range tell as little as larger ones, which rounding would spoil."""
 FloatArray = NDArray[np.float64]
 
 
@@ -73,9 +78,12 @@ def fisher_information(
 def cramer_rao(information: FloatArray) -> FloatArray:
     """Return the least standard deviations, shape (n, n_parameters); inf where unidentifiable.
 
-    A parameter on which there is no information has the bound inf. A matrix whose scaled form has a
-    condition number above 1e12 has no usable inverse: all of its bounds are inf.
+    A parameter on which there is no information has the bound inf. A matrix that is not finite, or
+    whose scaled form has a condition number above 1e12, has no usable inverse: all of its bounds
+    are inf.
     """
+    finite = np.asarray(np.isfinite(information).all(axis=(1, 2)))
+    information = np.where(finite[:, None, None], information, 0.0)
     diagonal = np.einsum("nii->ni", information)
     unseen = ~(diagonal > 0)
     scale = np.sqrt(np.where(unseen, 1.0, diagonal))
@@ -222,6 +230,43 @@ def best_possible(
 def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> FloatArray:
     """Return the mean bound of each output relative to its value, shape (n_outputs,), [%]."""
     return np.asarray(100 * (bounds / ratios[:, task.output_indices]).mean(axis=0))
+
+
+def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: float) -> FloatArray:
+    """Return the least rms error of one parameter where its range is known, shape (n,), [-].
+
+    An estimate x = theta + s e, e standard normal, is best replaced by the mean of theta given x
+    and low <= theta <= high, all equally likely: the mean of a truncated normal. The error of that
+    mean, averaged over e, is what an estimator that knows the range can reach.
+
+    Parameters
+    ----------
+    bounds : array of shape (n,), [-]
+        s: the Cramer-Rao bounds.
+    ratios : array of shape (n,), [-]
+        theta.
+    low, high : float, [-]
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    s = np.minimum(bounds, WIDEST * (high - low))[:, None]
+    observed = ratios[:, None] + s * nodes
+    a, b = (low - observed) / s, (high - observed) / s
+    error = (observed + s * _truncated_mean(a, b) - ratios[:, None]) ** 2
+    return np.asarray(np.sqrt(error @ (weights / weights.sum())))
+
+
+def _truncated_mean(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the mean of a standard normal number known to lie between a and b.
+
+    (phi(a) - phi(b)) / (Phi(b) - Phi(a)), both over phi(a), which may underflow; mirrored where the
+    interval lies on the left.
+    """
+    left = a + b < 0
+    a, b = np.where(left, -b, a), np.where(left, -a, b)
+    exponent = -(b - a) * (b + a) / 2  # phi(b) / phi(a) = exp(exponent)
+    weight = erfcx(a / math.sqrt(2)) - np.exp(exponent) * erfcx(b / math.sqrt(2))
+    mean = -math.sqrt(2 / math.pi) * np.expm1(exponent) / weight
+    return np.asarray(np.where(left, -mean, mean))
 
 
 def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:

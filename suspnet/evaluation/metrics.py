@@ -1,8 +1,9 @@
-"""MAPE and RMSE of Eqs. (14) and (15), on parameters relative to healthy."""
+"""MAPE and RMSE of Eqs. (14) and (15), on parameters relative to healthy; coverage, width."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_er
 
 METRICS = ("mape_percent", "rmse")
 FloatArray = NDArray[np.float64]
+Limits = tuple[FloatArray, FloatArray]
 
 
 def score(
@@ -31,3 +33,40 @@ def score(
         name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
         for j, name in enumerate(outputs)
     }
+
+
+def interval_scores(
+    actual: FloatArray, limits: Limits, joint: Limits, outputs: Sequence[str]
+) -> dict[str, Any]:
+    """Return how often intervals hold the actual value, and how wide they are.
+
+    Parameters
+    ----------
+    actual : array of shape (n_samples, n_outputs), [-]
+    limits, joint : pairs of such arrays
+        Lower and upper limits for each output, and for all outputs at once.
+    outputs : sequence of str
+
+    Returns
+    -------
+    dict
+        outputs: {output: {"coverage_percent": ..., "half_width_percent": ...}} with the half
+        width relative to the actual value; joint_coverage_percent: all outputs at once.
+    """
+    within = covers(actual, limits)
+    half = 50 * (limits[1] - limits[0]) / actual
+    return {
+        "outputs": {
+            name: {
+                "coverage_percent": 100 * float(within[:, j].mean()),
+                "half_width_percent": float(half[:, j].mean()),
+            }
+            for j, name in enumerate(outputs)
+        },
+        "joint_coverage_percent": 100 * float(covers(actual, joint).all(axis=1).mean()),
+    }
+
+
+def covers(actual: FloatArray, limits: Limits) -> NDArray[np.bool_]:
+    """Return whether each value lies within its limits, (n_samples, n_outputs)."""
+    return np.asarray((limits[0] <= actual) & (actual <= limits[1]))

@@ -8,6 +8,13 @@ the noise-free (v - mu) / s::
 
 so that the noise of every feature has about unit variance and the leading features are those that
 stand out of it most.
+
+Curves may be magnitudes only, with white noise that can make them negative. There v is
+
+    asinh(m / 2a) - asinh(m_healthy / 2a),   a = FLOOR times the rms of the noise,
+
+the logarithm where the magnitude m is well above the floor a, linear below: what the noise buries
+is not blown up.
 """
 
 from __future__ import annotations
@@ -26,6 +33,8 @@ from suspnet.features.extraction import FeatureTable
 FloatArray = NDArray[np.float64]
 MISSING = 1
 """Reason of a curve that is not finite or lies on other bins."""
+FLOOR = 10.0
+"""The logarithm of magnitudes becomes linear at this multiple of the rms of their noise."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +45,15 @@ class CurveBasis:
     ----------
     frequencies_hz : tensor of shape (n_freq,), [Hz]
     healthy : complex tensor of shape (2, n_freq), [-]
-        G_p and G_s of the healthy vehicle.
+        G_p and G_s of the healthy vehicle; real where the curves are magnitudes.
     mean, noise : tensors of shape (4 n_freq,)
-        mu and s: log-magnitude and phase [rad] of G_p, then of G_s.
+        mu and s: log-magnitude and phase [rad] of G_p, then of G_s; of magnitudes (2 n_freq,).
     directions : tensor of shape (n_components, 4 n_freq)
-        B, orthonormal rows.
+        B, orthonormal rows; of magnitudes (n_components, 2 n_freq).
     explained : tensor of shape (n_components,)
         Share of the noise-free variance along each direction.
+    floor : tensor of shape (2,), optional, [-]
+        a, of each response; None where the curves have phases.
     """
 
     frequencies_hz: Tensor
@@ -51,11 +62,12 @@ class CurveBasis:
     noise: Tensor
     directions: Tensor
     explained: Tensor
+    floor: Tensor | None = None
 
 
 @dataclass(frozen=True)
 class CurveFeatures:
-    """Principal components of both complex responses, relative to the healthy vehicle's.
+    """Principal components of both responses or magnitudes, relative to the healthy vehicle's.
 
     Parameters
     ----------
@@ -119,8 +131,9 @@ class CurveFeatures:
         Parameters
         ----------
         clean, noisy : complex tensors of shape (n_curves, 2, n_freq), [-]
-            The same curves without and with the noise of the estimate.
-        healthy : complex tensor of shape (2, n_freq), [-]
+            The same curves without and with noise; magnitudes, if they are real.
+        healthy : tensor of shape (2, n_freq), [-]
+            Complex where the curves are.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
 
         Raises
@@ -130,8 +143,12 @@ class CurveFeatures:
         """
         inside = self._inside(frequencies_hz)
         frequencies, healthy = frequencies_hz[inside], healthy[:, inside]
-        rows = _relative_rows(clean[..., inside], healthy)
-        noise = (_relative_rows(noisy[..., inside], healthy) - rows).square().mean(dim=0).sqrt()
+        clean, noisy = clean[..., inside], noisy[..., inside]
+        floor = None
+        if not clean.is_complex():
+            floor = FLOOR * (noisy - clean).square().mean(dim=(0, 2)).sqrt()
+        rows = _rows(clean, healthy, floor)
+        noise = (_rows(noisy, healthy, floor) - rows).square().mean(dim=0).sqrt()
         mean = rows.mean(dim=0)
         _, singular, directions = torch.linalg.svd((rows - mean) / noise, full_matrices=False)
         share = singular.square() / singular.square().sum()
@@ -144,7 +161,7 @@ class CurveFeatures:
                 f"bins have {len(directions)}"
             )
         leading = directions[:count].contiguous()  # as restored: the same products, bit for bit
-        basis = CurveBasis(frequencies, healthy, mean, noise, leading, share[:count])
+        basis = CurveBasis(frequencies, healthy, mean, noise, leading, share[:count], floor)
         return replace(self, basis=basis)
 
     def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:
@@ -153,7 +170,7 @@ class CurveFeatures:
         Parameters
         ----------
         responses : complex tensor of shape (n_curves, 2, n_freq), [-]
-            G_p and G_s.
+            G_p and G_s, or their magnitudes if the basis was learnt from magnitudes.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
             Bins that hold those of the basis.
 
@@ -165,7 +182,8 @@ class CurveFeatures:
         Raises
         ------
         ValueError
-            If the basis is not fitted or the bins are others.
+            If the basis is not fitted or the bins are others, or it needs phases and there are
+            none.
         """
         basis = self._fitted()
         inside = self._inside(frequencies_hz)
@@ -177,7 +195,14 @@ class CurveFeatures:
                 "the curves lie on other bins than those the features were learnt on: "
                 f"{_span(bins)} instead of {_span(basis.frequencies_hz)}"
             )
-        rows = _relative_rows(responses[..., inside], basis.healthy.to(responses))
+        responses = responses[..., inside]
+        floor = basis.floor
+        if floor is None and not responses.is_complex():
+            raise ValueError("the features were learnt with phases, these curves are magnitudes")
+        if floor is not None:
+            responses = responses.abs() if responses.is_complex() else responses
+            floor = floor.to(responses)
+        rows = _rows(responses, basis.healthy.to(responses), floor)
         values = ((rows - basis.mean.to(rows)) / basis.noise.to(rows)) @ basis.directions.to(rows).T
         missing = ~torch.isfinite(values).all(dim=1)
         return FeatureTable(
@@ -188,11 +213,17 @@ class CurveFeatures:
         """Return features relative to the healthy vehicle's: their difference."""
         return values - healthy
 
+    def missing(self, reasons: NDArray[np.int64]) -> str:
+        """Return what is wrong with a curve, in words, from one row of the reasons."""
+        return "curve (not finite)" if reasons.any() else ""
+
     def state(self) -> dict[str, FloatArray]:
-        """Return the basis as real arrays, for storage."""
+        """Return the basis as real arrays, for storage; only that of magnitudes has a floor."""
         basis = self._fitted()
         arrays = {f.name: getattr(basis, f.name) for f in fields(basis)}
-        arrays["healthy"] = torch.view_as_real(basis.healthy)
+        if basis.floor is None:
+            del arrays["floor"]
+            arrays["healthy"] = torch.view_as_real(basis.healthy)
         return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
 
     def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
@@ -203,22 +234,27 @@ class CurveFeatures:
         ValueError
             If the arrays do not fit together.
         """
-        expected = {f.name for f in fields(CurveBasis)}
+        magnitudes = "floor" in arrays
+        expected = {f.name for f in fields(CurveBasis)} - (set() if magnitudes else {"floor"})
         if set(arrays) != expected:
             raise ValueError(f"the basis must hold {sorted(expected)}, got {sorted(arrays)}")
         tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
         n_freq, n = len(tensors["frequencies_hz"]), len(tensors["directions"])
-        shapes = {
-            "healthy": (2, n_freq, 2),
-            "mean": (4 * n_freq,),
-            "noise": (4 * n_freq,),
-            "directions": (n, 4 * n_freq),
+        n_columns = (2 if magnitudes else 4) * n_freq
+        shapes: dict[str, tuple[int, ...]] = {
+            "healthy": (2, n_freq) if magnitudes else (2, n_freq, 2),
+            "mean": (n_columns,),
+            "noise": (n_columns,),
+            "directions": (n, n_columns),
             "explained": (n,),
         }
+        if magnitudes:
+            shapes["floor"] = (2,)
         for name, shape in shapes.items():
             if tuple(tensors[name].shape) != shape:
                 raise ValueError(f"`{name}` must have shape {shape}, got {arrays[name].shape}")
-        tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
+        if not magnitudes:
+            tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
         return replace(self, basis=CurveBasis(**tensors))
 
     def _fitted(self) -> CurveBasis:
@@ -233,6 +269,14 @@ class CurveFeatures:
         if not bool(inside.any()):
             raise ValueError(f"no bin lies between {low} and {high} Hz: {_span(frequencies_hz)}")
         return inside
+
+
+def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:
+    """Return v of each curve: with phases where there is no floor, else of magnitudes."""
+    if floor is None:
+        return _relative_rows(responses, healthy)
+    scale = 2 * floor[:, None]
+    return (torch.asinh(responses / scale) - torch.asinh(healthy / scale)).flatten(1)
 
 
 def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:

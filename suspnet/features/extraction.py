@@ -7,6 +7,7 @@ is the car body's frequency, near which abs(G_p) dips.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol, Self
@@ -32,7 +33,8 @@ _WINDOWS = {
     "primary_upper": (0.25, 1.0),
     "primary_largest": (0.3, 0.3),
 }
-"""Half widths of the first fit's window, below and above; a Gaussian's are at most ..."""
+"""Half widths of the first fit's window, below and above, if `window` is 1; a Gaussian's are at
+most ..."""
 GAUSSIAN_WINDOW = 0.25
 
 
@@ -76,6 +78,10 @@ class FeatureSet(Protocol):
         """Return features relative to the healthy vehicle's."""
         ...
 
+    def missing(self, reasons: NDArray[np.int64]) -> str:
+        """Return what is missing of one curve and why, in words."""
+        ...
+
     def state(self) -> dict[str, FloatArray]:
         """Return what was learnt from training curves, for storage."""
         ...
@@ -100,11 +106,13 @@ class PeakFeatures:
         Length of the moving average.
     low_hz, high_hz : float, [Hz]
         Band in which peaks are searched.
+    window : float
+        Factor on the windows of all fits, > 0; the smaller, the closer to the top and the noisier.
 
     Raises
     ------
     ValueError
-        If a peak is unknown or the band is empty.
+        If a peak is unknown, the band is empty or `window` is out of range.
     """
 
     peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
@@ -112,6 +120,7 @@ class PeakFeatures:
     smoothing_hz: float = 0.2
     low_hz: float = 0.2
     high_hz: float = 15.0
+    window: float = 1.0
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.peaks if name not in PEAK_NAMES]
@@ -119,6 +128,8 @@ class PeakFeatures:
             raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
         if not 0 < self.low_hz < self.high_hz:
             raise ValueError(f"need 0 < low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
+        if not (math.isfinite(self.window) and self.window > 0):
+            raise ValueError(f"`window` must be > 0, got {self.window}")
 
     kind: ClassVar[str] = "peaks"
     positive: ClassVar[bool] = True
@@ -137,6 +148,14 @@ class PeakFeatures:
     def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
         """Return features relative to the healthy vehicle's: their quotient."""
         return values / healthy
+
+    def missing(self, reasons: NDArray[np.int64]) -> str:
+        """Return which peaks are missing and why, in words, from one row of the reasons."""
+        return ", ".join(
+            f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
+            for peak, reason in zip(self.peaks, reasons, strict=True)
+            if reason
+        )
 
     def state(self) -> dict[str, FloatArray]:
         """Return nothing: it learns no arrays."""
@@ -207,4 +226,11 @@ class PeakFeatures:
         if self.shape == "gaussian":
             below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)
         tilt = UPPER_PEAK_TILT if name == "primary_upper" else 0.0
-        return PeakFit(self.shape, self.smoothing_hz, below, above, tilt)
+        return PeakFit(
+            self.shape,
+            self.smoothing_hz,
+            self.window * below,
+            self.window * above,
+            tilt,
+            top=self.window * PeakFit.top,
+        )

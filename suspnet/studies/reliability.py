@@ -1,0 +1,290 @@
+"""The reliability study: whether intervals hold the truth and what is out of range is flagged.
+
+Everything is measured on curves made anew: intervals on curves like the training curves, over all
+and by slices of each parameter; flags on these and on curves that a model was not trained for.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from numpy.typing import NDArray
+from scipy.stats import norm
+from tabulate import tabulate
+from torch import Tensor
+from tqdm import tqdm
+
+from suspnet.checkpoint import TrainedModel, load_model
+from suspnet.data import TEST, Task
+from suspnet.data.source import BLOCK, quiet
+from suspnet.data.storage import write_atomically, write_json
+from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
+from suspnet.dynamics.vehicle import GEOMETRY
+from suspnet.evaluation.comparison import MODEL_TITLES, records_csv
+from suspnet.evaluation.metrics import covers, interval_scores
+from suspnet.experiment import LEVEL, find_runs, label
+from suspnet.fitting import Problem
+from suspnet.learning import MVGPR
+from suspnet.predicting import Outcome, flags_of, predict_stream
+from suspnet.reliability.scope import KINDS
+from suspnet.studies import figures
+from suspnet.tracking import RunLog
+
+log = logging.getLogger(__name__)
+N_SLICES = 5
+LOW, HIGH = 0.3, 2.5
+"""Ratios to healthy that lie outside any training range."""
+IN_RANGE = "in range"
+FloatArray = NDArray[np.float64]
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """What was measured of one model.
+
+    Attributes
+    ----------
+    name : str
+        Method, protocol and group.
+    intervals : dict
+        As ``interval_scores`` for each kind of interval, with `slices`: the coverage of each
+        output in each fifth of each parameter, {parameter: {output: [..]}}.
+    flags : dict
+        {set of curves: {kind of flag: share [%]}}, with `any`.
+    """
+
+    name: str
+    intervals: dict[str, dict[str, Any]]
+    flags: dict[str, dict[str, float]]
+
+
+def write_reliability(
+    run: str,
+    others: Mapping[str, Any],
+    folder: Path,
+    *,
+    n_test: int,
+    n_odd: int,
+    seed: int,
+    threads: int | None,
+    device: str,
+    progress: bool,
+) -> list[Reliability]:
+    """Write reliability.md, .csv, .json and .png of every model at or below `run`; print tables.
+
+    Parameters
+    ----------
+    run : str
+        Folder of a run, or of a whole multirun.
+    others : mapping
+        Configurations of vehicles of another type than the model's.
+    folder : Path
+    n_test, n_odd : int
+        Curves like the training curves, and of each set unlike them.
+    seed : int
+        Of the curves; not a run's own.
+    threads : int or None
+    device : str
+    progress : bool
+
+    Raises
+    ------
+    FileNotFoundError, ModelFileError
+        If there is no model, or it is damaged.
+    ValueError
+        If a model was not calibrated, or the seed is its own.
+    """
+    # a road vehicle's file sets a speed and a track beside the vehicle
+    vehicles = {name: instantiate(part.get("vehicle", part)) for name, part in others.items()}
+    found = []
+    for path in find_runs(Path(run)):
+        model = load_model(path, device)
+        if model.intervals is None or model.scope is None:
+            raise ValueError(
+                f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
+            )
+        if seed == model.training["seed"]:
+            raise ValueError(f"seed={seed} made the training curves of {path}; give another seed")
+        settings = replace(model.settings, n_test=n_test, cache_dir=None)
+        workers = torch.get_num_threads() if threads is None else threads
+        problem = Problem(model.generator, model.task, settings, seed, workers, progress)
+        found.append(measure(problem, model, vehicles, n_odd))
+    text = "\n".join(markdown(one) for one in found)
+    write_json(folder / "reliability.json", {one.name: vars(one) for one in found})
+    write_atomically(folder / "reliability.csv", records_csv(list(records(found))))
+    write_atomically(folder / "reliability.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text("reliability", text)
+        run_log.figure("reliability", figures.reliability(found), folder)
+    log.info("%s\n-> %s/reliability.*", text, folder)
+    return found
+
+
+def measure(
+    problem: Problem, model: TrainedModel, others: Mapping[str, Vehicle], n_odd: int
+) -> Reliability:
+    """Return coverage and shares of flags of one calibrated model."""
+    outcome = predict_stream(problem, model, TEST, flags=True)
+    assert outcome.flags is not None
+    flags = {IN_RANGE: _shares(outcome.flags.found)}
+    sets = dict(_odd_sets(problem, others, n_odd))
+    observer = problem.source.observer
+    with tqdm(total=len(sets) * n_odd, desc="out of range", disable=quiet(problem.progress)) as bar:
+        for name, (ratios, curves) in sets.items():
+            known = ratios[:, PARAMETERS.index("M_s")] if problem.task.mass_known else None
+            found = []
+            for start in range(0, n_odd, BLOCK):
+                rows = slice(start, start + BLOCK)
+                mass = None if known is None else known[rows]
+                found.append(flags_of(model, observer, curves[rows], mass).found)
+                bar.update(len(found[-1]))
+            flags[name] = _shares(np.concatenate(found))
+    title = f"{MODEL_TITLES[label(model)]}, {model.task.protocol}/{model.task.group}"
+    return Reliability(title, _intervals(problem, model, outcome), flags)
+
+
+def _intervals(
+    problem: Problem, model: TrainedModel, outcome: Outcome
+) -> dict[str, dict[str, Any]]:
+    """Return coverage, width and slices of conformal intervals, and of a GP's own."""
+    intervals, difficulties = model.intervals, outcome.difficulties
+    assert intervals is not None
+    assert difficulties is not None
+    kinds = {
+        "conformal": tuple(
+            intervals.limits(outcome.predicted, difficulties, LEVEL, joint)
+            for joint in (False, True)
+        )
+    }
+    if isinstance(model.estimator, MVGPR) and not model.refined:
+        n_outputs = len(problem.task.outputs)
+        kinds["GP's own"] = tuple(
+            _gp_limits(model, outcome.data.inputs, level)
+            for level in (LEVEL, LEVEL ** (1 / n_outputs))
+        )
+    actual = outcome.data.outputs
+    return {
+        kind: interval_scores(actual, single, joint, problem.task.outputs)
+        | {"slices": _slices(problem.task, outcome.data.ratios, covers(actual, single))}
+        for kind, (single, joint) in kinds.items()
+    }
+
+
+def _gp_limits(
+    model: TrainedModel, inputs: FloatArray, level: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return limits by the standard deviation that a Gaussian process gives itself."""
+    assert model.output_scaling is not None
+    mean, deviation = model.estimator.predict(model.scaled(inputs), return_std=True)
+    half = norm.ppf((1 + level) / 2) * deviation
+    return model.output_scaling.undo(mean - half), model.output_scaling.undo(mean + half)
+
+
+def _slices(
+    task: Task, ratios: FloatArray, within: NDArray[np.bool_]
+) -> dict[str, dict[str, list[float]]]:
+    """Return the coverage [%] of each output in each fifth of each parameter that varies."""
+    slices: dict[str, dict[str, list[float]]] = {}
+    for name in task.varied:
+        low, high = task.limits(name)
+        column = ratios[:, PARAMETERS.index(name)]
+        place = np.clip(((column - low) / (high - low) * N_SLICES).astype(int), 0, N_SLICES - 1)
+        slices[name] = {
+            output: [_share(within[place == k, j]) for k in range(N_SLICES)]
+            for j, output in enumerate(task.outputs)
+        }
+    return slices
+
+
+def _share(within: NDArray[np.bool_]) -> float:
+    return 100 * float(within.mean()) if len(within) else math.nan
+
+
+def _odd_sets(
+    problem: Problem, others: Mapping[str, Vehicle], n_odd: int
+) -> Iterator[tuple[str, tuple[FloatArray, Tensor]]]:
+    """Yield ratios and noisy curves of vehicles and recordings a model was not trained for."""
+    task, observer = problem.task, problem.source.observer
+    ratios = task.sample(n_odd, problem.seed, TEST)
+    for column, name in enumerate(PARAMETERS):
+        for value in (LOW, HIGH):
+            odd = ratios.copy()
+            odd[:, column] = value
+            curves = observer.observe(torch.as_tensor(odd), problem.seed + 1)
+            yield f"{name} at {100 * value:g} %", (odd, curves)
+    curves = observer.observe(torch.as_tensor(ratios), problem.seed + 2)
+    primary, secondary = curves.unbind(1)
+    for words, swapped in {
+        "axle box and bogie swapped": (1 / primary, primary * secondary),
+        "bogie and body swapped": (primary * secondary, 1 / secondary),
+        "axle box and body swapped": (1 / secondary, 1 / primary),
+    }.items():
+        yield words, (ratios, torch.stack(swapped, dim=1))
+    for name, vehicle in others.items():
+        if name != problem.vehicle.name:
+            generator = _generator(problem.generator, vehicle)
+            observer = problem.settings.observer(generator)
+            yield f"vehicle {name}", (ratios, observer.observe(torch.as_tensor(ratios), 1))
+
+
+def _generator(own: QuarterCar | VerticalVehicle, vehicle: Vehicle) -> QuarterCar | VerticalVehicle:
+    """Return the model's own kind of generator for another vehicle, or what its numbers allow."""
+    if all(getattr(vehicle, name) is None for name in GEOMETRY):
+        return QuarterCar(vehicle, own.device)
+    return replace(own, vehicle=vehicle)
+
+
+def _shares(found: NDArray[np.bool_]) -> dict[str, float]:
+    shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
+    return {"any": 100 * float(found.any(axis=1).mean())} | shares
+
+
+def records(found: list[Reliability]) -> Iterator[Record]:
+    """Yield one record for each number measured: model, what, of, value [%]."""
+    for one in found:
+        for kind, scores in one.intervals.items():
+            for output, values in scores["outputs"].items():
+                for what, value in values.items():
+                    yield _record(one, f"{kind} {what}", output, value)
+            joint = scores["joint_coverage_percent"]
+            yield _record(one, f"{kind} coverage_percent", "all at once", joint)
+            for name, by_output in scores["slices"].items():
+                for output, values in by_output.items():
+                    for k, value in enumerate(values):
+                        of = f"{output}, {name} in fifth {k + 1}"
+                        yield _record(one, f"{kind} coverage_percent", of, value)
+        for name, shares in one.flags.items():
+            for kind, value in shares.items():
+                yield _record(one, f"flagged_percent {kind}", name, value)
+
+
+def _record(one: Reliability, what: str, of: str, value: float) -> Record:
+    return {"model": one.name, "what": what, "of": of, "percent": value}
+
+
+def markdown(one: Reliability) -> str:
+    """Return what was measured of one model as Markdown."""
+    rows = []
+    for kind, scores in one.intervals.items():
+        for output, values in scores["outputs"].items():
+            sliced = [v for by in scores["slices"].values() for v in by[output] if math.isfinite(v)]
+            row = [values["half_width_percent"], values["coverage_percent"]]
+            rows.append([kind, output, *row, min(sliced), max(sliced)])
+        rows.append([kind, "all at once", None, scores["joint_coverage_percent"], None, None])
+    title = f"{100 * LEVEL:g} % interval"
+    header = [title, "output", "+- %", "covers %", "least slice %", "largest slice %"]
+    formats = ("", "", ".3g", ".2f", ".1f", ".1f")
+    first = tabulate(rows, header, tablefmt="github", floatfmt=formats, missingval="-")
+    flags = [[name, *shares.values()] for name, shares in one.flags.items()]
+    header = ["curves", "flagged %", "peak missing", "beyond cloud", "out of range", "misfit"]
+    second = tabulate(flags, header, tablefmt="github", floatfmt=".2f")
+    return f"## {one.name}\n\n{first}\n\n{second}\n"
