@@ -25,7 +25,15 @@ def main(config: DictConfig) -> None:
     search = instantiate(config.search) if config.get("search") else None
     folder = command_line.run_folder()
     resolved = command_line.save_config(config, folder)
-    train(problem, model, folder, search=search, config=resolved)
+    train(
+        problem,
+        model,
+        folder,
+        search=search,
+        refine=config.refine,
+        figures=config.figures,
+        config=resolved,
+    )
 
 
 if __name__ == "__main__":

@@ -29,8 +29,10 @@ from suspnet.data.storage import (
 from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
 from suspnet.features import CurveFeatures, PeakFeatures
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
+from suspnet.reliability.intervals import Intervals
+from suspnet.reliability.scope import Scope
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 ESTIMATORS: dict[str, Any] = {
     "msvr": MSVR,
     "svr": SVR,
@@ -42,8 +44,8 @@ ESTIMATORS: dict[str, Any] = {
 GENERATORS: dict[str, type] = {"quarter_car": QuarterCar, "vertical_vehicle": VerticalVehicle}
 SETTINGS: dict[str, type] = {"curves": CurveSettings, "trips": EstimateSettings}
 FEATURE_SETS: dict[str, Any] = {kind.kind: kind for kind in (PeakFeatures, CurveFeatures)}
-PREFIX = "features."
-"""Begins the names of the arrays that belong to the feature set."""
+FEATURES, INTERVALS, SCOPE = "features.", "intervals.", "scope."
+"""Begin the names of the arrays that belong to the feature set, the intervals and the scope."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -77,6 +79,11 @@ class TrainedModel:
         Features of the healthy vehicle, which the inputs are relative to.
     input_scaling, output_scaling : Scaling or None
         None for methods that fit curves directly.
+    refined : bool
+        Whether its estimates are taken further by `refine`.
+    intervals : Intervals or None
+    scope : Scope or None
+        None, both, where the model was not calibrated.
     training : dict
         How the training went.
     """
@@ -89,6 +96,9 @@ class TrainedModel:
     healthy_features: FloatArray
     input_scaling: Scaling | None = None
     output_scaling: Scaling | None = None
+    refined: bool = False
+    intervals: Intervals | None = None
+    scope: Scope | None = None
     training: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -143,6 +153,19 @@ class TrainedModel:
         scaled = self.estimator.predict(self.input_scaling.apply(inputs))
         return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
 
+    def scaled(self, inputs: FloatArray) -> FloatArray:
+        """Return scaled inputs (n_curves, n_inputs); what is missing stays NaN."""
+        if self.input_scaling is None:
+            return np.full_like(inputs, np.nan)
+        unusable = ~np.isfinite(inputs) | (self.input_scaling.log & ~(inputs > 0))
+        return self.input_scaling.apply(np.where(unusable, np.nan, inputs))
+
+    def with_estimates(self, inputs: FloatArray, estimates: FloatArray) -> FloatArray:
+        """Return scaled inputs and scaled estimates side by side: what a difficulty depends on."""
+        if self.output_scaling is None:
+            return estimates
+        return np.column_stack([self.scaled(inputs), self.output_scaling.apply(estimates)])
+
 
 def save_model(folder: Path, model: TrainedModel) -> None:
     """Write model.safetensors, then model.json, each atomically.
@@ -152,8 +175,10 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     OSError
         If the folder cannot be written.
     """
-    extractor = {PREFIX + k: array for k, array in model.task.extractor.state().items()}
-    content = dump_arrays(model.estimator.state() | extractor)
+    arrays = dict(model.estimator.state())
+    for prefix, part in ((FEATURES, model.task.extractor), *_calibration(model)):
+        arrays |= {prefix + name: array for name, array in part.state().items()}
+    content = dump_arrays(arrays)
     description = {
         "schema_version": SCHEMA_VERSION,
         "suspnet_version": suspnet.__version__,
@@ -166,6 +191,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
         "generator": _tagged(model.generator, GENERATORS),
         "task": describe_task(model.task),
         "settings": _tagged(model.settings, SETTINGS),
+        "refined": model.refined,
         "training": model.training,
         "arrays_sha256": hashlib.sha256(content).hexdigest(),
     }
@@ -173,6 +199,11 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     description["description_sha256"] = content_hash(description)
     write_atomically(folder / "model.safetensors", content)
     write_json(folder / "model.json", description)
+
+
+def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | Scope]]:
+    pairs = ((INTERVALS, model.intervals), (SCOPE, model.scope))
+    return [(prefix, part) for prefix, part in pairs if part is not None]
 
 
 def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
@@ -228,8 +259,8 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     if "device" in arguments:
         arguments["device"] = device
     estimator = estimator_type(**arguments)
-    learnt = {k.removeprefix(PREFIX): v for k, v in arrays.items() if k.startswith(PREFIX)}
-    arrays = {k: v for k, v in arrays.items() if not k.startswith(PREFIX)}
+    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, SCOPE)}
+    learnt = parts[FEATURES]
     task = _with_tuples(content["task"])
     extractor = _with_tuples(task["extractor"])
     feature_set = FEATURE_SETS[extractor.pop("kind")](**extractor)
@@ -238,6 +269,8 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
             estimator.restore(arrays)
         if learnt:
             feature_set = feature_set.restored(learnt)
+        intervals = Intervals.restored(parts[INTERVALS]) if parts[INTERVALS] else None
+        scope = Scope.restored(parts[SCOPE]) if parts[SCOPE] else None
     except ValueError as error:
         raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
     generator = dict(content["generator"])
@@ -251,8 +284,17 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
+        refined=content["refined"],
+        intervals=intervals,
+        scope=scope,
         training=content["training"],
     )
+
+
+def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+    """Remove the arrays whose name begins with a prefix; return them without it."""
+    names = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): arrays.pop(name) for name in names}
 
 
 def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import platform
 import subprocess
@@ -16,22 +17,35 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from suspnet import plots
 from suspnet.checkpoint import ModelFileError, TrainedModel, load_model, save_model
 from suspnet.data import TEST, Protocol, Task
 from suspnet.data.storage import write_json
-from suspnet.evaluation.comparison import scores_table
-from suspnet.evaluation.information import best_possible, output_bounds, relative_percent
-from suspnet.evaluation.metrics import METRICS, score
+from suspnet.evaluation.comparison import REFINED, scores_table
+from suspnet.evaluation.information import (
+    best_possible,
+    output_bounds,
+    range_limited,
+    relative_percent,
+)
+from suspnet.evaluation.metrics import METRICS, interval_scores, score
 from suspnet.features import PeakFeatures
-from suspnet.fitting import Outcome, Problem, fit, method_name, predict_stream, tune
+from suspnet.fitting import Problem, fit, method_name, tune
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
+from suspnet.predicting import Outcome, calibrated, predict_stream
+from suspnet.reliability.scope import KINDS
 from suspnet.tracking import RunLog
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]
+FloatArray = NDArray[np.float64]
+LEVEL = 0.9
+"""Probability of the intervals in tables."""
+TOO_GOOD = 4.0
+"""Standard deviations of its sampling error by which an rms error may lie below the limit."""
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
 
 
@@ -41,6 +55,8 @@ def train(
     folder: Path,
     *,
     search: GridSearch | None = None,
+    refine: bool = False,
+    figures: bool = True,
     config: Mapping[str, Any] | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
@@ -56,15 +72,19 @@ def train(
     folder : Path
     search : GridSearch, optional
         Tunes the method first.
+    refine : bool
+        Take the estimates further by Gauss-Newton steps on the curves.
+    figures : bool
+        Whether to draw figures of the run.
     config : mapping, optional
-        The resolved configuration, for the records.
+        The resolved configuration, for the records; its `ablation_name` goes into metrics.json.
 
     Returns
     -------
     dict
         What metrics.json holds; empty where another process (torchrun) writes and tests.
     """
-    name = method_name(estimator)
+    method_name(estimator)
     if search is not None and ranks.together():
         raise ValueError("a search cannot be spread over processes: start it with python")
     if not ranks.first():
@@ -76,21 +96,24 @@ def train(
         if search is not None:
             found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
-        model = fit(problem, estimator, run_log)
+        model = calibrated(problem, replace(fit(problem, estimator, run_log), refined=refine))
         training = model.training
         outcome = predict_stream(problem, model, TEST)
         metrics = {
-            **_headline(problem, name),
-            **_scores(problem, outcome),
+            **_headline(problem, model),
+            **_scores(problem, model, outcome),
             "seconds": training["seconds"] + outcome.seconds,
             "training": training,
         }
         if found is not None:
             metrics["search"] = asdict(found) | {"best": found.best}
+        if config and config.get("ablation_name"):
+            metrics["ablation"] = config["ablation_name"]
         accuracy = {"test_rms_percent": rms_percent(problem.task, outcome)}
         save_model(folder, replace(model, training=training | accuracy))
         _log_hyperparameters(run_log, metrics, training["parameters"])
-        _draw(problem, model, outcome, run_log, folder / "figures", found)
+        if figures:
+            _draw(problem, model, outcome, run_log, folder / "figures", found)
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)
     _report(metrics, folder)
@@ -142,10 +165,10 @@ def evaluate(
     if snr_db is not None:
         settings = replace(settings, snr_db=snr_db)
     problem = Problem(model.generator, task, settings, seed, threads, progress)
-    outcome = predict_stream(problem, model, TEST)
+    outcome = predict_stream(problem, model, TEST, flags=True)
     metrics = {
-        **_headline(problem, model.name),
-        **_scores(problem, outcome),
+        **_headline(problem, model),
+        **_scores(problem, model, outcome),
         "seconds": outcome.seconds,
         "run": str(folder),
     }
@@ -155,6 +178,11 @@ def evaluate(
     write_json(output / "metrics.json", metrics)
     _report(metrics, output)
     return metrics
+
+
+def label(model: TrainedModel) -> str:
+    """Return what a model is called in every table: its method, and whether it is refined."""
+    return model.name + (REFINED if model.refined else "")
 
 
 def rms_percent(task: Task, outcome: Outcome) -> dict[str, float]:
@@ -216,13 +244,13 @@ def environment() -> dict[str, Any]:
     }
 
 
-def _headline(problem: Problem, name: str) -> Metrics:
+def _headline(problem: Problem, model: TrainedModel) -> Metrics:
     return {
         "vehicle": problem.vehicle.name,
         "generator": type(problem.generator).__name__,
         "protocol": problem.task.protocol,
         "group": problem.task.group,
-        "model": name,
+        "model": label(model),
         "n_train": problem.settings.n_train,
         "snr_db": problem.settings.snr_db,
         "seed": problem.seed,
@@ -230,17 +258,51 @@ def _headline(problem: Problem, name: str) -> Metrics:
     }
 
 
-def _scores(problem: Problem, outcome: Outcome) -> Metrics:
+def _scores(problem: Problem, model: TrainedModel, outcome: Outcome) -> Metrics:
     task, data = problem.task, outcome.data
     bounds = output_bounds(task, problem.source.observer, data.ratios)
     spread = relative_percent(task, bounds, data.ratios)
-    return {
+    metrics: Metrics = {
         "scores": score(data.outputs, outcome.predicted, task.outputs),
         "limit": best_possible(task, bounds, data.ratios),
         "cramer_rao_percent": dict(zip(task.outputs, spread.tolist(), strict=True)),
+        "rms_ratio": _rms_ratio(task, outcome, bounds),
         "n_test": outcome.n_asked,
         "n_test_complete": len(data.inputs),
     }
+    if model.intervals is not None and outcome.difficulties is not None:
+        limits = [
+            model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL, joint)
+            for joint in (False, True)
+        ]
+        metrics["intervals"] = interval_scores(data.outputs, limits[0], limits[1], task.outputs)
+        metrics["intervals"]["level"] = LEVEL
+    if outcome.flags is not None:
+        shares = 100 * outcome.flags.found.mean(axis=0)
+        metrics["flagged_percent"] = dict(zip(KINDS, shares.tolist(), strict=True))
+        metrics["flagged_percent"]["any"] = 100 * float(outcome.flags.flagged.mean())
+    return metrics
+
+
+def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, float]:
+    """Return rms relative error over rms relative bound; warn where it is too good to be true."""
+    truth = outcome.data.outputs
+    error = np.sqrt(np.mean((outcome.predicted / truth - 1) ** 2, axis=0))
+    ratios = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
+    scatter = 1 / math.sqrt(2 * len(truth))
+    for j, name in enumerate(task.outputs):
+        if not np.isfinite(bounds[:, j]).all():
+            continue
+        least = range_limited(bounds[:, j], truth[:, j], *task.limits(name)) / truth[:, j]
+        if error[j] < (1 - TOO_GOOD * scatter) * np.sqrt(np.mean(least**2)):
+            log.warning(
+                "%s: rms error %.3g %% lies below the limit of %.3g %% by more than chance and the "
+                "known range explain; do test curves take part in the training?",
+                name,
+                100 * error[j],
+                100 * np.sqrt(np.mean(least**2)),
+            )
+    return dict(zip(task.outputs, ratios.tolist(), strict=True))
 
 
 def _log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any]) -> None:
@@ -317,7 +379,7 @@ def _report(metrics: Metrics, folder: Path) -> None:
     missing = metrics["n_test"] - metrics["n_test_complete"]
     log.info(
         "%s on protocol %s, group %s: %d test curves at %g dB (%d more discarded: a peak is "
-        "missing), %.1f s to fit and predict\n%s\n-> %s",
+        "missing), %.1f s to fit and predict\n%s%s\n-> %s",
         metrics["model"],
         metrics["protocol"],
         metrics["group"],
@@ -325,6 +387,17 @@ def _report(metrics: Metrics, folder: Path) -> None:
         metrics["snr_db"],
         missing,
         metrics["seconds"],
-        scores_table(metrics["scores"], metrics["limit"], metrics["cramer_rao_percent"]),
+        scores_table(metrics),
+        _trust(metrics),
         folder,
     )
+
+
+def _trust(metrics: Metrics) -> str:
+    """Return a line on joint coverage and flags, where a model was calibrated."""
+    words = []
+    if "intervals" in metrics:
+        words.append(f"all outputs at once: {metrics['intervals']['joint_coverage_percent']:.1f} %")
+    if "flagged_percent" in metrics:
+        words.append(f"flagged: {metrics['flagged_percent']['any']:.2f} % of the curves")
+    return "".join(f"\n{part}" for part in words)

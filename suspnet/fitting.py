@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 from tqdm import tqdm
 
 from suspnet.checkpoint import ESTIMATORS, TrainedModel, parameters
 from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
 from suspnet.data.estimates import EstimateSettings
-from suspnet.data.source import BLOCK, quiet, used_responses
-from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
+from suspnet.data.source import quiet
+from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
 from suspnet.learning import MSVR, CurveFit, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.tracking import RunLog
@@ -73,26 +72,6 @@ class Problem:
         return CurveSource(
             self.generator, self.task, self.settings, self.seed, self.threads, self.progress
         )
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Predictions on one stream of curves.
-
-    Attributes
-    ----------
-    data : FeatureData
-        The curves on which every feature was found.
-    predicted : array of shape (n_curves, n_outputs), [-]
-    seconds : float
-    n_asked : int
-        Curves asked for, those with a missing feature included.
-    """
-
-    data: FeatureData
-    predicted: FloatArray
-    seconds: float
-    n_asked: int
 
 
 def method_name(estimator: Any) -> str:
@@ -211,40 +190,6 @@ def _spread(estimator: Any) -> Iterator[None]:
         estimator.set_params(distributed=False)
 
 
-def predict_stream(problem: Problem, model: TrainedModel, stream: int) -> Outcome:
-    """Return a model's estimates for the training or test curves of a problem."""
-    data = problem.source.features(stream)
-    kept = data.complete()
-    start = time.perf_counter()
-    if isinstance(model.estimator, CurveFit):
-        if not isinstance(problem.settings, CurveSettings):
-            raise ValueError(
-                "model=curve_fit fits magnitudes with white noise; it cannot be used with "
-                "data=trips"
-            )
-        predicted = _fit_curves(problem, model.estimator, data, stream)[data.valid]
-    else:
-        predicted = model.predict(kept.inputs)
-    return Outcome(kept, predicted, time.perf_counter() - start, len(data.inputs))
-
-
-def curve_model(
-    generator: ResponseGenerator, task: Task, frequencies_hz: Tensor
-) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return curves (n, n_responses, n_freq) as a function of the unknown and the known ratios."""
-    used = used_responses(task)
-
-    def forward(unknown: Tensor, known: Tensor) -> Tensor:
-        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
-        if task.mass_known:
-            columns["M_s"] = known[:, 0]
-        healthy = torch.ones_like(unknown[:, 0])
-        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
-        return generator.magnitudes(ratios, frequencies_hz)[:, used]
-
-    return forward
-
-
 def _summary(estimator: Any) -> dict[str, Any]:
     """Return the scalar fitted attributes of an estimator, and its parameters."""
     fitted = {
@@ -279,28 +224,3 @@ class _Told:
             step = values.pop(next(iter(values)))
             self._log.scalars(self._name, values, step)
             self._bar.set_postfix({k: f"{v:.3g}" for k, v in list(values.items())[:2]})
-
-
-def _fit_curves(problem: Problem, method: CurveFit, data: FeatureData, stream: int) -> FloatArray:
-    task, source = problem.task, problem.source
-    forward = curve_model(problem.generator, task, problem.settings.frequencies_hz())
-    known = torch.as_tensor(
-        data.ratios[:, [PARAMETERS.index("M_s")]] if task.mass_known else data.ratios[:, :0]
-    )
-    used, unknown = used_responses(task), task.unknown
-    estimates = []
-    with tqdm(total=len(data.ratios), desc="curve fit", disable=quiet(problem.progress)) as bar:
-        for block in range(source.n_blocks(len(data.ratios))):
-            rows = slice(block * BLOCK, (block + 1) * BLOCK)
-            observed = source.curves(data.ratios, stream, block)[:, used]
-            solution = method.fit_curves(
-                forward,
-                observed,
-                known[rows].to(observed),
-                task.lower,
-                task.upper,
-                len(unknown),
-            )
-            estimates.append(solution.parameters.cpu().numpy())
-            bar.update(len(observed))
-    return np.concatenate(estimates)[:, [unknown.index(name) for name in task.outputs]]

@@ -20,7 +20,8 @@ import evaluate
 import train
 
 ROOT = Path(__file__).parents[1]
-SMALL = ["data.n_train=300", "data.n_test=100", "data.cache_dir=null", "progress=false"]
+FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
+SMALL = [*FEW, "data.cache_dir=null", "progress=false"]
 RECORD = "protocol group output metric model published measured limit n_train snr_db seed seconds"
 
 
@@ -80,6 +81,32 @@ def test_scores_lie_between_the_limit_and_a_guess(run):
         assert metrics["scores"][output]["mape_percent"] < 5  # a constant guess has about 38
 
 
+def test_intervals_and_flags_are_scored(run, tmp_path):
+    folder, metrics = run
+    assert metrics["intervals"]["level"] == 0.9
+    assert set(metrics["intervals"]["outputs"]) == {"k_p", "c_p"}
+    assert "flagged_percent" not in metrics  # training fits no test curve
+    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=100", "progress=false")
+    for scored in (metrics, fresh):
+        for values in scored["intervals"]["outputs"].values():
+            # at least 33 calibration and 100 test curves: 5 % and 3 %; three of their root sum
+            assert values["coverage_percent"] == pytest.approx(90, abs=18)
+            assert 0.01 < values["half_width_percent"] < 30
+    assert set(fresh["flagged_percent"]) == {"missing", "cloud", "range", "misfit", "any"}
+    assert fresh["flagged_percent"]["any"] < 10
+
+
+def test_refined_run_reaches_the_bound_and_is_called_so(tmp_path):
+    small = [*SMALL, "model=linear", "refine=true", "threads=1"]
+    metrics = run_main(train, tmp_path / "run", *small)
+    assert metrics["model"] == "linear+refine"
+    for ratio in metrics["rms_ratio"].values():
+        assert ratio == pytest.approx(1, abs=0.28)  # 100 curves: 7 %, four of those
+    fresh = run_main(evaluate, tmp_path, f"run={tmp_path / 'run'}", "data.n_test=100", *small[-1:])
+    assert fresh["model"] == "linear+refine"
+    assert fresh["scores"]["c_p"]["rmse"] < 1.5 * metrics["scores"]["c_p"]["rmse"]
+
+
 def test_tensorboard_holds_iterations_figures_and_hyperparameters(run):
     folder, metrics = run
     events = EventAccumulator(str(folder)).Reload()
@@ -127,7 +154,8 @@ def test_evaluate_scores_fresh_curves_alike(run, tmp_path):
 
 def test_evaluate_sees_more_noise(run, tmp_path):
     folder, metrics = run
-    noisy = run_main(evaluate, tmp_path, f"run={folder}", "data.snr_db=26", "progress=false")
+    noise = ["data.snr_db=26", "data.n_test=400", "progress=false"]
+    noisy = run_main(evaluate, tmp_path, f"run={folder}", *noise)
     assert noisy["scores"]["c_p"]["rmse"] > 1.5 * metrics["scores"]["c_p"]["rmse"]
     assert noisy["limit"]["c_p"]["rmse"] > 2 * metrics["limit"]["c_p"]["rmse"]
 
@@ -151,7 +179,7 @@ def test_mass_known_and_mass_estimated(tmp_path):
 
 
 def test_curve_fit_comes_close_to_the_limit(tmp_path):
-    small = ["model=curve_fit", "data.n_test=128", "data.cache_dir=null", "progress=false"]
+    small = [*SMALL, "model=curve_fit", "data.n_test=128", "data.n_calibrate=null"]
     metrics = run_main(train, tmp_path, *small)
     for output in ("k_p", "c_p"):
         ratio = metrics["scores"][output]["rmse"] / metrics["limit"][output]["rmse"]
@@ -227,7 +255,7 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
     assert "interrupted" in errors
     left = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
-    again = ["data.n_train=200", "data.n_test=50", "hydra.run.dir=run", "progress=false"]
+    again = [*FEW, "hydra.run.dir=run", "progress=false"]
     assert command("train.py", *again, cwd=tmp_path).returncode == 0
     assert (tmp_path / "run" / "model.json").exists()
 
@@ -239,8 +267,7 @@ def table6(tmp_path_factory):
         "train.py",
         "experiment=table6",
         "model=linear,msvr",
-        "data.n_train=300",
-        "data.n_test=100",
+        *FEW,
         "progress=false",
         "hydra.sweep.dir=sweep",
         cwd=folder,
@@ -344,6 +371,7 @@ def test_table6_with_every_method(protocol, tmp_path):
         f"protocol={protocol}",
         "data.n_train=500",
         "data.n_test=300",
+        "data.n_calibrate=300",
         "progress=false",
         "hydra.sweep.dir=sweep",
         cwd=tmp_path,

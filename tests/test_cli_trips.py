@@ -36,6 +36,7 @@ RATES = [f"fleet.sensors.{n}.rate_hz={r:g}" for n, r in zip(CHANNELS, RATES_HZ, 
 SIMULATE = ["fleet.minutes=5", "progress=false", "workers=1", *RATES]
 TRAIN = [
     *("experiment=trips", "data.n_train=1000", "data.n_test=100", "data.minutes=5"),
+    "data.n_calibrate=300",
     *("data.rates_hz=[400,250,250]", "data.cache_dir=null", "progress=false", "threads=1"),
     *("model.feature_map=nystroem", "model.n_components=512"),
 ]
@@ -361,7 +362,8 @@ def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, messa
 
 
 def test_run_of_another_protocol_is_refused(trips, no_figures, tmp_path):
-    small = ["data.n_train=300", "data.n_test=16", "data.cache_dir=null", "progress=false"]
+    small = ["data.n_train=300", "data.n_test=16", "data.n_calibrate=150"]
+    small += ["data.cache_dir=null", "progress=false"]
     assert run_program(train, tmp_path / "run", *small, "model=linear", "threads=1") == 0
     given = [f"run={tmp_path / 'run'}", f"trips={trips}", *EVALUATE]
     words = run_program(evaluate, tmp_path / "out", *given)

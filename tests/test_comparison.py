@@ -6,7 +6,9 @@ import math
 
 import pytest
 
+from suspnet.checkpoint import ESTIMATORS
 from suspnet.evaluation.comparison import (
+    MODEL_TITLES,
     PUBLISHED,
     records_csv,
     scores_table,
@@ -35,7 +37,7 @@ KEYS = [
 
 def run(model, outputs, seconds=1.25, snr_db=34.0, protocol="multi_location"):
     """Return the metrics.json of one run, with a figure of its own everywhere."""
-    offset = {"msvr": 0.0, "linear": 5.0, "curve_fit": 0.25}[model]
+    offset = {"msvr": 0.0, "linear": 5.0, "linear+refine": 7.0, "curve_fit": 0.25}[model]
     return {
         "protocol": protocol,
         "model": model,
@@ -209,16 +211,44 @@ def test_sensitivity_records_give_the_precision_of_the_sensor():
     assert [r["limit"] for r in records] == [1.125] * 3 + [0.125] * 3
 
 
+SCORES = ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %", "rms / bound"]
+
+
+def scored(**changes):
+    bounds = {"cramer_rao_percent": {"k_p": 0.157, "c_p": math.inf}}
+    ratios = {"rms_ratio": {"k_p": 1.0249, "c_p": 0.0}}
+    return run("msvr", ("k_p", "c_p")) | bounds | ratios | changes
+
+
 def test_scores_table_puts_each_score_beside_its_limit():
-    one = run("msvr", ("k_p", "c_p"))
-    header, *rows = cells(
-        scores_table(one["scores"], one["limit"], {"k_p": 0.157, "c_p": math.inf})
-    )
-    assert header == ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %"]
+    header, *rows = cells(scores_table(scored()))
+    assert header == SCORES
     assert rows == [
-        ["k_p", "1.50", "0.125", "0.01", "0.0005", "0.157"],
-        ["c_p", "2.50", "1.12", "0.02", "0.0015", "inf"],
+        ["k_p", "1.50", "0.125", "0.01", "0.0005", "0.157", "1.02"],
+        ["c_p", "2.50", "1.12", "0.02", "0.0015", "inf", "0"],
     ]
+
+
+def test_scores_table_of_a_calibrated_model_has_its_intervals():
+    outputs = {
+        "k_p": {"coverage_percent": 90.25, "half_width_percent": 0.314},
+        "c_p": {"coverage_percent": 100.0, "half_width_percent": 12.34},
+    }
+    header, *rows = cells(scores_table(scored(intervals={"level": 0.9, "outputs": outputs})))
+    assert header == [*SCORES, "90 % interval +- %", "covers %"]
+    assert [row[:7] for row in rows] == cells(scores_table(scored()))[1:]
+    assert [row[7:] for row in rows] == [["0.314", "90.25"], ["12.34", "100"]]
+
+
+def test_every_method_has_a_title_refined_or_not():
+    assert MODEL_TITLES["msvr+refine"] == "MSVR refined"
+    assert {name.removesuffix("+refine") for name in MODEL_TITLES} == set(ESTIMATORS)
+    assert len(set(MODEL_TITLES.values())) == len(MODEL_TITLES) == 2 * len(ESTIMATORS)
+    text = table6_markdown(
+        table6_records([run("linear", ("k_p",)), run("linear+refine", ("k_p",))])
+    )
+    assert "MV-LR ours" in text
+    assert "MV-LR refined ours" in text
 
 
 def test_sensitivity_table_has_a_row_for_each_noise():

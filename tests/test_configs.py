@@ -11,11 +11,21 @@ from omegaconf import OmegaConf
 from suspnet.checkpoint import ESTIMATORS
 from suspnet.command_line import check_targets
 from suspnet.data import Protocol
+from suspnet.features import PeakFeatures
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 NAMES = {
     group: sorted(file.stem for file in (CONFIGS / group).glob("*.yaml"))
-    for group in ("vehicle", "protocol", "model", "experiment", "search", "scenario", "generator")
+    for group in (
+        "vehicle",
+        "protocol",
+        "model",
+        "experiment",
+        "ablation",
+        "search",
+        "scenario",
+        "generator",
+    )
 }
 
 
@@ -54,6 +64,22 @@ def test_other_files_show_every_argument(group):
 
 def test_data_file_shows_the_defaults_of_its_class():
     assert instantiate(composed().data) == get_class("suspnet.data.curves.CurveSettings")()
+
+
+@pytest.mark.parametrize("name", NAMES["protocol"])
+def test_protocol_file_shows_every_setting_of_peaks_and_its_default(name):
+    settings = OmegaConf.to_container(composed(f"protocol={name}").protocol.features)
+    parameters = inspect.signature(PeakFeatures).parameters
+    assert settings == {key: p.default for key, p in parameters.items() if key != "peaks"}
+
+
+@pytest.mark.parametrize("name", NAMES["ablation"])
+def test_every_ablation_composes_with_trusted_targets(name):
+    config = composed("experiment=ablation", f"ablation={name}")
+    check_targets(config)
+    assert instantiate(config.protocol).task(config.group).outputs
+    assert type(instantiate(config.model)) is ESTIMATORS["msvr"]
+    assert instantiate(config.data).n_calibrate is None
 
 
 @pytest.mark.parametrize("name", NAMES["vehicle"])
@@ -104,7 +130,8 @@ def test_search_grid_spans_table_v():
 
 @pytest.mark.parametrize("name", NAMES["experiment"])
 def test_every_experiment_composes_with_trusted_targets(name):
-    config = composed(f"experiment={name}")
+    study = "study" in OmegaConf.load(CONFIGS / "experiment" / f"{name}.yaml")
+    config = composed(f"experiment={name}", name="evaluate" if study else "train")
     assert config.job == name
     check_targets(config)
 

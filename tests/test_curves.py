@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from suspnet.data import TEST, TRAIN, CurveSettings, CurveSource, FeatureData
+from suspnet.data import CALIBRATE, TEST, TRAIN, CurveSettings, CurveSource, FeatureData
 from suspnet.data.noise import add_noise, noise_rms
 from suspnet.data.source import BLOCK, used_responses
 from suspnet.data.storage import dump_arrays, read_arrays
 from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.features.curve import FLOOR
 
-SMALL = CurveSettings(n_train=300, n_test=40, cache_dir=None)
+SMALL = CurveSettings(n_train=300, n_test=40, n_calibrate=150, cache_dir=None)
 
 
 @pytest.fixture
@@ -87,6 +88,27 @@ def test_features_are_those_of_the_curves_relative_to_healthy(source, task):
         np.testing.assert_array_equal(data.reasons[rows], table.reasons)
 
 
+def test_whole_curves_become_features_learnt_from_training_magnitudes(source, task):
+    problem = task(feature_set="curve", curve={"n_components": 5, "high_hz": 15.0})
+    made = source(problem=problem)
+    data = made.features(TRAIN)
+    assert data.inputs.shape == (300, 5)
+    assert data.valid.all()
+    basis = made.extractor.basis
+    noisy = torch.cat([made.curves(data.ratios, TRAIN, block) for block in range(3)])
+    noise = noisy - made.noise_free(data.ratios)
+    inside = SMALL.frequencies_hz() <= 15.0 + 1e-9
+    rms = noise[..., inside].square().mean(dim=(0, 2)).sqrt()
+    torch.testing.assert_close(basis.floor, FLOOR * rms, rtol=1e-9, atol=0)
+    assert basis.healthy.shape == (2, int(inside.sum()))
+    table = made.extractor.extract(noisy, SMALL.frequencies_hz())
+    np.testing.assert_allclose(
+        data.inputs, table.values.numpy() - made.healthy_features(), rtol=0, atol=1e-9
+    )
+    # the components stand out of their noise, which is about 1
+    assert (data.inputs.std(axis=0) > 20).all()
+
+
 # limit
 
 
@@ -109,6 +131,7 @@ def test_shapes_and_outputs_of_feature_data(source):
     assert data.reasons.shape == (300, 3)
     np.testing.assert_array_equal(data.outputs, data.ratios[:, :2])
     assert len(source().features(TEST).inputs) == 40
+    assert len(source().features(CALIBRATE).inputs) == 150
     assert data.valid.mean() > 0.9
 
 
@@ -134,6 +157,7 @@ def test_noise_of_a_block_depends_on_seed_stream_and_block_only(source):
     for changed in (
         source(seed=1).curves(ratios, TRAIN, 1),
         made.curves(ratios, TEST, 1),
+        made.curves(ratios, CALIBRATE, 1),
         made.curves(ratios, TRAIN, 0),
     ):
         changed_noise = changed - made.noise_free(ratios[:BLOCK])
@@ -181,6 +205,14 @@ def test_complete_drops_rows_without_a_feature():
     assert kept.reasons.tolist() == [[0], [0]]
 
 
+def test_first_curves_are_the_rows_at_the_front(source):
+    data = source().features(TEST)
+    first = data.first(7)
+    for field in dataclasses.fields(FeatureData):
+        np.testing.assert_array_equal(getattr(first, field.name), getattr(data, field.name)[:7])
+    assert_same(data.first(1000), data)
+
+
 def test_whole_grid_is_made_on_request(source, task):
     problem = task("paper", "secondary", step=0.5, mass_step=0.75)
     data = source(dataclasses.replace(SMALL, n_train="all"), problem).features(TRAIN)
@@ -188,10 +220,13 @@ def test_whole_grid_is_made_on_request(source, task):
     np.testing.assert_array_equal(data.outputs, data.ratios[:, 2:4])
 
 
-def test_progress_bar_counts_curves_on_a_terminal(source, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("stream", "name"), [(TRAIN, "training"), (TEST, "test"), (CALIBRATE, "calibration")]
+)
+def test_progress_bar_counts_curves_on_a_terminal(source, capsys, monkeypatch, stream, name):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    source(progress=True).features(TEST)
-    assert "multi_location/primary test curves: 100%" in capsys.readouterr().err
+    source(progress=True).features(stream)
+    assert f"multi_location/primary {name} curves: 100%" in capsys.readouterr().err
 
 
 def test_progress_bar_stays_out_of_log_files(source, capsys):
@@ -210,7 +245,7 @@ def test_used_responses_are_indices_into_the_curves(task):
 
 @pytest.fixture
 def cached(tmp_path):
-    return CurveSettings(n_train=12, n_test=8, cache_dir=str(tmp_path / "cache"))
+    return CurveSettings(n_train=12, n_test=8, n_calibrate=100, cache_dir=str(tmp_path / "cache"))
 
 
 def test_second_call_reads_the_cache(source, cached, monkeypatch):
@@ -269,12 +304,28 @@ def test_cache_name_changes_with_whatever_the_features_depend_on(
         assert len(list((tmp_path / "cache").iterdir())) == number
     for table in tables[1:]:
         assert not np.array_equal(table, tables[0])
-    variants[0].features(TRAIN)
-    assert len(list((tmp_path / "cache").iterdir())) == len(variants) + 1
+    for more, stream in enumerate((TRAIN, CALIBRATE), start=1):
+        variants[0].features(stream)
+        assert len(list((tmp_path / "cache").iterdir())) == len(variants) + more
+
+
+def test_cache_name_changes_with_what_features_were_learnt_from(source, cached, tmp_path, task):
+    problem = task(feature_set="curve", curve={"n_components": 3}, step=0.5, mass_step=0.1)
+    few, more, everything = (
+        source(dataclasses.replace(cached, n_train=n_train), problem).features(TEST).inputs
+        for n_train in (150, 200, "all")
+    )
+    assert len(list((tmp_path / "cache").iterdir())) == 3
+    assert np.abs(few - more).max() > 1e-3
+    assert np.abs(more - everything).max() > 1e-3
+    # beyond so many, training curves teach no more
+    enough = [source(dataclasses.replace(cached, n_train=n), problem) for n in (5000, 6000)]
+    assert enough[0].describe(TEST) == enough[1].describe(TEST)
+    assert enough[0].describe(TRAIN) != enough[1].describe(TRAIN)
 
 
 def test_cache_name_does_not_change_with_how_the_features_are_made(source, cached):
-    other = dataclasses.replace(cached, cache_dir="elsewhere", n_train=99)
+    other = dataclasses.replace(cached, cache_dir="elsewhere", n_train=99, n_calibrate=None)
     described = source(cached).describe(TEST)
     assert described == source(other, threads=3, progress=True).describe(TEST)
     assert described != source(other).describe(TRAIN)
@@ -292,6 +343,9 @@ def test_cache_name_does_not_change_with_how_the_features_are_made(source, cache
         ({"snr_db": 201}, ValueError, "`data.snr_db` must lie in -20 to 200 dB"),
         ({"n_train": 0}, ValueError, "`data.n_train` must be >= 1, got 0"),
         ({"n_test": -1}, ValueError, "`data.n_test` must be >= 1, got -1"),
+        ({"n_calibrate": 99}, ValueError, "`data.n_calibrate` must be >= 100, got 99"),
+        ({"n_calibrate": "all"}, TypeError, "`data.n_calibrate` must be a whole number or null"),
+        ({"n_calibrate": True}, TypeError, "`data.n_calibrate` must be a whole number or null"),
         ({"n_train": "many"}, TypeError, "`data.n_train` must be a whole number or 'all'"),
         ({"n_train": 10.5}, TypeError, "`data.n_train` must be a whole number or 'all'"),
         ({"n_test": True}, TypeError, "`data.n_test` must be a whole number or 'all'"),

@@ -201,7 +201,7 @@ def test_stated_covariance_is_that_of_the_draws(method):
 def test_mean_and_variance_of_drawn_spectra_are_wisharts():
     source = observer(low_hz=2.0, high_hz=2.9)
     n = 20_000
-    mean = source._expected(RATIOS)
+    mean = source.expected(RATIOS)
     many = CrossSpectra(mean.auto.expand(n, -1, -1), mean.cross.expand(n, -1, -1), mean.n_averages)
     drawn = sample_spectra(many, source._correlating, torch.Generator().manual_seed(0))
     averages = mean.n_averages
@@ -389,6 +389,7 @@ def test_speed_and_track_move_the_densities():
     [
         ({"n_train": 0}, r"`data\.n_train` must be >= 1, got 0"),
         ({"n_test": -1}, r"`data\.n_test` must be >= 1, got -1"),
+        ({"n_calibrate": 99}, r"`data\.n_calibrate` must be >= 100, got 99"),
         ({"speed_m_per_s": 0.1}, r"`data\.speed_m_per_s` must lie between 0\.1 and 200, got 0\.1"),
         ({"speed_m_per_s": 250.0}, r"`data\.speed_m_per_s` must lie between"),
         ({"snr_db": -20.0}, r"`data\.snr_db` must lie between -20 and 200"),
@@ -416,7 +417,11 @@ def test_settings_out_of_range_are_rejected(changes, message):
 
 
 @pytest.mark.parametrize(
-    "name", ["n_train", "n_test", "speed_m_per_s", "snr_db", "minutes", "low_hz", "high_hz"]
+    "name",
+    [
+        *("n_train", "n_test", "n_calibrate"),
+        *("speed_m_per_s", "snr_db", "minutes", "low_hz", "high_hz"),
+    ],
 )
 @pytest.mark.parametrize("value", [True, "7"])
 def test_settings_that_are_no_numbers_are_rejected(name, value):

@@ -14,6 +14,7 @@ from suspnet.evaluation.information import (
     cramer_rao,
     fisher_information,
     output_bounds,
+    range_limited,
     relative_percent,
     scale_ambiguity_limit,
 )
@@ -95,6 +96,39 @@ def test_cramer_rao_of_a_small_matrix_by_hand():
     # inverses: diag(1/4, 1/100) and [[2, -1], [-1, 2]] / 3
     expected = [[0.5, 0.1], [math.sqrt(2 / 3), math.sqrt(2 / 3)]]
     np.testing.assert_allclose(cramer_rao(information), expected, rtol=1e-12)
+
+
+def least_error_by_sums(theta, s, low, high):
+    """Return the rms error of the posterior mean: sums over the noise, and over the range."""
+    noise = np.linspace(-8, 8, 2001)
+    inside = low + (high - low) * (np.arange(3000) + 0.5) / 3000
+    posterior = np.exp(-(((theta + s * noise[:, None] - inside) / s) ** 2) / 2)
+    mean = posterior @ inside / posterior.sum(axis=1)
+    weights = np.exp(-(noise**2) / 2)
+    return math.sqrt(weights @ (mean - theta) ** 2 / weights.sum())
+
+
+@pytest.mark.parametrize("s", [0.02, 0.1, 0.5, 3.0])
+@pytest.mark.parametrize("theta", [0.5, 0.55, 0.8, 1.25, 1.9, 2.0])
+def test_range_limited_error_is_that_of_the_posterior_mean(s, theta):
+    found = range_limited(np.array([s]), np.array([theta]), 0.5, 2.0)[0]
+    # the sum over the range is exact to 1e-4, the quadrature over the noise to a few 1e-3
+    assert found == pytest.approx(least_error_by_sums(theta, s, 0.5, 2.0), rel=5e-3)
+
+
+def test_range_limited_error_is_reached_by_the_best_of_many_estimators():
+    """Draw parameters and estimates; predict the mean of the parameters seen about an estimate."""
+    rng = np.random.default_rng(7)
+    low, high, s, n = 0.5, 2.0, 0.4, 400_000
+    theta = rng.uniform(low, high, (2, n))
+    cells = np.floor((theta + s * rng.standard_normal((2, n)) + 2) / 0.02).astype(int)
+    counts = np.bincount(cells[0], minlength=400)
+    learnt = np.bincount(cells[0], theta[0], minlength=400) / np.maximum(counts, 1)
+    error = learnt[cells[1]] - theta[1]
+    levels = np.linspace(low, high, 601)
+    least = range_limited(np.full(601, s), levels, low, high)
+    assert math.sqrt(np.mean(least**2)) == pytest.approx(error.std(), rel=0.01)
+    assert error.std() < 0.85 * s
 
 
 def test_bounds_of_the_joint_protocol_are_those_of_the_design_page(task, quarter_car):
@@ -305,6 +339,34 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
         assert found[output]["mape_percent"] == pytest.approx(mape)
         assert found[output]["rmse"] == pytest.approx(math.sqrt(np.mean(deviation**2)))
         assert 0 < found[output]["mape_percent"] < 10
+
+
+def test_range_does_not_matter_far_from_its_edges():
+    bounds = np.array([0.001, 0.05, 0.1])
+    found = range_limited(bounds, np.array([0.6, 1.0, 1.25]), 0.5, 2.0)
+    np.testing.assert_allclose(found, bounds, rtol=1e-5)
+    # on an edge the mean is biased as much as it is steadied: E[(e + phi / Phi)^2] = 1
+    edges = range_limited(np.array([0.02, 0.02]), np.array([0.5, 2.0]), 0.5, 2.0)
+    np.testing.assert_allclose(edges, 0.02, rtol=1e-6)
+
+
+@pytest.mark.parametrize("bound", [1e3, 1e6, 1e12, math.inf])
+def test_without_information_the_range_is_all_that_is_known(bound):
+    ratios = np.linspace(0.5, 2.0, 1001)
+    found = range_limited(np.full(1001, bound), ratios, 0.5, 2.0)
+    # the best estimate is then always the middle
+    np.testing.assert_allclose(found, np.abs(ratios - 1.25), atol=1e-3)
+    assert math.sqrt(np.mean(found**2)) == pytest.approx(1.5 / math.sqrt(12), rel=2e-3)
+
+
+def test_matrix_that_is_not_finite_has_no_bounds_and_harms_no_other():
+    information = np.array([np.diag([4.0, 100.0])] * 4)
+    information[1, 0, 1] = math.nan
+    information[2, 1, 1] = math.inf
+    bounds = cramer_rao(information)
+    assert np.isinf(bounds[1:3]).all()
+    np.testing.assert_allclose(bounds[[0, 3]], [[0.5, 0.1]] * 2, rtol=1e-12)
+    assert np.isnan(information[1, 0, 1])
 
 
 def test_parameter_without_any_information_has_no_bound(quarter_car):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.data import TEST, TRAIN, Protocol
+from suspnet.data import CALIBRATE, TEST, TRAIN, Protocol
 from suspnet.dynamics import PARAMETERS
 
 GROUP = {
@@ -64,13 +64,26 @@ def test_sample_lies_on_the_grid_and_leaves_the_rest_healthy(task, group):
 
 
 @pytest.mark.parametrize(("name", "group"), [("multi_location", "primary"), ("joint", "all")])
-def test_train_and_test_vehicles_are_disjoint(task, name, group):
+def test_vehicles_of_the_three_streams_are_disjoint(task, name, group):
     problem = task(name, group)
-    train = as_set(problem.sample(3000, seed=0, stream=TRAIN))
-    test = as_set(problem.sample(1000, seed=0, stream=TEST))
-    assert len(train) == 3000
-    assert len(test) == 1000
+    numbers = {TRAIN: 20_000, TEST: 4000, CALIBRATE: 30_000}  # those of CurveSettings
+    train, test, calibrate = (
+        as_set(problem.sample(n_curves, seed=0, stream=stream))
+        for stream, n_curves in numbers.items()
+    )
+    assert [len(train), len(test), len(calibrate)] == list(numbers.values())
     assert not train & test
+    assert not calibrate & (train | test)
+
+
+def test_calibration_vehicles_of_a_grid_begin_in_the_middle(task):
+    problem = task(step=0.1)
+    shuffled = problem.sample(problem.grid_size - 1, seed=5, stream=TRAIN)
+    half = problem.grid_size // 2
+    found = problem.sample(50, seed=5, stream=CALIBRATE)
+    np.testing.assert_array_equal(found, shuffled[half : half + 50])
+    whole = problem.sample(problem.grid_size, seed=5, stream=CALIBRATE)
+    assert len(as_set(whole)) == problem.grid_size
 
 
 def test_train_and_test_together_can_use_up_the_grid(task):
@@ -83,7 +96,7 @@ def test_train_and_test_together_can_use_up_the_grid(task):
 
 
 @pytest.mark.parametrize(("name", "group"), [("paper", "secondary"), ("joint", "all")])
-@pytest.mark.parametrize("stream", [TRAIN, TEST])
+@pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
 def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, group, stream):
     problem = task(name, group)
     first = problem.sample(256, seed=1, stream=stream)
@@ -92,7 +105,7 @@ def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, gr
 
 
 @pytest.mark.parametrize(("name", "group"), [("paper", "primary"), ("joint", "all")])
-@pytest.mark.parametrize("stream", [TRAIN, TEST])
+@pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
 def test_smaller_sample_is_a_prefix_of_the_larger(task, name, group, stream):
     problem = task(name, group)
     larger = problem.sample(1000, seed=0, stream=stream)
@@ -115,10 +128,11 @@ def test_sobol_points_fill_the_range_evenly(task):
 
 def test_sobol_streams_differ(task):
     problem = task("joint", "all")
-    train, test = (problem.sample(512, seed=0, stream=s) for s in (TRAIN, TEST))
-    assert np.abs(train - test).max() > 0.5
-    distance = np.abs(train[:, None] - test[None]).max(axis=2)
-    assert distance.min() > 1e-3
+    streams = [problem.sample(512, seed=0, stream=s) for s in (TRAIN, TEST, CALIBRATE)]
+    for first, second in itertools.combinations(streams, 2):
+        assert np.abs(first - second).max() > 0.5
+        distance = np.abs(first[:, None] - second[None]).max(axis=2)
+        assert distance.min() > 1e-3
 
 
 def test_range_follows_lower_and_upper(task):
@@ -208,6 +222,12 @@ def test_whole_sobol_sequence_is_rejected(task):
 def test_incomplete_group_is_named():
     with pytest.raises(ValueError, match=r"lacks \['peaks'\]"):
         Protocol("mine", {"primary": {"outputs": ["k_p"], "responses": ["G_p"]}})
+
+
+def test_whole_curves_need_both_responses(protocol):
+    with pytest.raises(ValueError, match=r"uses both responses, protocol 'paper' only \['G_p'\]"):
+        protocol("paper", feature_set="curve")
+    assert protocol("joint", feature_set="curve").task("all").extractor.kind == "curve"
 
 
 def test_names_given_twice_are_rejected(protocol):

@@ -12,8 +12,9 @@ from suspnet.data import TEST, Protocol
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
 from suspnet.experiment import rms_percent
-from suspnet.fitting import Problem, fit, predict_stream
+from suspnet.fitting import Problem, fit
 from suspnet.learning import MSVR
+from suspnet.predicting import predict_stream
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.fleet import Fleet, write_fleet
 from suspnet.simulation.scenarios import Scenario

@@ -3,9 +3,10 @@
 from suspnet.data.curves import CurveSettings
 from suspnet.data.estimates import EstimateSettings
 from suspnet.data.protocols import Protocol, Task
-from suspnet.data.source import TEST, TRAIN, CurveSource, FeatureData
+from suspnet.data.source import CALIBRATE, TEST, TRAIN, CurveSource, FeatureData
 
 __all__ = [
+    "CALIBRATE",
     "TEST",
     "TRAIN",
     "CurveSettings",

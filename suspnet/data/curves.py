@@ -12,6 +12,9 @@ from suspnet.data.noise import add_noise
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.dynamics.generator import sample_unmeasured
 
+LEAST_CALIBRATION = 100
+"""Fewer curves cannot tell a 90 % interval from another."""
+
 
 @dataclass(frozen=True)
 class CurveSettings:
@@ -21,6 +24,8 @@ class CurveSettings:
     ----------
     n_train, n_test : int or "all"
         Curves for training and testing; "all" is the whole grid of the protocol.
+    n_calibrate : int, optional
+        Fresh curves from which intervals and limits are learnt; None gives the model neither.
     snr_db : float, [dB]
         Signal-to-noise ratio of each curve.
     low_hz, high_hz, step_hz : float, [Hz]
@@ -36,6 +41,7 @@ class CurveSettings:
 
     n_train: int | str = 20_000
     n_test: int | str = 4_000
+    n_calibrate: int | None = 30_000
     snr_db: float = 34.0
     low_hz: float = 0.1
     high_hz: float = 20.0
@@ -45,6 +51,7 @@ class CurveSettings:
     def __post_init__(self) -> None:
         for name in ("n_train", "n_test"):
             check_count(name, getattr(self, name))
+        check_calibration(self.n_calibrate)
         for name in ("snr_db", "low_hz", "high_hz", "step_hz"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -97,6 +104,16 @@ class CurveObserver:
         """Return the same with noise; what the generator holds uncertain is drawn too."""
         rows = sample_unmeasured(self.generator, ratios, seed)
         return add_noise(self.noise_free(rows), self.settings.snr_db, seed)
+
+
+def check_calibration(n_calibrate: object) -> None:
+    """Raise TypeError or ValueError unless it is None or a whole number >= 100."""
+    if n_calibrate is None:
+        return
+    if isinstance(n_calibrate, bool) or not isinstance(n_calibrate, int):
+        raise TypeError(f"`data.n_calibrate` must be a whole number or null, got {n_calibrate!r}")
+    if n_calibrate < LEAST_CALIBRATION:
+        raise ValueError(f"`data.n_calibrate` must be >= {LEAST_CALIBRATION}, got {n_calibrate}")
 
 
 def check_count(name: str, value: int | str) -> None:

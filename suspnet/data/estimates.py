@@ -9,6 +9,7 @@ applied to draws of it: bias (H1 in noise), leakage and the noise of each bin ar
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.data.curves import check_count
+from suspnet.data.curves import check_calibration, check_count
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.generator import sample_unmeasured
@@ -25,6 +26,7 @@ from suspnet.features.cross_spectra import METHODS, CrossSpectra, Method
 from suspnet.features.welch import Welch
 
 FloatArray = NDArray[np.float64]
+Responses = Callable[[Tensor, Tensor], Tensor]
 LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
 """The band reaches from this multiple of the first natural frequency to that of the second."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
@@ -39,6 +41,8 @@ class EstimateSettings:
     ----------
     n_train, n_test : int or "all"
         Curves for training and testing.
+    n_calibrate : int, optional
+        Fresh curves from which intervals and limits are learnt; None gives the model neither.
     speed_m_per_s : float, [m/s]
     track : str
         A name of ``suspnet.dynamics.track.TRACKS``.
@@ -67,6 +71,7 @@ class EstimateSettings:
 
     n_train: int | str = 20_000
     n_test: int | str = 4_000
+    n_calibrate: int | None = 30_000
     speed_m_per_s: float = 70.0
     track: str = "german_low"
     short_waves: bool = False
@@ -84,6 +89,7 @@ class EstimateSettings:
     def __post_init__(self) -> None:
         for name in ("n_train", "n_test"):
             check_count(name, getattr(self, name))
+        check_calibration(self.n_calibrate)
         numbers = ("speed_m_per_s", "snr_db", "minutes")
         limits = {"speed_m_per_s": (0.1, 200), "snr_db": (-20, 200), "minutes": (0, 1e5)}
         for name in (*numbers, "low_hz", "high_hz"):
@@ -174,8 +180,8 @@ class EstimateObserver:
         bins = self.frequencies_hz
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
         self._spectrum = track_spectrum(settings.track, settings.short_waves)
-        self._track = torch.as_tensor(self._track_density(self._bins.numpy()))
-        self._noise = self._noise_densities()
+        self._track = torch.as_tensor(self.track_density(self._bins.numpy()))
+        self._noise = self.noise_densities(self._chain, settings.rates_hz)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return what the estimate of G_p and G_s tends to for very long trips.
@@ -190,7 +196,7 @@ class EstimateObserver:
         -------
         complex tensor of shape (n_vehicles, 2, n_freq), [-]
         """
-        return self._expected(ratios).responses(self.settings.method)
+        return self.expected(ratios).responses(self.settings.method)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
         """Return estimates of G_p and G_s, one trip of each vehicle.
@@ -208,17 +214,70 @@ class EstimateObserver:
         """
         unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
         rows = sample_unmeasured(self.generator, ratios, int(unmeasured >> np.uint64(1)))
-        expected = self._expected(rows)
+        expected = self.expected(rows)
         source = torch.Generator(expected.auto.device).manual_seed(int(noise >> np.uint64(1)))
-        drawn = sample_spectra(expected, self._correlating, source)
-        return drawn.responses(self.settings.method)
+        return self._drawn(expected, source)
+
+    def observe_again(self, spectra: CrossSpectra, n_draws: int, seed: int) -> Tensor:
+        """Return estimates of further trips with the same spectra and as many averages.
+
+        Parameters
+        ----------
+        spectra : CrossSpectra
+            Of shape (3, n_freq) on the observer's bins.
+        n_draws : int
+        seed : int
+
+        Returns
+        -------
+        complex tensor of shape (n_draws, 2, n_freq), [-]
+        """
+        auto, cross = (part.expand(n_draws, -1, -1) for part in (spectra.auto, spectra.cross))
+        source = torch.Generator(auto.device).manual_seed(seed)
+        return self._drawn(CrossSpectra(auto, cross, spectra.n_averages), source)
+
+    def _drawn(self, mean: CrossSpectra, source: torch.Generator) -> Tensor:
+        return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
 
     def covariance(self, ratios: Tensor) -> Tensor:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
-        return self._expected(ratios).covariance(self.settings.method)
+        return self.expected(ratios).covariance(self.settings.method)
 
-    def _expected(self, ratios: Tensor) -> CrossSpectra:
-        """Return the mean of the estimated spectra of each vehicle."""
+    def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
+        """Return the power density of the axle box's acceleration, [(m/s^2)^2/Hz].
+
+        Parameters
+        ----------
+        frequencies_hz : array of shape (n_freq,), [Hz]
+        """
+        return acceleration_density(self._spectrum, frequencies_hz, self.settings.speed_m_per_s)
+
+    def noise_densities(self, responses: Responses, rates_hz: Sequence[float]) -> Tensor:
+        """Return the noise density of each of some sensors: see `snr_db`.
+
+        Parameters
+        ----------
+        responses : function
+            Of ratios (1, 5) and frequencies_hz (n,); returns each sensor's response from the axle
+            box, (1, n_sensors, n).
+        rates_hz : sequence of n_sensors floats, [Hz]
+
+        Returns
+        -------
+        tensor of shape (n_sensors,), [(m/s^2)^2/Hz]
+        """
+        densities = []
+        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+        for sensor, rate_hz in enumerate(rates_hz):
+            grid = np.geomspace(WIDE_BAND_LOW_HZ, rate_hz / 2, WIDE_BAND_POINTS)
+            response = responses(healthy, torch.as_tensor(grid))[0, sensor]
+            gain = response.abs().square().cpu().numpy()
+            power = np.trapezoid(gain * self.track_density(grid), grid)
+            densities.append(10 ** (-self.settings.snr_db / 10) * power / (rate_hz / 2))
+        return torch.tensor(densities, dtype=torch.float64)
+
+    def expected(self, ratios: Tensor) -> CrossSpectra:
+        """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
         primary, secondary = self.generator.responses(ratios, self._bins)
         track = self._track.to(primary.device)
         body = primary * secondary
@@ -237,19 +296,7 @@ class EstimateObserver:
             float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
         )
 
-    def _track_density(self, frequencies_hz: FloatArray) -> FloatArray:
-        """Return the power density of the axle box's acceleration, [(m/s^2)^2/Hz]."""
-        return acceleration_density(self._spectrum, frequencies_hz, self.settings.speed_m_per_s)
-
-    def _noise_densities(self) -> Tensor:
-        """Return each sensor's noise density, shape (3,), [(m/s^2)^2/Hz]: see `snr_db`."""
-        densities = []
-        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-        for channel, rate_hz in enumerate(self.settings.rates_hz):
-            grid = np.geomspace(WIDE_BAND_LOW_HZ, rate_hz / 2, WIDE_BAND_POINTS)
-            primary, secondary = self.generator.responses(healthy, torch.as_tensor(grid))
-            links = (torch.ones_like(primary), primary, primary * secondary)
-            response = links[channel][0].abs().square().cpu().numpy()
-            power = np.trapezoid(response * self._track_density(grid), grid)
-            densities.append(10 ** (-self.settings.snr_db / 10) * power / (rate_hz / 2))
-        return torch.tensor(densities, dtype=torch.float64)
+    def _chain(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return the responses from axle box to axle box, bogie and body, (n_vehicles, 3, n)."""
+        primary, secondary = self.generator.responses(ratios, frequencies_hz)
+        return torch.stack([torch.ones_like(primary), primary, primary * secondary], dim=1)

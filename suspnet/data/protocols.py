@@ -94,11 +94,12 @@ class Task:
         return math.prod(len(self.levels(name)) for name in self.varied)
 
     def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return parameter ratios of training (stream 0) or test (stream 1) curves.
+        """Return parameter ratios of training (stream 0), test (1) or calibration (2) curves.
 
-        A grid is shuffled by the seed; training curves are taken from its front and test curves
-        from its end, so the two share no vehicle unless they ask for more than the grid holds.
-        Sobol points are scrambled with a seed of their own for each stream.
+        A grid is shuffled by the seed; training curves are taken from its front, test curves from
+        its end and calibration curves from its middle on, so that they share no vehicle unless
+        they ask for more than the grid holds. Sobol points are scrambled with a seed of their own
+        for each stream.
 
         Parameters
         ----------
@@ -132,7 +133,8 @@ class Task:
             )
         else:
             shuffled = np.random.default_rng(seed).permutation(total)
-            chosen = shuffled[::-1][:n_curves] if stream else shuffled[:n_curves]
+            ordered = (shuffled, shuffled[::-1], np.roll(shuffled, -(total // 2)))[stream]
+            chosen = ordered[:n_curves]
         index = np.unravel_index(chosen, [len(level) for level in levels])
         return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
 
@@ -252,6 +254,11 @@ class Protocol:
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> PeakFeatures | CurveFeatures:
         if self.feature_set == "curve":
+            if set(entry["responses"]) != set(RESPONSES):
+                raise ValueError(
+                    f"the feature set `curve` uses both responses, protocol {self.name!r} only "
+                    f"{list(entry['responses'])}: take feature_set=peaks or another protocol"
+                )
             return CurveFeatures(**self.curve)
         return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
 

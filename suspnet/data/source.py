@@ -40,7 +40,9 @@ BLOCK = 128
 BATCH = 2 * BLOCK
 """Curves whose features are extracted at once: the threads take turns at the interpreter, which
 larger arrays need less."""
-TRAIN, TEST = 0, 1
+TRAIN, TEST, CALIBRATE = 0, 1, 2
+"""Streams of curves: to learn from, to score on, to calibrate intervals on."""
+_NAMES = ("training", "test", "calibration")
 log = logging.getLogger(__name__)
 FloatArray = NDArray[np.float64]
 
@@ -85,6 +87,10 @@ class FeatureData:
             raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
         return self.subset(kept)
 
+    def first(self, n_curves: int) -> FeatureData:
+        """Return the first curves."""
+        return self.subset(np.arange(len(self.inputs)) < n_curves)
+
     def subset(self, rows: NDArray[np.bool_]) -> FeatureData:
         """Return the curves for which `rows` is true, perhaps none."""
         return FeatureData(
@@ -123,13 +129,7 @@ class CurveSource:
 
     @cached_property
     def extractor(self) -> PeakFeatures | CurveFeatures:
-        """The task's feature set; what it has not learnt yet, it learns from training curves.
-
-        Raises
-        ------
-        ValueError
-            If it needs phases and there are magnitudes only.
-        """
+        """The task's feature set; what it has not learnt yet, it learns from training curves."""
         extractor = self.task.extractor
         if not isinstance(extractor, CurveFeatures) or extractor.basis is not None:
             return extractor
@@ -137,21 +137,17 @@ class CurveSource:
         blocks = range(self.n_blocks(len(ratios)))
         noisy = torch.cat([self.curves(ratios, TRAIN, block) for block in blocks])
         clean = torch.cat([self.noise_free(part) for part in np.array_split(ratios, len(blocks))])
-        if not noisy.is_complex():
-            raise ValueError(
-                "the feature set `curve` needs phases, these curves are magnitudes: use data=trips "
-                "or another protocol"
-            )
         healthy = self.noise_free(np.ones((1, len(PARAMETERS))))[0]
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
 
     def features(self, stream: int, part: slice | None = None) -> FeatureData:
-        """Return training (stream 0) or test (stream 1) features, from the cache if it has them.
+        """Return the features of a stream's curves, from the cache if it has them.
 
         Parameters
         ----------
         stream : int
+            ``TRAIN``, ``TEST`` or ``CALIBRATE``.
         part : slice, optional
             Only these of the batches of ``BATCH`` curves.
 
@@ -172,9 +168,14 @@ class CurveSource:
 
     def ratios(self, stream: int) -> FloatArray:
         """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
-        wanted = self.settings.n_test if stream == TEST else self.settings.n_train
+        wanted = self._wanted(stream)
         n_curves = None if wanted == "all" else int(wanted)
         return self.task.sample(n_curves, self.seed, stream)
+
+    def _wanted(self, stream: int) -> int | str:
+        """Return how many curves a stream has."""
+        settings = self.settings
+        return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
 
     def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:
         """Return the noisy curves of one block of vehicles, shape (<= BLOCK, 2, n_freq)."""
@@ -234,10 +235,10 @@ class CurveSource:
             reasons[rows] = table.reasons.cpu().numpy()
             return len(curves)
 
-        name = f"{self.task.protocol}/{self.task.group} {'test' if stream else 'training'} curves"
+        name = f"{self.task.protocol}/{self.task.group} {_NAMES[stream]} curves"
         n_curves = len(ratios[asked])
         bar = tqdm(total=n_curves, desc=name, unit="curve", disable=quiet(self.progress))
-        with bar, _single_threaded_torch(self.threads), _pool(self.threads) as pool:
+        with bar, single_threaded_torch(self.threads), pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)
         mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
@@ -255,18 +256,21 @@ class CurveSource:
     def describe(self, stream: int) -> dict[str, Any]:
         """Return everything that the features depend on, as JSON-able values."""
         settings = asdict(self.settings)
-        del settings["cache_dir"], settings["n_train"], settings["n_test"]
-        wanted = self.settings.n_test if stream == TEST else self.settings.n_train
+        for name in ("cache_dir", "n_train", "n_test", "n_calibrate"):
+            del settings[name]
         description = {
             "generator": [type(self.generator).__name__, asdict(self.generator)],  # type: ignore[call-overload]
             "task": describe_task(self.task),
             "settings": [type(self.settings).__name__, settings],
-            "n_curves": wanted,
+            "n_curves": self._wanted(stream),
             "seed": self.seed,
             "stream": stream,
             "version": suspnet.__version__,
             "code": _code_hash(),
         }
+        if isinstance(self.task.extractor, CurveFeatures):
+            wanted = self._wanted(TRAIN)
+            description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
         plain: dict[str, Any] = json.loads(json.dumps(description))
         return plain
 
@@ -310,7 +314,7 @@ def _code_hash() -> str:
 
 
 @contextmanager
-def _single_threaded_torch(workers: int) -> Iterator[None]:
+def single_threaded_torch(workers: int) -> Iterator[None]:
     """Let blocks, not operations, share the cores: the arrays of a block are too small to split."""
     before = torch.get_num_threads()
     torch.set_num_threads(1 if workers > 1 else before)
@@ -321,7 +325,7 @@ def _single_threaded_torch(workers: int) -> Iterator[None]:
 
 
 @contextmanager
-def _pool(workers: int) -> Iterator[ThreadPoolExecutor]:
+def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
     """Yield a pool that drops what is still waiting when it is left by an error or Ctrl-C."""
     pool = ThreadPoolExecutor(workers)
     try:

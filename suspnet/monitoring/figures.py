@@ -1,4 +1,4 @@
-"""Figures of trips: signals, responses, health along the mileage and quality of the recordings."""
+"""Figures of trips: signals, responses and quality of the recordings."""
 
 from __future__ import annotations
 
@@ -14,15 +14,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from suspnet.monitoring.records import OK, TripCurves, TripResult
-from suspnet.monitoring.trend import PAYLOAD
-from suspnet.plots import SUSPENSIONS, SYMBOLS
+from suspnet.plots import SUSPENSIONS
 
 FloatArray = NDArray[np.float64]
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
-ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
 MILEAGE_LABEL = "mileage [1000 km]"
-LEAST_SPAN_PERCENT = 2.0
-"""No axis of a parameter is finer than this, so that mere spread looks like spread."""
 BAND = 1.96
 """Standard deviations on each side of 95 % of normally distributed values."""
 LARGEST_BAND = 3.0
@@ -45,7 +41,7 @@ def trip_signals(result: TripResult) -> Figure:
     curves = result.curves
     if curves is None or not np.isfinite(curves.overview_mean).any():
         for axis in axes:
-            _say(axis, "no signals")
+            say(axis, "no signals")
         axes[3].set_xlabel("time")
         return figure
     minutes = curves.overview_s.max() > 300
@@ -80,7 +76,7 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
-    shown = [(r.mileage_km / 1000, r.curves) for r in _by_mileage(results) if r.curves is not None]
+    shown = [(r.mileage_km / 1000, r.curves) for r in by_mileage(results) if r.curves is not None]
     mileage = np.array([km for km, _ in shown])
     distinct = len(np.unique(mileage[np.isfinite(mileage)]))
     scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if distinct > 1 else None
@@ -98,7 +94,7 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
             axis.margins(x=0)
             axis.grid(True, which="both", alpha=0.3)
             if not shown:
-                _say(axis, "no trip has curves")
+                say(axis, "no trip has curves")
     axes[0][0].set_ylabel("magnitude")
     axes[1][0].set_ylabel("coherence")
     handles, labels = axes[0][0].get_legend_handles_labels()
@@ -109,53 +105,6 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
     return figure
 
 
-def health_trend(results: Sequence[TripResult], outputs: Sequence[str]) -> Figure:
-    """Each parameter in % of healthy along the mileage (Fig. 10).
-
-    Dots are trips, the line is their running median; a red tick at the bottom is a trip without
-    an estimate, a thin black line the truth of simulated trips. Trips without a mileage are left
-    out, and counted in the title.
-
-    Parameters
-    ----------
-    results : sequence of TripResult
-        In any order.
-    outputs : sequence of str
-        From ``SYMBOLS``.
-    """
-    figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
-    axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
-    placed = _by_mileage(r for r in results if np.isfinite(r.mileage_km))
-    mileage = np.array([r.mileage_km / 1000 for r in placed])
-    for axis, name in zip(axes, outputs, strict=True):
-        axis.set_ylabel(f"{SYMBOLS[name]} [% of {'nominal' if name == PAYLOAD else 'healthy'}]")
-        values = _percent([r.estimates.get(name, np.nan) for r in placed])
-        truth = _percent([r.truth.get(name, np.nan) for r in placed])
-        known, known_truth = np.isfinite(values), np.isfinite(truth)
-        if known.any():
-            _points(axis, mileage[known], values[known])
-        else:
-            _say(axis, "no trip with an estimate and a mileage", keep_x=len(mileage) > 0)
-        if known.any() and known_truth.any():
-            style: dict[str, Any] = (
-                {"lw": 0.8} if known_truth.sum() > 1 else {"marker": "x", "ls": ""}
-            )
-            axis.plot(
-                mileage[known_truth],
-                truth[known_truth],
-                color=TRUTH_COLOUR,
-                label="truth (simulated)",
-                **style,
-            )
-        _mark_missing(axis, mileage[~known])
-        if known.any():
-            _widen(axis)
-    axes[-1].set_xlabel(MILEAGE_LABEL)
-    figure.align_ylabels(axes)
-    _legend(figure, axes, len(results) - len(placed))
-    return figure
-
-
 def quality(results: Sequence[TripResult]) -> Figure:
     """Averages, coherence and usable share of each trip along the mileage.
 
@@ -163,7 +112,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(3, 1, sharex=True))
-    placed = _by_mileage(r for r in results if np.isfinite(r.mileage_km))
+    placed = by_mileage(r for r in results if np.isfinite(r.mileage_km))
     mileage = np.array([r.mileage_km / 1000 for r in placed])
     done = np.array([r.status == OK for r in placed], dtype=bool)
     panels = (
@@ -183,7 +132,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     for axis in axes:
         axis.grid(True, alpha=0.3)
         if not placed:
-            _say(axis, "no trip with a mileage")
+            say(axis, "no trip with a mileage")
     most = np.nan_to_num([r.quality.n_averages for r in placed]).max(initial=0.0)
     axes[0].set_ylim(0, 1.1 * most or 1.0)
     if placed:
@@ -194,80 +143,9 @@ def quality(results: Sequence[TripResult]) -> Figure:
     return figure
 
 
-def running_median(values: FloatArray, window: int = 5) -> FloatArray:
-    """Return the median of the `window` values around each; the window shrinks at the ends.
-
-    Parameters
-    ----------
-    values : array of shape (n_trips,)
-        In the order of the mileage, without NaN.
-    window : int
-        Odd.
-    """
-    half = window // 2
-    return np.array(
-        [np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))]
-    )
-
-
-def _by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
+def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
     """Return trips in ascending order; those without a mileage first."""
     return sorted(results, key=lambda r: r.mileage_km if np.isfinite(r.mileage_km) else -np.inf)
-
-
-def _percent(ratios: Sequence[float]) -> FloatArray:
-    return 100 * np.array(ratios, dtype=float)
-
-
-def _points(axis: Axes, mileage: FloatArray, values: FloatArray) -> None:
-    axis.plot(mileage, values, ".", ms=6, color=ESTIMATE_COLOUR, label="trip")
-    if len(values) > 2:
-        axis.plot(
-            mileage,
-            running_median(values),
-            color=ESTIMATE_COLOUR,
-            alpha=0.6,
-            label="median of five neighbouring trips",
-        )
-
-
-def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
-    if len(mileage):
-        axis.plot(
-            mileage,
-            np.zeros(len(mileage)),
-            "|",
-            ms=12,
-            mew=2,
-            color=MISSING_COLOUR,
-            transform=axis.get_xaxis_transform(),
-            clip_on=False,
-            label="trip without an estimate",
-        )
-
-
-def _widen(axis: Axes) -> None:
-    """Give the axis at least ``LEAST_SPAN_PERCENT``, and plain numbers."""
-    low, high = axis.get_ylim()
-    half = max(high - low, LEAST_SPAN_PERCENT) / 2
-    axis.set_ylim((low + high) / 2 - half, (low + high) / 2 + half)
-    axis.ticklabel_format(axis="y", useOffset=False)
-    axis.axhline(100, color="0.6", lw=0.8, ls=":", zorder=0)
-    axis.grid(True, alpha=0.3)
-
-
-def _legend(figure: Figure, axes: Sequence[Axes], n_unplaced: int) -> None:
-    """Name every kind of mark once, above the axes."""
-    marks: dict[str, Any] = {}
-    for axis in axes:
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
-            marks.setdefault(label, handle)
-    if marks:
-        figure.legend(
-            list(marks.values()), list(marks), loc="outside upper center", ncols=4, fontsize="small"
-        )
-    if n_unplaced:
-        axes[0].set_title(f"without a mileage, not shown: {n_unplaced}", fontsize="small")
 
 
 def _band(axis: Axes, curves: TripCurves, link: int) -> None:
@@ -292,7 +170,7 @@ def _lone_point(time: FloatArray) -> dict[str, Any]:
     return {"marker": "o"} if len(time) == 1 else {}
 
 
-def _say(axis: Axes, text: str, keep_x: bool = False) -> None:
+def say(axis: Axes, text: str, keep_x: bool = False) -> None:
     """Write on empty axes why they are empty."""
     axis.text(0.5, 0.5, text, ha="center", va="center", color="0.4", transform=axis.transAxes)
     axis.set_yticks([])

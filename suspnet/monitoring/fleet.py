@@ -19,7 +19,7 @@ import suspnet
 from suspnet.checkpoint import ModelFileError, TrainedModel
 from suspnet.data.source import quiet
 from suspnet.monitoring.output import summary, write_pages, write_tables
-from suspnet.monitoring.records import TripResult, relative_to_first
+from suspnet.monitoring.records import TripResult, first_trips, relative_to_first
 from suspnet.monitoring.trend import LEAST_PERCENT, Trend, trend
 from suspnet.monitoring.trip import TripSettings, estimate_settings, evaluate_trip, model_speed
 from suspnet.recordings.manifest import find_manifests
@@ -160,7 +160,8 @@ def evaluate_fleet(
         )
     write_tables(results, outputs, output)
     trends = _trends(results, outputs, models)
-    write_pages(results, outputs, trends, output, _details(folder, models, settings))
+    details = _details(folder, models, settings, results)
+    write_pages(results, outputs, trends, output, details, settings.trips.level)
     log.info("%s\n-> %s", summary(results, outputs), output)
     return results
 
@@ -202,25 +203,30 @@ def _trends(
 ) -> list[Trend]:
     """Return each parameter's trend; what the models cannot resolve does not stand out."""
     mileage = np.array([r.mileage_km for r in results])
+    flagged = np.array([bool(r.flags) for r in results])
     trends = []
     for name in outputs:
         rms = max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
         least = max(LEAST_PERCENT, RESOLVED * rms)
         values = np.array([r.estimates.get(name, np.nan) for r in results])
-        trends.append(trend(name, mileage, values, least_percent=least))
+        trends.append(trend(name, mileage, values, least_percent=least, flagged=flagged))
     return trends
 
 
 def _details(
-    folder: Path, models: Sequence[TrainedModel], settings: FleetSettings
+    folder: Path,
+    models: Sequence[TrainedModel],
+    settings: FleetSettings,
+    results: list[TripResult],
 ) -> dict[str, str]:
     first = models[0]
     trained = estimate_settings(first)
-    reference = (
-        "the vehicle's parameters"
-        if settings.reference == "vehicle"
-        else f"the median of the first {settings.n_reference} trips (k and c)"
-    )
+    reference = "the vehicle's parameters"
+    if settings.reference == "first_trips":
+        reference = f"the median of the first {settings.n_reference} trips (k and c)"
+        flagged = sum(bool(r.flags) for r in first_trips(results, settings.n_reference))
+        if flagged:
+            reference += f", {flagged} of them flagged"
     return {
         "trips": str(folder),
         "suspnet": suspnet.__version__,
@@ -231,4 +237,14 @@ def _details(
         "transfer functions": f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
         "healthy is": reference,
+        "intervals": _interval_words(first, settings.trips.level),
     }
+
+
+def _interval_words(model: TrainedModel, level: float) -> str:
+    if model.intervals is None:
+        return "none: the model was trained with data.n_calibrate=null"
+    return (
+        f"{100 * level:g} %, calibrated on {len(model.intervals.conformal.scores)} simulated "
+        "curves that the model was not trained on, then adapted to the noise of each trip"
+    )

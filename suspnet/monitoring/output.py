@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,30 +17,39 @@ from tabulate import tabulate
 
 from suspnet.data.storage import write_atomically, write_json
 from suspnet.monitoring import figures
+from suspnet.monitoring.health_figure import health_trend
 from suspnet.monitoring.records import OK, TripResult
 from suspnet.monitoring.report import write_report
 from suspnet.monitoring.trend import Trend
 from suspnet.tracking import RunLog
 
 KNOWN_ERROR_PERCENT = "rms error %"
+COVERAGE_PERCENT = "intervals hold %"
+TOLD_CHARACTERS = 100
+"""So much of a reason is in the summary; trips.csv has all of it."""
 
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, and the errors where the truth is known."""
-    header = ["trip", "1000 km", *outputs, "averages", "reason"]
+    header = ["trip", "1000 km", *outputs, "averages", "reason or flags"]
     rows = [
         [
             r.trip,
             r.mileage_km / 1000,
             *(r.estimates.get(name) for name in outputs),
             r.quality.n_averages,
-            r.reason,
+            textwrap.shorten(
+                r.reason or r.flags, TOLD_CHARACTERS, placeholder=" \N{HORIZONTAL ELLIPSIS}"
+            ),
         ]
         for r in results
     ]
     errors = errors_percent(results, outputs)
     if errors:
         rows.append([KNOWN_ERROR_PERCENT, None, *(errors[name] for name in outputs), None, None])
+    held = coverage_percent(results, outputs)
+    if held:
+        rows.append([COVERAGE_PERCENT, None, *(held[name] for name in outputs), None, None])
     words = [0, len(header) - 1]
     table = tabulate(
         rows,
@@ -49,7 +59,9 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
         disable_numparse=words,
     )
     done = sum(r.status == OK for r in results)
-    return f"{done} of {len(results)} trips have an estimate\n{table}"
+    flagged = sum(bool(r.flags) for r in results)
+    are = "is" if flagged == 1 else "are"
+    return f"{done} of {len(results)} trips have an estimate, {flagged} {are} flagged\n{table}"
 
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
@@ -60,6 +72,28 @@ def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dic
     return {
         name: 100
         * float(np.sqrt(np.mean([(r.estimates[name] / r.truth[name] - 1) ** 2 for r in known])))
+        for name in outputs
+    }
+
+
+def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return how often the intervals hold the truth, over trips whose truth is known, [%].
+
+    Empty where no trip has both truth and intervals.
+    """
+    known = [
+        r
+        for r in results
+        if r.status == OK
+        and all(n in r.truth and np.isfinite(r.interval(n)).all() for n in outputs)
+    ]
+    if not known:
+        return {}
+    return {
+        name: 100
+        * float(
+            np.mean([r.interval(name)[0] <= r.truth[name] <= r.interval(name)[1] for r in known])
+        )
         for name in outputs
     }
 
@@ -103,11 +137,12 @@ def write_pages(
     trends: Sequence[Trend],
     output: Path,
     details: Mapping[str, str],
+    level: float,
 ) -> None:
     """Write figures, TensorBoard events, metrics.json and report.html."""
     done = [r for r in results if r.status == OK]
     drawn = {
-        "trend": figures.health_trend(results, outputs),
+        "trend": health_trend(results, outputs, level),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
         "quality": figures.quality(results),
@@ -124,11 +159,13 @@ def write_pages(
     metrics = {
         "n_trips": len(results),
         "n_estimated": len(done),
+        "n_flagged": sum(bool(r.flags) for r in results),
         "rms_error_percent": errors,
+        "coverage_percent": coverage_percent(results, outputs),
         "trends": [asdict(one) for one in trends],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
     write_report(
-        output / "report.html", "Suspension report", results, outputs, drawn, trends, details
+        output / "report.html", "Suspension report", results, outputs, drawn, trends, details, level
     )

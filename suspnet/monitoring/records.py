@@ -99,6 +99,11 @@ class TripResult:
         The same relative to the vehicle's nominal parameters.
     truth : dict of float, [-]
         Of simulated trips, relative to the same as `estimates`.
+    half_widths : dict of float, [-]
+        The interval of an estimate reaches from estimate * exp(-half width) to
+        estimate * exp(half width); NaN where the model has no intervals.
+    flags : str
+        What speaks against the estimate; empty if nothing does.
     quality : Quality
     seconds : float, [s]
         Time the evaluation took.
@@ -116,17 +121,26 @@ class TripResult:
     estimates: dict[str, float] = field(default_factory=dict)
     raw: dict[str, float] = field(default_factory=dict)
     truth: dict[str, float] = field(default_factory=dict)
+    half_widths: dict[str, float] = field(default_factory=dict)
+    flags: str = ""
     quality: Quality = field(default_factory=Quality)
     seconds: float = 0.0
     curves: TripCurves | None = None
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return lower and upper limit of a parameter, [-]; NaN where there is none."""
+        value, half = (part.get(name, np.nan) for part in (self.estimates, self.half_widths))
+        return float(value * np.exp(-half)), float(value * np.exp(half))
 
     def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
         """Return the trip as one flat row of a table; the same columns for every trip."""
         head = {
             f: getattr(self, f)
-            for f in ("trip", "mileage_km", "start", "status", "reason", "vehicle", "suspension")
-        }
+            for f in ("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle")
+        } | {"suspension": self.suspension}
         numbers = {name: self.estimates.get(name, np.nan) for name in outputs}
+        for name in outputs:
+            numbers[f"{name}_low"], numbers[f"{name}_high"] = self.interval(name)
         numbers |= {f"{name}_raw": self.raw.get(name, np.nan) for name in outputs}
         numbers |= {f"{name}_truth": self.truth.get(name, np.nan) for name in outputs}
         return (
@@ -140,15 +154,17 @@ class TripResult:
 def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
     """Return results whose k and c are relative to the median of the vehicle's first trips.
 
-    So is the truth, where it is known. The car-body mass stays relative to nominal: pay-load
-    varies from the first trip on.
+    So is the truth, where it is known. The interval widens by the uncertainty of the median, whose
+    variance is pi / 2 times that of a mean of so many trips: right for noise, while errors that
+    last (of a regression without refinement) cancel only as long as the vehicle stays as it is.
+    The car-body mass stays relative to nominal: pay-load varies from the first trip on.
 
     Raises
     ------
     ValueError
         If fewer than `n_first` trips have an estimate.
     """
-    done = sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
+    done = first_trips(results, n_first)
     if len(done) < n_first:
         raise ValueError(
             f"the healthy reference asks for {n_first} first trips, {len(done)} have an estimate; "
@@ -157,10 +173,30 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     names = [name for name in done[0].raw if name != "M_s"]
     estimated = _medians([r.raw for r in done], names)
     true = _medians([r.truth for r in done if set(names) <= set(r.truth)], names)
+    reference = {
+        name: np.sqrt(np.pi / 2 / n_first) * np.median([r.half_widths[name] for r in done])
+        for name in names
+        if all(name in r.half_widths for r in done)
+    }
     return [
-        replace(r, estimates=_divided(r.raw, estimated), truth=_divided(r.truth, true))
+        replace(
+            r,
+            estimates=_divided(r.raw, estimated),
+            truth=_divided(r.truth, true),
+            half_widths={
+                k: float(np.hypot(h, reference.get(k, 0.0))) for k, h in r.half_widths.items()
+            },
+        )
         for r in results
     ]
+
+
+def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:
+    """Return the `n_first` trips of least mileage that have an estimate, or as many as there are.
+
+    Flagged ones are among them: a vehicle that is unlike the model's is so from the first trip on.
+    """
+    return sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
 
 
 def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import statistics
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -38,7 +39,7 @@ CAPTIONS = {
         "Health along the mileage",
         "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look for a "
         "line that leaves its level, not for single dots. Red ticks at the bottom are trips "
-        "without an estimate.",
+        "without an estimate.{intervals}{flags}",
     ),
     "responses": (
         "How the suspension passes vibration on",
@@ -57,6 +58,15 @@ CAPTIONS = {
         "trip more certain.",
     ),
 }
+INTERVALS_SHOWN = (
+    " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
+    "within it, if vehicle and recording are like those of the training. Where no bar is to be "
+    "seen, it is shorter than the dot."
+)
+FLAGS_SHOWN = (
+    " A hollow circle is a flagged trip: it shows something that was not trained for, and its "
+    "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
+)
 SVG_LIMIT = 400_000
 """Figures whose SVG has more bytes than this are embedded as PNG."""
 PNG_DPI = 130
@@ -71,6 +81,7 @@ def write_report(
     figures: Mapping[str, Figure],
     trends: Sequence[Trend],
     details: Mapping[str, str],
+    level: float = 0.9,
 ) -> Path:
     """Write one HTML file that needs no other file and no network.
 
@@ -88,6 +99,8 @@ def write_report(
     trends : sequence of Trend
     details : mapping of str
         Model, settings, version, date.
+    level : float
+        Probability of the intervals.
 
     Returns
     -------
@@ -102,21 +115,37 @@ def write_report(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"number": _number, "thousands": _thousands, "symbol": _symbol}
+    environment.filters |= {
+        "number": _number,
+        "plus_minus": _plus_minus,
+        "thousands": _thousands,
+        "symbol": _symbol,
+    }
     template = environment.from_string(
         resources.files("suspnet.monitoring").joinpath("report.html").read_text(encoding="utf-8")
     )
     trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
     tone, finding = _finding(trends)
+    doubts = _doubts(trips)
+    halves = {name: [_half_width(r, name) for r in trips] for name in outputs}
+    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    shown = {
+        "intervals": INTERVALS_SHOWN.format(level=f"{100 * level:g}") if known else "",
+        "flags": FLAGS_SHOWN if doubts else "",
+    }
     page = template.render(
         title=title,
         headline=_headline(trips),
-        tone=tone,
+        tone="note" if doubts else tone,
         finding=finding,
+        doubts=doubts,
         standing_out=[t for t in trends if t.stands_out],
         trends=trends,
-        figures=[_embedded(name, figures[name]) for name in _ordered(figures)],
+        figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
+        halves=halves,
+        digits={name: _digits(column) for name, column in halves.items()},
+        level=f"{100 * level:g}" if known else "",
         outputs=outputs,
         names=NAMES,
         roles=ROLES,
@@ -136,12 +165,14 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     starts = sorted(r.start for r in trips if r.start)
     dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
     done = sum(r.status == OK for r in trips)
+    flagged = sum(bool(r.flags) for r in trips)
     texts = {
         "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
         "Suspension": ", ".join(dict.fromkeys(r.suspension for r in trips if r.suspension)),
         "Mileage": span,
         "Dates": dates,
-        "Trips": f"{len(trips)}, of which {done} with an estimate",
+        "Trips": f"{len(trips)}, of which {done} with an estimate"
+        + (f", {flagged} of these flagged" if flagged else ""),
     }
     return {label: text for label, text in texts.items() if text}
 
@@ -161,14 +192,45 @@ def _finding(trends: Sequence[Trend]) -> tuple[str, str]:
     return "good", "Nothing stands out: no parameter changed by more than its trips scatter."
 
 
+def _doubts(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on flagged trips; empty if there is none."""
+    done, flagged = sum(r.status == OK for r in trips), sum(bool(r.flags) for r in trips)
+    if not flagged:
+        return ""
+    if flagged == done > 1:
+        return (
+            f"All {done} trips are flagged: what they show was not trained for, so that none of "
+            "these numbers is to be relied on; see the table."
+        )
+    they = "is flagged: what it shows" if flagged == 1 else "are flagged: what they show"
+    return f"{flagged} of {done} trips {they} was not trained for; see the table."
+
+
+def _half_width(result: TripResult, name: str) -> float:
+    """Return half an interval, [% of healthy]; NaN if there is none or the trip is flagged."""
+    low, high = result.interval(name)
+    return math.nan if result.flags else 100 * (high - low) / 2
+
+
+def _digits(half_widths: Sequence[float]) -> int:
+    """Return after how many digits a column of estimates and half widths ends: 1, 2 or 3."""
+    known = [half for half in half_widths if math.isfinite(half) and half > 0]
+    if not known:
+        return 1
+    further = math.ceil(math.log10(0.095 / statistics.median(known)))
+    return 1 + min(max(further, 0), 2)
+
+
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
     known = [name for name in CAPTIONS if name in figures]
     return known + [name for name in figures if name not in CAPTIONS]
 
 
-def _embedded(name: str, figure: Figure) -> dict[str, Any]:
-    """Return a figure's heading, explanation and image, as a data URI."""
-    heading, explanation = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
+def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
+    """Return a figure's heading, explanation with what is `shown`, and image, as a data URI."""
+    heading, explanation = name.replace("_", " ").capitalize(), ""
+    if name in CAPTIONS:
+        heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)
     stream = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "suspnet"}):  # the same figure gives the same bytes
         figure.savefig(stream, format="svg", metadata={"Date": None})
@@ -186,6 +248,13 @@ def _number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
         return NO_NUMBER
     text = f"{value * scale:.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
+
+
+def _plus_minus(half_width: float, digits: int) -> Markup:
+    """Return a half width in small print; nothing if there is none."""
+    if not math.isfinite(half_width):
+        return Markup()
+    return Markup("<small> ± {}</small>").format(_number(half_width, digits))
 
 
 def _thousands(value: float) -> str:

@@ -95,6 +95,7 @@ def trend(
     level: float = LEVEL,
     multiple: float = MULTIPLE,
     least_percent: float = LEAST_PERCENT,
+    flagged: ArrayLike | None = None,
 ) -> Trend:
     """Return whether a parameter at the end differs from the beginning, or has a step.
 
@@ -119,6 +120,9 @@ def trend(
     multiple : float, [-]
     least_percent : float, [% of healthy]
         No smaller change stands out.
+    flagged : bool array of shape (n_trips,), optional
+        Trips whose estimates mean little. They count like the others, a worn part is often out of
+        the range that a model was trained for; the verdict says how many the ends rest on.
 
     Raises
     ------
@@ -143,11 +147,12 @@ def trend(
     head = (parameter, n, ends[0], ends[1], change, spread)
     level_now = ends[1] if n >= 2 * n_ends or n == 0 else float(np.median(known))
     off = parameter != PAYLOAD and abs(100 * (level_now - 1)) > max(LARGE_PERCENT, least_percent)
+    doubts = "" if flagged is None else _doubts(mileage_km, values, flagged, n_compared)
     if n < 2 * n_ends:
         verdict = f"too few trips ({n} of {2 * n_ends}) to tell of a change"
         if off:
             verdict += f"; at {100 * level_now:.0f} % of healthy"
-        return Trend(*head, np.nan, off, verdict)
+        return Trend(*head, np.nan, off, verdict + doubts)
     limit = max(multiple * spread, least_percent)
     step = steps(km, known, level=level / 2)
     p_ends = _welch(first, last)
@@ -163,7 +168,7 @@ def trend(
     stands_out = (ends_differ or has_step) and parameter != PAYLOAD
     if stands_out and abs(100 * (known[-1] - ends[1])) > TOLD_PERCENT:
         verdict += f"; the last trip is at {100 * known[-1]:.0f} %"
-    return Trend(*head, p_value, stands_out or off, verdict)
+    return Trend(*head, p_value, stands_out or off, verdict + doubts)
 
 
 def steps(
@@ -208,6 +213,18 @@ def steps(
     change = 100 * float(np.median(known[size:]) - np.median(known[:size]))
     middle, gap = (km[size - 1] + km[size]) / 2, km[size] - km[size - 1]
     return Step(float(middle), float(gap), size, change, p_value, p_value < level)
+
+
+def _doubts(mileage_km: ArrayLike, values: ArrayLike, flagged: ArrayLike, n_compared: int) -> str:
+    """Return how many of the first and of the last trips are flagged; empty if none is."""
+    known = np.where(np.isfinite(values), np.asarray(flagged, dtype=float), np.nan)
+    ordered = _known(mileage_km, known)[1]
+    ends = {"first": ordered[:n_compared], "last": ordered[len(ordered) - n_compared :]}
+    words = [
+        f"{end.sum():.0f} of the {which} {len(end)}" for which, end in ends.items() if end.any()
+    ]
+    verb = "is" if sum(end.sum() for end in ends.values()) == 1 else "are"
+    return f"; {' and '.join(words)} trips {verb} flagged" if words else ""
 
 
 def _known(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray]:

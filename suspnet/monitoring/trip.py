@@ -16,7 +16,6 @@ from torch import Tensor
 from suspnet.checkpoint import ModelFileError, TrainedModel
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
-from suspnet.features import PeakReason
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
@@ -30,6 +29,7 @@ from suspnet.monitoring.segments import (
     without_incoherent,
     without_loud,
 )
+from suspnet.monitoring.trust import Trusted, trusted
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 
@@ -59,6 +59,8 @@ class TripSettings:
     max_deviation : float, [-]
         If the log-magnitudes are less certain than this (standard deviation, median over the band)
         there is no estimate.
+    level : float
+        Probability that an interval holds the truth.
     check_channels : bool
         Look for wrong units, signs and swapped channels.
 
@@ -74,6 +76,7 @@ class TripSettings:
     min_coherence: float = 0.3
     min_averages: float = 10.0
     max_deviation: float = 0.3
+    level: float = 0.9
     check_channels: bool = True
 
     def __post_init__(self) -> None:
@@ -84,6 +87,7 @@ class TripSettings:
             ("min_coherence", 0, 1),
             ("min_averages", 3, 1e6),
             ("max_deviation", 0, 10),
+            ("level", 0.01, 0.999),
         ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -101,7 +105,7 @@ class _Bin:
     segments: SegmentSpectra
     chosen: Tensor
     speed_m_per_s: float
-    values: FloatArray
+    estimate: Trusted
     doubts: str
 
 
@@ -249,7 +253,8 @@ def _bin(
     if not np.isfinite(inputs).all():
         raise NoEstimateError(f"features are missing: {_missing(model, responses, band)}")
     speed = float(speeds[chosen].mean())
-    return _Bin(model, spectra, band, chosen, speed, model.predict(inputs)[0], doubts)
+    estimate = trusted(model, spectra, inputs, settings.level)
+    return _Bin(model, spectra, band, chosen, speed, estimate, doubts)
 
 
 def _checked(segments: SegmentSpectra, chosen: Tensor, model: TrainedModel) -> str:
@@ -278,21 +283,19 @@ def model_speed(model: TrainedModel) -> float | None:
 def _missing(model: TrainedModel, responses: Tensor, band: SegmentSpectra) -> str:
     extractor = model.task.extractor
     table = extractor.extract(responses[None], band.frequencies_hz)
-    return ", ".join(
-        f"{part} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
-        for part, reason in zip(extractor.parts, table.reasons[0], strict=True)
-        if reason
-    )
+    return extractor.missing(table.reasons[0].numpy())
 
 
 def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) -> TripResult:
     """Average the bins' logarithms, each weighted by its averages.
 
+    So are the half widths of their intervals: models may err alike, so nothing averages out.
     Bins may overlap: a segment that two models read counts once in the quality.
     """
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
-    values = np.exp(weights @ np.log(np.stack([b.values for b in bins])))
+    values = np.exp(weights @ np.log(np.stack([b.estimate.values for b in bins])))
+    half_widths = weights @ np.stack([b.estimate.half_widths for b in bins])
     outputs = bins[0].model.task.outputs
     estimates = dict(zip(outputs, values.tolist(), strict=True))
     coherence = sum(
@@ -319,9 +322,26 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[_Bin]) ->
         status=OK,
         estimates=estimates,
         raw=dict(estimates),
+        half_widths=dict(zip(outputs, half_widths.tolist(), strict=True)),
+        flags=_flags(bins),
         quality=quality,
         curves=_curves(best, recording),
     )
+
+
+def _flags(bins: Sequence[_Bin]) -> str:
+    """Return what speaks against a trip's estimate: of several bins, that of the best one flagged.
+
+    Each bin puts the same into other numbers.
+    """
+    found = [b for b in bins if b.estimate.flags]
+    if not found:
+        return ""
+    worst = max(found, key=lambda b: b.spectra.n_averages)
+    if len(bins) == 1:
+        return worst.estimate.flags
+    at = f"at {worst.speed_m_per_s:.1f} m/s"
+    return f"in {len(found)} of {len(bins)} speed bins, {at}: {worst.estimate.flags}"
 
 
 def _used(bins: Sequence[_Bin]) -> dict[Welch, int]:
