@@ -41,7 +41,7 @@ def test_every_model_instantiates_under_every_protocol(name, protocol):
     groups = instantiate(config.protocol).groups
     for group in groups:
         config.group = group
-        assert type(instantiate(config.model)) is ESTIMATORS[name]
+        assert type(instantiate(config.model)) is ESTIMATORS[name.removesuffix("_table5")]
 
 
 @pytest.mark.parametrize("name", NAMES["model"])
@@ -97,7 +97,8 @@ def test_every_protocol_has_tuned_values_for_its_groups(name):
     assert protocol.name == name
     assert set(config.tuned) == set(protocol.groups) == set(config.groups.split(","))
     assert config.group in protocol.groups
-    assert all(set(values) == {"msvr", "svr", "mvgpr"} for values in config.tuned.values())
+    methods = {"msvr", "msvr_table5", "svr", "mvgpr"}
+    assert all(set(values) == methods for values in config.tuned.values())
 
 
 @pytest.mark.parametrize("protocol", [name for name in NAMES["protocol"] if name != "trips"])
@@ -111,9 +112,10 @@ def test_tuned_values_lie_in_table_v(protocol):
         "noise_variance": (1e-4, 1e-1),
     }
     for methods in composed(f"protocol={protocol}").tuned.values():
-        for values in methods.values():
+        for name, values in methods.items():
             for key, value in values.items():
-                assert ranges[key][0] <= value <= ranges[key][1]
+                beyond = name == "msvr" and key == "C"  # see configs/search/beyond.yaml
+                assert ranges[key][0] <= value <= (1e6 if beyond else ranges[key][1])
 
 
 def test_search_grid_spans_table_v():

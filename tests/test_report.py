@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import OUTPUTS, fleet, trip
 
-from suspnet.monitoring import figures, report
+from suspnet.monitoring import figures, health_figure, report
 from suspnet.monitoring.trend import trend
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
@@ -77,7 +77,7 @@ def whole(tmp_path_factory):
         "signals": figures.trip_signals(results[-1]),
         "extra_figure": small_figure(),
         "responses": figures.trip_responses(results),
-        "trend": figures.health_trend(results, OUTPUTS),
+        "trend": health_figure.health_trend(results, OUTPUTS),
     }
     path = tmp_path_factory.mktemp("report") / "report.html"
     return *write(path, results[::-1], drawn, {"model": "msvr", "date": "2024-11-03"}), results

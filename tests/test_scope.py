@@ -73,7 +73,9 @@ def test_distance_is_the_mean_to_the_four_nearest(scope):
     np.testing.assert_allclose(scope.distances(points), expected, rtol=1e-6)
 
 
-def test_limit_of_the_distance_is_a_quantile_of_fresh_curves():
+def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
+    assert FALSE_ALARMS == 1e-4
+    monkeypatch.setattr("suspnet.reliability.scope.FALSE_ALARMS", 5e-4)  # fewer curves will do
     reference, fresh = cloud(100, 5, 2), cloud(6000, 6, 2)
     found = Scope.learnt(reference, fresh, np.ones(10)).distance_limit
     distances = sorted(
@@ -81,7 +83,6 @@ def test_limit_of_the_distance_is_a_quantile_of_fresh_curves():
     )
     # k = ceil(6001 (1 - 5e-4)) = 5998 of 6000: the third from the end
     assert found == pytest.approx(distances[-3], rel=1e-6)
-    assert FALSE_ALARMS == 5e-4
 
 
 def test_limit_of_the_distance_is_the_largest_where_fresh_curves_are_few():
@@ -107,16 +108,20 @@ def test_reference_is_the_first_of_the_training_curves():
 @pytest.mark.parametrize(
     ("name", "edge", "sign"), [("k_s", 2.0, 1), ("c_p", 0.5, -1), ("M_s", 2.0, 1)]
 )
-def test_parameter_is_outside_its_range_beyond_four_deviations(
+def test_parameter_is_outside_its_range_beyond_some_deviations(
     scope, problem, name, edge, sign, factor
 ):
-    assert EDGE_DEVIATIONS == 4.0
-    refined = fitted(deviation=0.03, **{name: edge * math.exp(sign * factor * 4 * 0.03)})
+    assert EDGE_DEVIATIONS == 2.33
+    refined = fitted(deviation=0.03, **{name: edge * math.exp(sign * factor * 2.33 * 0.03)})
     found = flags(scope, problem, refined)
     assert found.found[0].tolist() == [False, False, factor > 1, False]
 
 
-# limit
+@pytest.mark.parametrize(("name", "edge"), [("k_p", 2.005), ("M_s", 2.05)])
+def test_range_of_a_grid_reaches_half_a_step_beyond_it(scope, task, name, edge):
+    for factor, outside in ((0.9999, False), (1.0001, True)):
+        refined = fitted(deviation=1e-9, **{name: edge * factor})
+        assert flags(scope, task(), refined).found[0, 2] == outside
 
 
 def test_nothing_speaks_against_a_usual_curve(scope, problem):
@@ -141,6 +146,17 @@ def test_range_of_the_mass_is_its_own(scope, task):
     found = flags(scope, problem, fitted(M_s=1.5, k_s=1.5))
     assert found.found[0].tolist() == [False, False, True, False]
     assert found.reasons == ("M_s at about 150 % lies outside the 80 to 130 % trained for",)
+
+
+@pytest.mark.parametrize(("name", "half_step"), [("k_p", 0.01), ("M_s", 0.05)])
+def test_grid_stands_for_what_lies_within_half_a_step(scope, task, name, half_step):
+    problem = task("multi_location", "primary", step=0.02)
+    for ratio, outside in ((2 + 0.9 * half_step, False), (2 + 1.1 * half_step, True)):
+        refined = fitted(deviation=1e-6, **{name: ratio})
+        assert flags(scope, problem, refined).found[0].tolist() == [False, False, outside, False]
+    for ratio, outside in ((0.5 - 0.9 * half_step, False), (0.5 - 1.1 * half_step, True)):
+        refined = fitted(deviation=1e-6, **{name: ratio})
+        assert flags(scope, problem, refined).found[0].tolist() == [False, False, outside, False]
 
 
 # property

@@ -14,7 +14,7 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.experiment import rms_percent
 from suspnet.fitting import Problem, fit
 from suspnet.learning import MSVR
-from suspnet.predicting import predict_stream
+from suspnet.predicting import calibrated, predict_stream
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.fleet import Fleet, write_fleet
 from suspnet.simulation.scenarios import Scenario
@@ -25,6 +25,7 @@ SENSORS = {name: {"rate_hz": rate} for name, rate in zip(CHANNELS, RATES_HZ, str
 MINUTES = 5.0
 SPEED = 70.0
 N_TRIPS = 6
+N_CALIBRATE = 400
 GROUP = {
     "outputs": list(OUTPUTS[:4]),
     "responses": ["G_p", "G_s"],
@@ -48,14 +49,13 @@ def trips_protocol(**changes):
 
 
 @cache
-def model_at(speed=SPEED, n_train=2000, **changes):
+def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **changes):
     """Return a model for the small fleet's vehicle, sensors and length of trips."""
     task = trips_protocol(**changes).task("all")
-    settings = EstimateSettings(
-        n_train, 300, speed, minutes=MINUTES, rates_hz=RATES_HZ, cache_dir=None
-    )
+    options = {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ, "cache_dir": None}
+    settings = EstimateSettings(n_train, 300, n_calibrate, speed, **options)
     problem = Problem(VerticalVehicle(AM96, speed_m_per_s=speed), task, settings, progress=False)
-    model = fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog())
+    model = calibrated(problem, fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog()))
     errors = {"test_rms_percent": rms_percent(task, predict_stream(problem, model, TEST))}
     return replace(model, training=model.training | errors)
 

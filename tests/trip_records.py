@@ -1,11 +1,15 @@
 """Made-up results of trips, for the tests of trends, figures and reports."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from suspnet.monitoring.records import NO_ESTIMATE, Quality, TripCurves, TripResult
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 SPREAD = {"k_p": 0.002, "c_p": 0.02, "k_s": 0.006, "c_s": 0.008, "M_s": 0.03}
+HALF_WIDTHS = {"k_p": 0.0033, "c_p": 0.033, "k_s": 0.01, "c_s": 0.013, "M_s": 0.05}
+FLAG = "k_p at about 27 % lies outside the 50 to 160 % trained for"
 
 
 def curves(seed=0, n_freq=120, n_windows=200, stiffness=1.0):
@@ -81,3 +85,10 @@ def fleet(n_trips=30, missing=(4, 17), **options):
         )
         for i in range(n_trips)
     ]
+
+
+def flagged(result, **estimates):
+    """Return a trip that is flagged, with other estimates."""
+    return replace(
+        result, flags=FLAG, half_widths=HALF_WIDTHS, estimates=result.estimates | estimates
+    )

@@ -86,16 +86,17 @@ def ablation_markdown(records: Sequence[Record]) -> str:
     rows = []
     for name in dict.fromkeys(r["ablation"] for r in records):
         same = [r for r in records if r["ablation"] == name]
-        row = [name, same[0]["change"] or ("" if name == BASELINE else "-")]
-        row += [_number(_mean(r[key] for r in same)) for key in ("lost_percent", "seconds")]
+        row = [name]
         for output in outputs:
             chosen = [r for r in same if r["output"] == output]
             for key in ("rms_ratio", "to_baseline", "features_ratio", "mape_percent"):
                 row.append(_number(_mean(r[key] for r in chosen)))
-        rows.append(row)
-    header = ["ablation", "change", "lost %", "seconds"]
+        row += [_number(_mean(r[key] for r in same)) for key in ("lost_percent", "seconds")]
+        rows.append([*row, same[0]["change"] or ("" if name == BASELINE else "-")])
+    header = ["ablation"]
     for output in outputs:
-        header += [f"{output} rms / bound", "x baseline", "features", "MAPE %"]
+        header += [output, "x", "features", "MAPE %"]
+    header += ["lost %", "seconds", "change"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
@@ -105,11 +106,11 @@ def ablation_caption(records: Sequence[Record]) -> str:
     seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
     return (
         f"protocol {first['protocol']}, group {first['group']}, {first['n_train']} training "
-        f"curves, {first['snr_db']:g} dB and seed {seeds} unless the change says otherwise. "
-        "rms / bound: rms error over the Cramer-Rao bound of the curves; x baseline: that over the "
-        "baseline's; features: the bound of the features over that of the curves, below which no "
-        "unbiased regression on these features can come; lost: test curves that lack a feature; "
-        "seconds: to fit and predict."
+        f"curves, {first['snr_db']:g} dB and seed {seeds} unless the change says otherwise.\n"
+        "Below each output: rms error over the Cramer-Rao bound of the curves; x: that over the "
+        "baseline's;\nfeatures: the bound of the features over that of the curves, which no "
+        "unbiased regression on these features\npasses; MAPE. lost: test curves that lack a "
+        "feature; seconds: to fit and predict."
     )
 
 

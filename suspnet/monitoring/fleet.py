@@ -20,7 +20,7 @@ from suspnet.checkpoint import ModelFileError, TrainedModel
 from suspnet.data.source import quiet
 from suspnet.monitoring.output import summary, write_pages, write_tables
 from suspnet.monitoring.records import TripResult, first_trips, relative_to_first
-from suspnet.monitoring.trend import LEAST_PERCENT, Trend, trend
+from suspnet.monitoring.trend import LEAST_PERCENT, Trend, flagged_trend
 from suspnet.monitoring.trip import TripSettings, estimate_settings, evaluate_trip, model_speed
 from suspnet.recordings.manifest import find_manifests
 
@@ -209,7 +209,7 @@ def _trends(
         rms = max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
         least = max(LEAST_PERCENT, RESOLVED * rms)
         values = np.array([r.estimates.get(name, np.nan) for r in results])
-        trends.append(trend(name, mileage, values, least_percent=least, flagged=flagged))
+        trends.append(flagged_trend(name, mileage, values, flagged, least_percent=least))
     return trends
 
 

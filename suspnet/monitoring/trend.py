@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,7 +96,6 @@ def trend(
     level: float = LEVEL,
     multiple: float = MULTIPLE,
     least_percent: float = LEAST_PERCENT,
-    flagged: ArrayLike | None = None,
 ) -> Trend:
     """Return whether a parameter at the end differs from the beginning, or has a step.
 
@@ -120,9 +120,6 @@ def trend(
     multiple : float, [-]
     least_percent : float, [% of healthy]
         No smaller change stands out.
-    flagged : bool array of shape (n_trips,), optional
-        Trips whose estimates mean little. They count like the others, a worn part is often out of
-        the range that a model was trained for; the verdict says how many the ends rest on.
 
     Raises
     ------
@@ -147,12 +144,11 @@ def trend(
     head = (parameter, n, ends[0], ends[1], change, spread)
     level_now = ends[1] if n >= 2 * n_ends or n == 0 else float(np.median(known))
     off = parameter != PAYLOAD and abs(100 * (level_now - 1)) > max(LARGE_PERCENT, least_percent)
-    doubts = "" if flagged is None else _doubts(mileage_km, values, flagged, n_compared)
     if n < 2 * n_ends:
         verdict = f"too few trips ({n} of {2 * n_ends}) to tell of a change"
         if off:
             verdict += f"; at {100 * level_now:.0f} % of healthy"
-        return Trend(*head, np.nan, off, verdict + doubts)
+        return Trend(*head, np.nan, off, verdict)
     limit = max(multiple * spread, least_percent)
     step = steps(km, known, level=level / 2)
     p_ends = _welch(first, last)
@@ -168,7 +164,34 @@ def trend(
     stands_out = (ends_differ or has_step) and parameter != PAYLOAD
     if stands_out and abs(100 * (known[-1] - ends[1])) > TOLD_PERCENT:
         verdict += f"; the last trip is at {100 * known[-1]:.0f} %"
-    return Trend(*head, p_value, stands_out or off, verdict + doubts)
+    return Trend(*head, p_value, stands_out or off, verdict)
+
+
+def flagged_trend(
+    parameter: str, mileage_km: ArrayLike, values: ArrayLike, flagged: ArrayLike, **options: Any
+) -> Trend:
+    """Return the trend of trips of which some are flagged: their estimates may be wrong.
+
+    They count like the others, because a badly worn part lies outside what a model was trained for;
+    the verdict says how many the ends rest on. But one odd trip can hide a change of all others: if
+    nothing stands out with the flagged trips and something does without, it is the trend without.
+
+    Parameters
+    ----------
+    parameter, mileage_km, values, **options
+        Of ``trend``.
+    flagged : bool array of shape (n_trips,)
+    """
+    doubtful = np.asarray(flagged, dtype=bool)
+    whole = trend(parameter, mileage_km, values, **options)
+    if not doubtful.any():
+        return whole
+    rest = np.where(doubtful, np.nan, np.asarray(values, dtype=float))
+    alone = trend(parameter, mileage_km, rest, **options)
+    if alone.stands_out and not whole.stands_out:
+        return replace(alone, verdict=f"{alone.verdict}; without the flagged trips")
+    known = np.where(np.isfinite(values), doubtful.astype(float), np.nan)
+    return replace(whole, verdict=whole.verdict + _doubts(_known(mileage_km, known)[1]))
 
 
 def steps(
@@ -215,15 +238,14 @@ def steps(
     return Step(float(middle), float(gap), size, change, p_value, p_value < level)
 
 
-def _doubts(mileage_km: ArrayLike, values: ArrayLike, flagged: ArrayLike, n_compared: int) -> str:
+def _doubts(flagged: FloatArray) -> str:
     """Return how many of the first and of the last trips are flagged; empty if none is."""
-    known = np.where(np.isfinite(values), np.asarray(flagged, dtype=float), np.nan)
-    ordered = _known(mileage_km, known)[1]
-    ends = {"first": ordered[:n_compared], "last": ordered[len(ordered) - n_compared :]}
+    n_compared = min(N_ENDS, len(flagged) // 2)
+    ends = {"first": flagged[:n_compared], "last": flagged[len(flagged) - n_compared :]}
     words = [
-        f"{end.sum():.0f} of the {which} {len(end)}" for which, end in ends.items() if end.any()
+        f"{part.sum():.0f} of the {end} {len(part)}" for end, part in ends.items() if part.any()
     ]
-    verb = "is" if sum(end.sum() for end in ends.values()) == 1 else "are"
+    verb = "is" if sum(part.sum() for part in ends.values()) == 1 else "are"
     return f"; {' and '.join(words)} trips {verb} flagged" if words else ""
 
 

@@ -29,7 +29,8 @@ MISFIT_DEVIATIONS = 4.5
 """A misfit is odd if it exceeds the mean of curves like the training curves by so many of their
 standard deviations."""
 EDGE_DEVIATIONS = 2.33
-"""A parameter is outside its range if it is so by this many of its standard deviations."""
+"""A parameter is outside its range if it is so by this many of its standard deviations: 1 % of
+those on the very edge."""
 FloatArray = NDArray[np.float64]
 
 
@@ -176,11 +177,20 @@ class Scope:
 
 
 def _outside(task: Task, name: str, refined: Refined) -> NDArray[np.bool_]:
-    low, high = np.log(task.limits(name))
+    low, high = np.log(_range(task, name))
     ratios, deviations = refined.of((name,))
     margin = EDGE_DEVIATIONS * deviations[:, 0]
     position = np.log(ratios[:, 0])
     return np.asarray((position < low - margin) | (position > high + margin))
+
+
+def _range(task: Task, name: str) -> tuple[float, float]:
+    """Return the range trained for: a grid stands for what lies within half a step of it."""
+    low, high = task.limits(name)
+    if task.sampling == "sobol":
+        return low, high
+    step = task.mass_step if name == "M_s" else task.step
+    return low - step / 2, high + step / 2
 
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:

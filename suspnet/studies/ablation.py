@@ -39,7 +39,7 @@ from suspnet.tracking import RunLog
 log = logging.getLogger(__name__)
 N_VEHICLES = 256
 """Test vehicles over which the bounds of features are averaged."""
-TICKS = (1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100)
+TICKS, WIDE_TICKS = (1, 1.2, 1.5, 2, 3, 4), (1, 2, 3, 5, 10, 20, 50, 100)
 
 
 def write_ablation(folder: Path) -> list[Record]:
@@ -122,7 +122,7 @@ def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) ->
         axis.plot([r[key] for r in shown], places, ls="none", label=label, **style)  # type: ignore[arg-type]
     axis.set_xscale("log")
     low, high = axis.get_xlim()
-    ticks = [tick for tick in TICKS if tick < high]
+    ticks = [tick for tick in (TICKS if high < 5 else WIDE_TICKS) if tick < high]
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.xaxis.set_minor_formatter(NullFormatter())
     axis.set_xlim(min(low, 0.95), high)
