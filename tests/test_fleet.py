@@ -20,7 +20,7 @@ from suspnet.checkpoint import ModelFileError
 from suspnet.data import CurveSettings
 from suspnet.monitoring import fleet, output
 from suspnet.monitoring.fleet import FleetSettings, check_models, evaluate_fleet
-from suspnet.monitoring.output import errors_percent, summary, write_tables
+from suspnet.monitoring.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.monitoring.trend import LEAST_PERCENT
 from suspnet.monitoring.trip import TripSettings, evaluate_trip
 from suspnet.tracking import RunLog
@@ -423,3 +423,71 @@ def test_names_that_look_like_numbers_stay_as_they_are(alone):
     named = [replace(alone[0], trip=name, truth={}) for name in ("1.10", "001", "1e5")]
     lines = summary(named, OUTPUTS).splitlines()
     assert [line.split("|")[1].strip() for line in lines[3:]] == ["1.10", "001", "1e5"]
+
+
+# intervals and flags
+
+
+def test_long_reasons_are_short_in_the_summary_and_whole_in_the_table(alone, tmp_path):
+    words = "k_p at about 27 % lies outside the 50 to 160 % trained for; " * 5
+    results = [replace(alone[0], flags=words), replace(alone[1], flags="short"), alone[2]]
+    lines = summary(results, OUTPUTS).splitlines()
+    assert lines[0] == "3 of 3 trips have an estimate, 2 are flagged"
+    cells = [line.rpartition("| ")[2].rstrip(" |") for line in lines[3:6]]
+    assert cells[0].endswith("\N{HORIZONTAL ELLIPSIS}")
+    assert 80 < len(cells[0]) <= 100
+    assert words.startswith(cells[0][:-2])
+    assert cells[1:] == ["short", ""]
+    write_tables(results, OUTPUTS, tmp_path)
+    assert [row["flags"] for row in rows(tmp_path / "trips.csv")] == [words, "short", ""]
+    assert "1 is flagged" in summary(results[1:], OUTPUTS)
+
+
+def test_coverage_is_the_naive_one(alone):
+    held = coverage_percent(alone, OUTPUTS)
+    for name in OUTPUTS:
+        n = sum(
+            abs(np.log(r.estimates[name] / r.truth[name])) <= r.half_widths[name] for r in alone
+        )
+        assert held[name] == pytest.approx(100 * n / len(alone))
+    unknown = [replace(alone[0], half_widths={}), replace(alone[1], truth={})]
+    assert coverage_percent(unknown, OUTPUTS) == {}
+    assert coverage_percent([*unknown, alone[2]], OUTPUTS) == coverage_percent([alone[2]], OUTPUTS)
+
+
+def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
+    seen = {}
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-1]))
+    monkeypatch.setattr(
+        fleet,
+        "evaluate_trip",
+        lambda path, *_: replace(
+            evaluate_trip(path, [model], TRIPS), flags="odd" if path == manifests[1] else ""
+        ),
+    )
+    settings = replace(
+        SETTINGS, trips=TripSettings(level=0.95), reference="first_trips", n_reference=3
+    )
+    results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["n_flagged"] == 1
+    assert metrics["coverage_percent"] == pytest.approx(coverage_percent(results, OUTPUTS))
+    assert seen == {"level": 0.95}
+    n = len(model.intervals.conformal.scores)
+    assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
+    assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")
+    assert metrics["trends"][0]["verdict"].endswith("; 1 of the first 3 trips is flagged")
+
+
+def test_model_without_calibration_gives_no_intervals(manifests, model, no_figures, tmp_path):
+    folder = tmp_path / "trips"
+    folder.mkdir()
+    changed(manifests[0], folder)
+    plain = replace(model, intervals=None, scope=None)
+    (result,) = evaluate_fleet(folder, [plain], tmp_path / "out", SETTINGS, progress=False)
+    assert result.status == "ok"
+    assert np.isnan(result.interval("k_p")).all()
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["coverage_percent"] == {}
+    assert metrics["details"]["intervals"].startswith("none: the model was trained with")

@@ -4,9 +4,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from trip_records import OUTPUTS, fleet, trip
+from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
-from suspnet.monitoring.records import Quality, TripResult, relative_to_first
+from suspnet.monitoring.records import Quality, TripResult, first_trips, relative_to_first
 
 FEW = ("k_p", "M_s")
 
@@ -108,3 +108,57 @@ def test_truth_is_relative_to_the_first_trips_too():
 def test_unknown_truth_stays_unknown():
     results = [replace(trip(i), raw={"k_p": 1.0, "M_s": 1.0}, truth={}) for i in range(3)]
     assert all(r.truth == {} for r in relative_to_first(results, 3))
+
+
+# intervals and flags
+
+
+def test_interval_reaches_from_estimate_over_factor_to_estimate_times_factor():
+    result = trip(estimates={"k_p": 0.8, "c_p": 0.5}, half_widths={"k_p": np.log(2)})
+    assert result.interval("k_p") == pytest.approx((0.4, 1.6))
+    assert np.isnan(result.interval("c_p")).all()
+    assert np.isnan(result.interval("k_s")).all()
+    for half in (np.inf, 1e4):
+        assert replace(result, half_widths={"k_p": half}).interval("k_p") == (0.0, np.inf)
+
+
+def test_row_has_the_limits_and_the_flags():
+    row = flagged(trip(3), k_p=0.5).row(FEW)
+    assert row["flags"] == FLAG
+    limits = (row["k_p_low"], row["k_p_high"])
+    assert limits == pytest.approx((0.5 * np.exp(-0.0033), 0.5 * np.exp(0.0033)))
+    assert np.isnan([trip(3).row(FEW)["k_p_low"], trip(3).row(FEW)["M_s_high"]]).all()
+
+
+@pytest.mark.parametrize("n_first", [4, 5])
+def test_interval_relative_to_the_first_trips_holds_the_truth(n_first):
+    """Where the error is noise: 400 vehicles, each read at once and relative to its first trips."""
+    rng, inside, half = np.random.default_rng(0), [], 0.02 * 1.645
+    for _ in range(400):
+        raw = [{"k_p": float(np.exp(0.02 * rng.normal()))} for _ in range(n_first + 1)]
+        trips = [
+            trip(i, raw=one, estimates=one, truth={"k_p": 1.0}, half_widths={"k_p": half})
+            for i, one in enumerate(raw)
+        ]
+        low, high = relative_to_first(trips, n_first)[-1].interval("k_p")
+        inside.append(low <= 1 <= high)
+    # 90 % +- 1.5 %; pi / 2 is the variance of the median of many, that of few is less
+    assert 0.9 - 3 * 0.015 < np.mean(inside) < 0.92 + 3 * 0.015
+
+
+def test_half_widths_relative_to_the_first_trips_are_wider_by_the_median():
+    trips = [replace(trip(i), half_widths=HALF_WIDTHS | {"c_s": 0.01 * (i + 1)}) for i in range(6)]
+    for before, after in zip(trips, relative_to_first(trips, 3), strict=True):
+        wider = {name: h * np.sqrt(1 + np.pi / 6) for name, h in HALF_WIDTHS.items()}
+        wider |= {"M_s": HALF_WIDTHS["M_s"]}
+        wider |= {"c_s": np.hypot(before.half_widths["c_s"], 0.02 * np.sqrt(np.pi / 6))}
+        assert after.half_widths == pytest.approx(wider)
+    unknown = [replace(r, half_widths={}) for r in trips]
+    assert all(r.half_widths == {} for r in relative_to_first(unknown, 3))
+
+
+def test_flagged_trips_are_among_the_first():
+    trips = fleet(6, (1,), with_curves=False)
+    trips[0] = flagged(trips[0])
+    assert [r.trip for r in first_trips(trips[::-1], 3)] == ["trip_000", "trip_002", "trip_003"]
+    assert len(first_trips(trips, 9)) == 5

@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from trip_records import OUTPUTS, fleet, trip
+from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.monitoring import figures, health_figure, report
 from suspnet.monitoring.trend import trend
@@ -60,10 +60,11 @@ def small_figure():
     return figure
 
 
-def write(path, results, drawn=None, details=None, title="Suspension report"):
+def write(path, results, drawn=None, details=None, title="Suspension report", level=0.9):
     drawn = {"trend": small_figure()} if drawn is None else drawn
     details = {"model": "msvr"} if details is None else details
-    report.write_report(path, title, results, OUTPUTS, drawn, trends_of(results), details)
+    trends = trends_of(results)
+    report.write_report(path, title, results, OUTPUTS, drawn, trends, details, level)
     text = path.read_text(encoding="utf-8")
     return text, Page(text)
 
@@ -163,7 +164,7 @@ def test_hostile_names_are_escaped(tmp_path):
     quality = replace(trip().quality, faults=HOSTILE, warnings=HOSTILE)
     fields = {"trip": HOSTILE, "vehicle": HOSTILE, "suspension": HOSTILE, "start": HOSTILE}
     results = [
-        trip(0, quality=quality, **fields),
+        trip(0, quality=quality, flags=HOSTILE, **fields),
         trip(1, missing=True, **(fields | {"reason": HOSTILE})),
     ]
     drawn = {HOSTILE: small_figure(), "signals": figures.trip_signals(results[0])}
@@ -200,6 +201,83 @@ def test_unknown_numbers_are_dashes(tmp_path):
     assert "error: only 0 averages" in page.text
     assert "Mileage unknown" in page.text
     assert '<td class="n">\N{EN DASH}</td>' in text
+
+
+def measured(n=12, **options):
+    return [replace(trip(i, **options), half_widths=HALF_WIDTHS) for i in range(n)]
+
+
+def test_estimates_have_their_half_widths_in_small_print(tmp_path):
+    results = measured()
+    text, _ = write(tmp_path / "r.html", results)
+    cells = re.findall(r'<td class="n">([^<]*)<small> ± ([^<]*)</small></td>', text)
+    assert len(cells) == len(results) * len(OUTPUTS)
+    for result, row in zip(results, np.reshape(cells, (-1, len(OUTPUTS), 2)), strict=True):
+        for name, (value, half) in zip(OUTPUTS, row, strict=True):
+            low, high = result.interval(name)
+            assert float(value) == pytest.approx(100 * result.estimates[name], abs=0.051)
+            assert float(half) == pytest.approx(50 * (high - low), abs=0.051)
+
+
+@pytest.mark.parametrize(
+    ("half", "shown"), [(0.3, "30.5"), (0.003, "0.3"), (0.0003, "0.03"), (0.00003, "0.003")]
+)
+def test_estimates_have_as_many_digits_as_their_half_widths(tmp_path, half, shown):
+    result = trip(estimates=dict.fromkeys(OUTPUTS, 1.0), half_widths=dict.fromkeys(OUTPUTS, half))
+    text, _ = write(tmp_path / "r.html", [result])
+    digits = len(shown.partition(".")[2])
+    assert f"{100:.{digits}f}<small> ± {shown}</small>" in text
+
+
+def test_flagged_trips_are_told_with_their_reasons(tmp_path):
+    results = measured()
+    results[3] = flagged(results[3], k_p=0.27)
+    results[7] = flagged(results[7])
+    text, page = write(tmp_path / "r.html", results)
+    assert "2 of 12 trips are flagged: what they show was not trained for; see" in page.text
+    assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
+    assert page.named("div")[0]["class"] == "result note"
+    assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
+    assert page.text.count(f"⚑ {FLAG}") == 2
+    row = text[text.index("trip_003") : text.index("trip_004")]
+    assert "27.0</td>" in row  # without an interval
+    assert "±" not in row
+    assert "violet ones are flagged" in page.text
+    assert "A hollow circle is a flagged trip" in page.text
+
+
+@pytest.mark.parametrize(
+    ("n", "sentence"),
+    [
+        (1, "1 of 6 trips is flagged: what it shows was not trained for; see the table."),
+        (6, "All 6 trips are flagged: what they show was not trained for, so that none of these"),
+    ],
+)
+def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
+    results = [flagged(r) if i < n else r for i, r in enumerate(measured(6))]
+    _, page = write(tmp_path / "r.html", [*results, trip(7, missing=True)])
+    assert sentence in page.text
+
+
+def test_page_speaks_of_intervals_and_flags_only_where_there_are_some(tmp_path):
+    _, plain = write(tmp_path / "a.html", fleet(12, ()))
+    _, known = write(tmp_path / "b.html", measured(), level=0.95)
+    for words in ("95 % interval", "on 95 of 100 trips", "± half of their 95 % interval"):
+        assert words not in plain.text
+        assert words in known.text
+    assert "Interval, ±" not in plain.text
+    for page in (plain, known):
+        assert "flagged:" not in page.text
+        assert "violet" not in page.text
+        assert "hollow circle" not in page.text
+
+
+@pytest.mark.parametrize("half", [np.nan, np.inf])
+def test_unknown_half_widths_are_left_out(tmp_path, half):
+    results = [trip(half_widths=dict.fromkeys(OUTPUTS, half))]
+    text, page = write(tmp_path / "r.html", results)
+    assert "<small>" not in text
+    assert not {"nan", "inf"} & set(page.text.lower().split())
 
 
 def test_large_figures_are_embedded_as_png(tmp_path):

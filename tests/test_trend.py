@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from suspnet.monitoring.trend import LEVEL, steps, trend
+from suspnet.monitoring.trend import LEVEL, flagged_trend, steps, trend
 
 N_TRIPS = 30
 MILEAGE_KM = 10_000.0 * np.arange(1, N_TRIPS + 1)
@@ -223,3 +223,67 @@ def test_last_trip_of_a_fade_is_named():
     assert trend("c_s", MILEAGE_KM, series(fade, 0.001, 0)).verdict.endswith(
         "; the last trip is at 60 %"
     )
+
+
+# flagged trips
+
+
+def flags(*places):
+    return np.isin(np.arange(N_TRIPS), places)
+
+
+def test_flagged_trips_count_and_the_verdict_says_so():
+    """A damper that fades below the range trained for must not vanish from the trend."""
+    values = series(-0.7 * np.clip((np.arange(N_TRIPS) - 15) / 14, 0, 1), 0.002, 0)
+    whole = trend("c_s", MILEAGE_KM, values)
+    found = flagged_trend("c_s", MILEAGE_KM, values, flags(26, 27, 28, 29))
+    assert found.last_median == whole.last_median < 0.5
+    assert found.stands_out
+    assert found.verdict == f"{whole.verdict}; 4 of the last 5 trips are flagged"
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        ((), ""),
+        ((12, 15), ""),
+        ((0,), "; 1 of the first 5 trips is flagged"),
+        ((0, 29), "; 1 of the first 5 and 1 of the last 5 trips are flagged"),
+        (range(N_TRIPS), "; 5 of the first 5 and 5 of the last 5 trips are flagged"),
+    ],
+)
+def test_ends_that_rest_on_flagged_trips_are_told(places, words):
+    values = series(np.zeros(N_TRIPS), 0.002, 1)
+    found = flagged_trend("k_p", MILEAGE_KM, values, flags(*places))
+    assert found.verdict == trend("k_p", MILEAGE_KM, values).verdict + words
+
+
+def test_trips_without_an_estimate_are_not_among_the_ends():
+    values = series(np.zeros(N_TRIPS), 0.002, 1)
+    values[27:] = np.nan
+    found = flagged_trend("k_p", MILEAGE_KM[::-1], values[::-1], flags(2, 7)[::-1])
+    assert found.verdict.endswith("; 1 of the first 5 trips is flagged")
+    few = flagged_trend("k_p", MILEAGE_KM[:4], values[:4], flags(2)[:4])
+    assert few.verdict.endswith("to tell of a change; 1 of the last 2 trips is flagged")
+
+
+def test_odd_flagged_trips_do_not_hide_a_change_of_the_others():
+    values = series(np.where(MILEAGE_KM < 245_000, 0, -0.01), 0.001, 2)
+    values[[11, 28]] = 0.27, 1.9
+    assert not trend("k_p", MILEAGE_KM, values).stands_out
+    found = flagged_trend("k_p", MILEAGE_KM, values, flags(11, 28))
+    assert found.stands_out
+    assert found.n_trips == N_TRIPS - 2
+    assert found.verdict == "falls by 1.1 % at about 240 000 km; without the flagged trips"
+    assert not flagged_trend("k_p", MILEAGE_KM, values, flags(3)).stands_out
+
+
+def test_looking_twice_finds_no_change_that_is_not_there():
+    """Odd trips that are flagged, 300 times: at most LEVEL for each look, and three sigma."""
+    found = 0
+    for seed in range(300):
+        values = series(np.zeros(N_TRIPS), 0.002, seed)
+        odd = np.random.default_rng(seed).choice(N_TRIPS, 2, replace=False)
+        values[odd] *= 0.97
+        found += flagged_trend("k_p", MILEAGE_KM, values, flags(*odd)).stands_out
+    assert found / 300 < 2 * LEVEL + 3 * math.sqrt(2 * LEVEL / 300)

@@ -23,6 +23,7 @@ from suspnet.features.welch import Welch
 from suspnet.monitoring import trip
 from suspnet.monitoring.records import ERROR, NO_ESTIMATE, OK
 from suspnet.monitoring.trip import TripSettings, evaluate_trip
+from suspnet.monitoring.trust import trusted
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
 
@@ -108,6 +109,24 @@ def test_estimates_are_as_close_to_the_truth_as_the_test_curves_are(manifests, m
     assert result.raw == result.estimates
 
 
+def test_intervals_hold_the_truth_and_nothing_is_flagged(manifests, model):
+    """Six trips of five outputs at 90 %: at least 19 of 30, were all of a trip to err together."""
+    results = [evaluated(path, model) for path in manifests]
+    inside = [
+        result.interval(name)[0] <= result.truth[name] <= result.interval(name)[1]
+        for result in results
+        for name in OUTPUTS
+    ]
+    assert sum(inside) >= 19
+    for result in results:
+        assert result.flags == ""
+        for name, half in result.half_widths.items():
+            rms = model.training["test_rms_percent"][name] / 100
+            assert 0.3 * rms < half < 4 * rms
+    wide = evaluated(manifests[0], model, TripSettings(level=0.99)).half_widths
+    assert all(wide[name] > results[0].half_widths[name] for name in OUTPUTS)
+
+
 def test_curves_behind_an_estimate_are_those_of_the_vehicle(good, model):
     curves = good.curves
     frequencies = torch.as_tensor(curves.frequencies_hz)
@@ -176,6 +195,8 @@ def test_speed_bins_are_averaged_by_their_averages(two_speeds, model, seconds):
         assert abs(logs[0] - logs[1]) > 1e-6
         mean = np.exp(weights @ logs / weights.sum())
         assert both.estimates[name] == pytest.approx(mean, rel=1e-12)
+        half = weights @ [one.half_widths[name] for one in alone] / weights.sum()
+        assert both.half_widths[name] == pytest.approx(half, rel=1e-12)
     assert both.quality.speed_m_per_s == pytest.approx(weights @ [70, 50] / weights.sum())
     assert both.quality.segments_used == sum(one.quality.segments_used for one in alone)
     coherence = weights @ [one.quality.coherence_s for one in alone] / weights.sum()
@@ -224,6 +245,39 @@ def test_model_without_speed_takes_every_speed_that_is_high_enough(manifests, mo
     standing = evaluated(path, anywhere, TripSettings(min_speed_m_per_s=41.0, check_channels=False))
     assert standing.status == NO_ESTIMATE
     assert "0 of 28 segments without faults are at 41 m/s or faster throughout" in standing.reason
+
+
+def test_swapped_channels_are_flagged_where_they_are_not_refused(manifests, model, tmp_path):
+    """The bogie's and the body's files, with the check of the channels switched off."""
+    signals = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
+    path = changed(manifests[0], tmp_path, signals=signals)
+    assert evaluated(path, model).status == ERROR
+    result = evaluated(path, model, TripSettings(check_channels=False, max_deviation=10.0))
+    assert result.status == OK
+    assert "the model cannot explain the curve" in result.flags
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        (("", ""), ""),
+        (("odd", ""), "in 1 of 2 speed bins, at 70.0 m/s: odd"),
+        (("", "odder"), "in 1 of 2 speed bins, at 50.0 m/s: odder"),
+        (("odd", "odder"), "in 2 of 2 speed bins, at 70.0 m/s: odd"),
+    ],
+)
+def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
+    two_speeds, model, monkeypatch, flags, expected
+):
+    given = dict(zip((70.0, 50.0), flags, strict=True))
+
+    def marked(one, *arguments):
+        return replace(trusted(one, *arguments), flags=given[one.generator.speed_m_per_s])
+
+    monkeypatch.setattr(trip, "trusted", marked)
+    path = two_speeds(200)
+    assert evaluate_trip(path, [model_at(50.0), model], SETTINGS).flags == expected
+    assert evaluated(path, model).flags == flags[0]
 
 
 # limit
@@ -414,7 +468,7 @@ def test_other_vehicle_is_refused(manifests, model, tmp_path):
 
 
 def test_missing_peak_is_named(tmp_path):
-    model = model_at(n_train=500, feature_set="peaks")
+    model = model_at(n_train=500, n_calibrate=None, feature_set="peaks")
     change = {"from_km": 0, "to_km": 0, "ratio": 8.0}
     (path,) = write_trips(tmp_path, scenario=Scenario("no peak left", {"c_p": change}))
     result = evaluated(path, model)

@@ -27,7 +27,7 @@ ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
 @pytest.fixture(scope="module")
 def model():
     """Sensors so noisy that noise is about half of the error at the averages of the training."""
-    return model_at(snr_db=20.0, n_calibrate=300)
+    return model_at(n_train=1500, snr_db=20.0, n_calibrate=200)
 
 
 def refined(model, widened=1.0):
@@ -225,10 +225,10 @@ def test_interval_widens_with_level_and_with_fewer_averages(model):
 
 @pytest.mark.parametrize(("kind", "share"), [("as predicted", 4.0), ("refined", 0.4)])
 def test_intervals_hold_the_truth_at_other_averages(model, kind, share):
-    """30 trips: 90 % +- 5.5 % if outputs err together, and +- 2.4 % of the calibration."""
+    """20 trips: 90 % +- 6.7 % if outputs err together, and +- 3 % of the calibration."""
     one = refined(model) if kind == "refined" else model
-    inside, n_flagged = held(one, share, 30)
-    assert inside.mean() == pytest.approx(LEVEL, abs=3 * 0.06)
+    inside, n_flagged = held(one, share, 20)
+    assert inside.mean() == pytest.approx(LEVEL, abs=3 * 0.073)
     assert n_flagged <= 2
 
 

@@ -130,7 +130,8 @@ class TripResult:
     def interval(self, name: str) -> tuple[float, float]:
         """Return lower and upper limit of a parameter, [-]; NaN where there is none."""
         value, half = (part.get(name, np.nan) for part in (self.estimates, self.half_widths))
-        return float(value * np.exp(-half)), float(value * np.exp(half))
+        with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+            return float(value * np.exp(-half)), float(value * np.exp(half))
 
     def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
         """Return the trip as one flat row of a table; the same columns for every trip."""
