@@ -322,6 +322,8 @@ def test_cache_name_changes_with_what_features_were_learnt_from(source, cached, 
     enough = [source(dataclasses.replace(cached, n_train=n), problem) for n in (5000, 6000)]
     assert enough[0].describe(TEST) == enough[1].describe(TEST)
     assert enough[0].describe(TRAIN) != enough[1].describe(TRAIN)
+    whole = source(dataclasses.replace(cached, n_train="all"), problem)
+    assert whole.describe(TEST) != enough[0].describe(TEST)
 
 
 def test_cache_name_does_not_change_with_how_the_features_are_made(source, cached):

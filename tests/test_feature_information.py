@@ -110,6 +110,26 @@ def test_information_of_peaks_is_that_of_naive_loops(observer):
         np.testing.assert_allclose(matrix, naive, rtol=1e-6)
 
 
+def test_loss_is_the_ratio_of_rms_relative_bounds(task, observer):
+    problem = task("joint", "all")
+    ratios = problem.sample(10, seed=0, stream=1)
+    found = feature_loss(problem, observer, ratios)
+    information = feature_information(observer, problem.extractor, ratios, problem.unknown)
+    assert problem.unknown == ("k_p", "c_p", "k_s", "c_s", "M_s")
+    curves = fisher_information(observer.generator, ratios, observer.frequencies_hz, 34.0)
+    for j, name in enumerate(problem.outputs):
+        squares = [
+            [
+                np.linalg.inv(matrix)[j, j] / row[j] ** 2
+                for matrix, row in zip(kind, ratios, strict=True)
+            ]
+            for kind in (information, curves)
+        ]
+        expected = math.sqrt(sum(squares[0]) / sum(squares[1]))
+        assert found[name] == pytest.approx(expected, rel=1e-9)
+        assert expected > 1
+
+
 def test_every_bin_as_a_feature_has_the_information_of_the_curves(quarter_car):
     coarse = CurveObserver(replace(SETTINGS, step_hz=0.6, low_hz=0.6, high_hz=6.6), quarter_car)
     extractor = EveryBin(len(coarse.frequencies_hz))
@@ -168,19 +188,26 @@ def test_incomplete_draws_are_left_out():
     assert 0 < np.mean(np.any(found != whole, axis=(1, 2))) < 1
     bounds = [np.sqrt(np.linalg.inv(part).mean(axis=0).diagonal()) for part in (found, whole)]
     np.testing.assert_allclose(bounds[0], bounds[1], rtol=0.1)
-    # a vehicle that mostly or always lacks a feature is told
-    often = feature_information(LinearObserver(), LinearFeatures(top - spread / 20), ratios[:9])
-    assert np.isnan(often).all()
+    # a vehicle that always or mostly lacks a feature is told
+    always = feature_information(LinearObserver(), LinearFeatures(top - spread / 20), ratios[:9])
+    assert np.isnan(always).all()
+    spreads = (PROJECTION.T @ SCATTER.T @ SCATTER @ PROJECTION).diagonal().sqrt()
+    tight = (torch.ones(5, dtype=torch.float64) @ MIXING) @ PROJECTION + spreads
+    mostly = feature_information(LinearObserver(), LinearFeatures(tight), ratios[:9], n_draws=500)
+    assert np.isnan(mostly).all()
 
 
 def test_vehicles_without_a_feature_do_not_count(task, quarter_car, observer):
     ratios = task("multi_location", "secondary").sample(12, seed=0, stream=1)
-    damped = np.array([[1.0, 1.0, 0.5, 2.0, 0.5]])
+    damped = np.array([[1.0, 1.0, 0.5, 2.0, 0.5]])  # its two primary peaks have melted into one
     problem = task("multi_location", "secondary")
     one = feature_information(observer, problem.extractor, damped, problem.unknown)
     assert np.isnan(one).all()
-    both = feature_loss(problem, observer, np.concatenate([ratios, damped]))
-    assert both == pytest.approx(feature_loss(problem, observer, ratios), rel=1e-9)
+    known = feature_loss(problem, observer, ratios)
+    last = feature_loss(problem, observer, np.concatenate([ratios, damped]))
+    assert last == pytest.approx(known, rel=1e-9)
+    first = feature_loss(problem, observer, np.concatenate([damped, ratios]))
+    assert first == pytest.approx(known, rel=0.1)  # other noise
     with pytest.raises(ValueError, match="none of 1 vehicles has every feature of 'secondary'"):
         feature_loss(problem, observer, damped)
 

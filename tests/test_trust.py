@@ -186,19 +186,21 @@ def test_independent_bins_are_those_of_the_variance_of_their_mean():
 # limit
 
 
-@pytest.mark.parametrize("kind", ["as predicted", "refined"])
-def test_interval_goes_with_the_root_of_the_averages_where_noise_dominates(model, kind):
-    one = refined(model) if kind == "refined" else model
-    ratio = half_widths(one, 0.1) / half_widths(one, 0.4)
-    # what n / (n - 2) adds at three averages, or the spread of 64 draws
-    np.testing.assert_allclose(ratio, 2, rtol=0.25 if kind == "refined" else 0.35)
-    assert np.mean(ratio) == pytest.approx(2, rel=0.2)
+def test_interval_goes_with_the_root_of_the_averages_where_noise_dominates(model):
+    short, long = (half_widths(refined(model), share) for share in (0.5, 2.0))
+    # at 13 averages n / (n - 2) adds 2.6 %
+    np.testing.assert_allclose(short / long, 2, rtol=0.06)
+    observer = model.settings.observer(model.generator)
+    mean = [row(expected(model, ratios_of(WORN), share)) for share in (0.5, 2.0)]
+    noise = [trust._noise(model, observer, spectra) for spectra in mean]
+    # the same random numbers; their spread is not quite linear in the noise
+    np.testing.assert_allclose(noise[0] / noise[1], 2, rtol=0.25)
 
 
 def test_noise_part_is_never_taken_out_of_the_interval(model):
     observer = model.settings.observer(model.generator)
     factors = [model.intervals.conformal.factors(p) for p in (LEVEL, ONE_SIGMA)]
-    for share in (0.1, 1.0, 10.0):
+    for share in (0.4, 1.0, 10.0):
         spectra = row(expected(model, ratios_of(WORN), share))
         noise = trust._noise(model, observer, spectra)
         assert (read(model, spectra).half_widths >= 0.999 * noise * factors[0] / factors[1]).all()
@@ -219,7 +221,7 @@ def test_interval_widens_with_level_and_with_fewer_averages(model):
     spectra = row(expected(model, ratios_of(WORN)))
     narrow, wide = (read(model, spectra, level).half_widths for level in (0.5, 0.95))
     assert (narrow < wide).all()
-    shares = [half_widths(model, share) for share in (0.1, 0.3, 1.0, 3.0)]
+    shares = [half_widths(model, share) for share in (0.4, 1.0, 3.0)]
     assert all((a > b).all() for a, b in pairwise(shares))
 
 
