@@ -25,6 +25,8 @@ from suspnet.dynamics.motion import SampledMotion
 from suspnet.recordings.manifest import CHANNELS, read_manifest
 from suspnet.simulation import Fleet, Scenario, write_fleet
 
+pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
+
 SPEED = 70.0
 LAGS_S = np.array([0.0, 2.7, 19.0, 21.7]) / SPEED
 HEALTHY = np.ones(5)

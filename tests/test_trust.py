@@ -19,6 +19,8 @@ from suspnet.monitoring import trust
 from suspnet.monitoring.trust import ONE_SIGMA, trusted
 from suspnet.reliability.intervals import Intervals
 
+pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
+
 LEVEL = 0.9
 WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
