@@ -163,11 +163,14 @@ def test_grid_stands_for_what_lies_within_half_a_step(scope, task, name, half_st
 
 
 def test_missing_peak_is_said_and_its_distance_not_asked_for(scope, problem):
-    inputs = np.zeros((2, 9))
-    inputs[0, 2] = np.nan
-    found = scope.flags(problem, ["primary_upper (too low)", ""], inputs, fitted(2))
-    assert found.found.tolist() == [[True, False, False, False], [False] * 4]
-    assert found.reasons == ("missing: primary_upper (too low)", "")
+    inputs = np.zeros((3, 9))
+    inputs[1, 2] = np.nan
+    inputs[2, 4] = 30.0
+    missing = ["", "primary_upper (no maximum)", ""]
+    found = scope.flags(problem, missing, inputs, fitted(3))
+    assert found.found.tolist() == [[False] * 4, [True, *[False] * 3], [False, True, False, False]]
+    assert found.reasons[:2] == ("", "missing: primary_upper (no maximum)")
+    assert found.reasons[2].startswith("the features lie")
 
 
 @pytest.mark.parametrize(("column", "value"), [(4, 30.0), (7, -30.0)])
@@ -198,6 +201,18 @@ def test_parameter_outside_its_range_is_named_with_the_range(scope, problem):
         "c_p at about 12.5 % lies outside the 50 to 200 % trained for; "
         "k_s at about 251 % lies outside the 50 to 200 % trained for"
     )
+
+
+def test_each_curve_has_its_own_reasons(scope, problem):
+    refined = fitted(3)
+    refined.ratios[[1, 2], [0, 3]] = [4.0, 0.1]
+    found = flags(scope, problem, refined)
+    assert found.flagged.tolist() == [False, True, True]
+    assert [words.split(" lies")[0] for words in found.reasons] == [
+        "",
+        "k_p at about 400 %",
+        "c_s at about 10 %",
+    ]
 
 
 def test_curve_that_is_not_explained_is_said_with_numbers(problem):
