@@ -1,42 +1,6 @@
 """Write an example fleet whose truth is known: python -m suspnet.simulate [KEY=VALUE ...]."""
 
-import logging
-from pathlib import Path
-
-import hydra
-from hydra.utils import instantiate
-from omegaconf import DictConfig
-
-from suspnet import command_line
-from suspnet.simulation.fleet import write_fleet
-
-log = logging.getLogger(__name__)
-
-
-@hydra.main(version_base="1.3", config_path="../configs", config_name="simulate")
-@command_line.task
-def main(config: DictConfig) -> None:
-    """Compose the fleet, simulate it and write it."""
-    folder = Path(config.out)
-    if folder.exists() and any(folder.glob("*.yaml")):
-        raise ValueError(f"out={folder} already holds trips; give another folder")
-    manifests = write_fleet(
-        folder,
-        instantiate(config.fleet),
-        instantiate(config.scenario),
-        instantiate(config.generator),
-        seed=config.seed,
-        n_jobs=config.workers,
-        progress=config.progress,
-    )
-    log.info(
-        "%d trips of scenario %s in %s\nread them with: python evaluate.py trips=%s run=RUN",
-        len(manifests),
-        config.scenario.name,
-        folder,
-        folder,
-    )
-
+from suspnet.cli.simulate import main
 
 if __name__ == "__main__":
-    command_line.run(main)
+    main()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from suspnet.data import storage
-from suspnet.data.storage import (
+from suspnet.storage import (
     DamagedFileError,
     content_hash,
     dump_arrays,

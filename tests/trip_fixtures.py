@@ -11,11 +11,11 @@ from vehicles import AM96
 from suspnet.data import TEST, Protocol
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
-from suspnet.experiment import rms_percent
-from suspnet.fitting import Problem, fit
 from suspnet.learning import MSVR
-from suspnet.predicting import calibrated, predict_stream
 from suspnet.recordings.manifest import CHANNELS
+from suspnet.runs.fit import Problem, fit
+from suspnet.runs.predict import calibrated, predict_stream
+from suspnet.runs.train import rms_percent
 from suspnet.simulation.fleet import Fleet, write_fleet
 from suspnet.simulation.scenarios import Scenario
 

@@ -1,7 +1,7 @@
 """How far observed curves lie from a generator's, in units of their noise.
 
 The sum of squares of these residuals is -2 log likelihood, and with their derivative J the product
-J^T J is the Fisher information of `suspnet.evaluation.information`.
+J^T J is the Fisher information of `suspnet.theory.information`.
 """
 
 from __future__ import annotations

@@ -23,15 +23,15 @@ import suspnet
 from suspnet.data.curves import CurveObserver, CurveSettings
 from suspnet.data.estimates import EstimateObserver, EstimateSettings
 from suspnet.data.protocols import RESPONSES, Task
-from suspnet.data.storage import (
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.features import CurveFeatures, PeakFeatures
+from suspnet.storage import (
     DamagedFileError,
     content_hash,
     dump_arrays,
     read_arrays,
     write_atomically,
 )
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.features import CurveFeatures, PeakFeatures
 
 LEARN_FROM = 4096
 """Training curves from which a feature set learns what it has to."""

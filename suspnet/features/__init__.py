@@ -1,6 +1,6 @@
 """Module 2 of the paper: from recordings and frequency-response curves to features."""
 
-from suspnet.features.curve import CurveFeatures
+from suspnet.features.components import CurveFeatures
 from suspnet.features.extraction import FeatureSet, FeatureTable, PeakFeatures
 from suspnet.features.peaks import PeakFit, PeakReason, Peaks, findpeaks
 from suspnet.features.transfer_estimate import tfestimate

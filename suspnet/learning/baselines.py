@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from suspnet.learning.checks import check_number
+from suspnet.checks import check_number
 
 PREDICT_ROWS = 1024
 FloatArray = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 from torch import Tensor
 
-from suspnet.learning.checks import check_number
+from suspnet.checks import check_number
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 FIRST_DAMPING, SMALLEST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-12, 1e12

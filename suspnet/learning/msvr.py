@@ -17,8 +17,8 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
+from suspnet.checks import check_number
 from suspnet.learning import ranks
-from suspnet.learning.checks import check_number
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
 from suspnet.learning.maps import MAPS

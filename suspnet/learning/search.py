@@ -15,7 +15,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import root_mean_squared_error
 from sklearn.model_selection import KFold, ParameterGrid
 
-from suspnet.learning.checks import check_number
+from suspnet.checks import check_number
 from suspnet.learning.msvr import MSVR, SHARED
 from suspnet.learning.scaling import Scaling
 

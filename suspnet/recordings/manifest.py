@@ -10,9 +10,9 @@ from typing import Any
 
 import yaml
 
-from suspnet.data.storage import write_atomically
 from suspnet.dynamics import PARAMETERS
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError
+from suspnet.storage import write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 from tqdm import tqdm
 
-from suspnet.data.storage import write_atomically
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.dynamics.journey import Journey, service_journey, steady_journey
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
@@ -28,6 +27,7 @@ from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest, write_manifest
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.sensors import Sensor
+from suspnet.storage import write_atomically
 
 FloatArray = NDArray[np.float64]
 BLOCK = 1 << 18

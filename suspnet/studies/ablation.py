@@ -15,26 +15,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from suspnet.checkpoint import TrainedModel, load_model
 from suspnet.data import TEST, CurveSource
-from suspnet.data.storage import (
+from suspnet.model.checkpoint import TrainedModel, load_model
+from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.tables import records_csv
+from suspnet.runs.tensorboard import RunLog
+from suspnet.storage import (
     content_hash,
     dump_arrays,
     read_json,
     write_atomically,
     write_json,
 )
-from suspnet.evaluation.ablation import (
+from suspnet.studies.ablation_tables import (
     BASELINE,
     Record,
     ablation_caption,
     ablation_markdown,
     ablation_records,
 )
-from suspnet.evaluation.comparison import records_csv
-from suspnet.evaluation.feature_information import feature_loss
-from suspnet.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.tracking import RunLog
+from suspnet.theory.feature_information import feature_loss
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256

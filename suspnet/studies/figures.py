@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.evaluation.findings import Findings
-from suspnet.evaluation.identifiability import UNIDENTIFIED, VERDICTS, Bound
-from suspnet.evaluation.options import Option
-from suspnet.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.studies.findings import Findings
+from suspnet.theory.bounds import UNIDENTIFIED, VERDICTS, Bound
+from suspnet.theory.options import Option
 
 if TYPE_CHECKING:
     from suspnet.studies.reliability import Reliability

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.data import TEST, CurveSettings, EstimateSettings, Protocol, Task
-from suspnet.data.storage import write_atomically, write_json
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.evaluation.comparison import records_csv
-from suspnet.evaluation.findings import Findings, group_markdown, plain, records
-from suspnet.evaluation.identifiability import VERDICTS, bounds, directions, with_healthy
-from suspnet.evaluation.information import scale_ambiguity_limit
-from suspnet.evaluation.options import options
+from suspnet.runs.tables import records_csv
+from suspnet.runs.tensorboard import RunLog
+from suspnet.storage import write_atomically, write_json
 from suspnet.studies import figures
-from suspnet.tracking import RunLog
+from suspnet.studies.findings import Findings, group_markdown, plain, records
+from suspnet.theory.bounds import VERDICTS, bounds, directions, with_healthy
+from suspnet.theory.information import scale_ambiguity_limit
+from suspnet.theory.options import options
 
 log = logging.getLogger(__name__)
 Generator = QuarterCar | VerticalVehicle

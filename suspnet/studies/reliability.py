@@ -22,21 +22,21 @@ from tabulate import tabulate
 from torch import Tensor
 from tqdm import tqdm
 
-from suspnet.checkpoint import TrainedModel, load_model
 from suspnet.data import TEST, Task
 from suspnet.data.source import BLOCK, quiet
-from suspnet.data.storage import write_atomically, write_json
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
 from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.evaluation.comparison import MODEL_TITLES, records_csv
-from suspnet.evaluation.metrics import covers, interval_scores
-from suspnet.experiment import LEVEL, find_runs, label
-from suspnet.fitting import Problem
 from suspnet.learning import MVGPR
-from suspnet.predicting import Outcome, flags_of, predict_stream
-from suspnet.reliability.scope import KINDS
+from suspnet.model.checkpoint import TrainedModel, load_model
+from suspnet.runs.fit import Problem
+from suspnet.runs.metrics import covers, interval_scores
+from suspnet.runs.predict import Outcome, flags_of, predict_stream
+from suspnet.runs.tables import MODEL_TITLES, records_csv
+from suspnet.runs.tensorboard import RunLog
+from suspnet.runs.train import LEVEL, find_runs, label
+from suspnet.storage import write_atomically, write_json
 from suspnet.studies import figures
-from suspnet.tracking import RunLog
+from suspnet.uncertainty.ood import KINDS
 
 log = logging.getLogger(__name__)
 N_SLICES = 5

@@ -38,7 +38,7 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
     from hydra.utils import instantiate
 
     from suspnet.data import TEST, TRAIN
-    from suspnet.fitting import Problem, scalings
+    from suspnet.runs.fit import Problem, scalings
 
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         config = compose(
@@ -72,8 +72,8 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
 
 def measure(cell: Row) -> Row:
     """Return the measurements of one map with one setting."""
-    from suspnet.evaluation.metrics import score
     from suspnet.learning import MSVR, Scaling
+    from suspnet.runs.metrics import score
 
     data = np.load(cell["data"])
     model = MSVR(cell["C"], cell["sigma"], EPSILON, cell["map"], cell["asked"], dtype=cell["dtype"])

@@ -15,12 +15,12 @@ import pytest
 from scipy.signal import csd, resample_poly, welch
 from trip_fixtures import AM96, SPEED, NoLog, trips_protocol, write_trips
 
-from suspnet.checkpoint import save_model
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
-from suspnet.fitting import Problem, fit
 from suspnet.learning import MSVR
-from suspnet.monitoring.trip import TripSettings, evaluate_trip
+from suspnet.model.checkpoint import save_model
+from suspnet.runs.fit import Problem, fit
+from suspnet.trips.trip import TripSettings, evaluate_trip
 
 MINUTES = 60.0
 RATES = {"axle_box": 5000, "bogie": 2000, "body": 2000}
@@ -30,8 +30,8 @@ MEMORY = r"""
 import json, re, sys
 from pathlib import Path
 import torch
-from suspnet.checkpoint import load_model
-from suspnet.monitoring.trip import TripSettings, evaluate_trip
+from suspnet.model.checkpoint import load_model
+from suspnet.trips.trip import TripSettings, evaluate_trip
 
 def peak_kib():
     # not ru_maxrss, which starts from that of the process that started this one

@@ -1,0 +1,201 @@
+"""What the programs share: one clear line for a user's mistake, trusted targets, configurations."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stderr
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException, InstantiationException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from sklearn.exceptions import ConvergenceWarning
+
+import suspnet
+from suspnet.learning import ranks
+from suspnet.storage import write_atomically
+
+
+def _configs() -> str:
+    """Return the folder of the configurations: in the package if installed, else the checkout's."""
+    packaged = Path(suspnet.__file__).parent / "configs"
+    return str(packaged if packaged.is_dir() else packaged.parents[1] / "configs")
+
+
+CONFIGS = _configs()
+"""Absolute path of the folder that Hydra composes from."""
+DEBUG = "HYDRA_FULL_ERROR"
+MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
+NO_SLURM = 'Could not detect "srun"'
+"""How submitit begins to say that this machine is not part of a Slurm cluster."""
+_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
+
+
+def run(main: Callable[[], Any]) -> None:
+    """Run a Hydra program; end with one line and exit code 1 on a mistake, 130 on Ctrl-C.
+
+    HYDRA_FULL_ERROR=1 shows the traceback instead.
+    """
+    os.environ[DEBUG] = "1"
+    try:
+        check_experiment(Path(sys.argv[0]), sys.argv[1:])
+        with _one_writer():
+            main()
+    except KeyboardInterrupt:
+        print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+    except MISTAKES as error:
+        if _debugging:
+            raise
+        sys.exit(one_line(error))
+    except RuntimeError as error:
+        if _debugging or NO_SLURM not in str(error):
+            raise
+        sys.exit(one_line(error))
+
+
+@contextmanager
+def _one_writer() -> Iterator[None]:
+    """Where torchrun started several processes, let only the first write files and speak."""
+    with ExitStack() as stack:
+        stack.callback(ranks.stop)
+        if int(os.environ.get("RANK", "0")) > 0:
+            nowhere = stack.enter_context(TemporaryDirectory())
+            stack.enter_context(redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
+            sys.argv += [
+                f"hydra.run.dir={nowhere}",
+                f"hydra.sweep.dir={nowhere}",
+                "hydra/job_logging=none",
+                "progress=false",
+            ]
+            stack.enter_context(_without_words())
+        yield
+
+
+@contextmanager
+def _without_words() -> Iterator[None]:
+    """Keep an exit's message from being printed: the first process prints its own."""
+    try:
+        yield
+    except SystemExit as error:
+        raise SystemExit(1 if isinstance(error.code, str) else error.code) from None
+
+
+def join_ranks(device: str) -> None:
+    """Join the other processes if torchrun started this one.
+
+    Raises
+    ------
+    ValueError
+        In a multirun, which has other means.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and HydraConfig.get().mode == RunMode.MULTIRUN:
+        raise ValueError(
+            "a multirun cannot be spread by torchrun: start it with python, and "
+            "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
+        )
+    ranks.start(device)
+
+
+def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
+    """Wrap a Hydra task function: check its targets, end with one line on a mistake."""
+
+    @functools.wraps(function)
+    def wrapped(config: DictConfig) -> Any:
+        warnings.simplefilter("always", ConvergenceWarning)
+        try:
+            check_targets(config)
+            return function(config)
+        except MISTAKES as error:
+            if _debugging:
+                raise
+            raise SystemExit(one_line(error)) from None
+
+    return wrapped
+
+
+def check_experiment(program: Path, overrides: Sequence[str]) -> None:
+    """Raise ValueError if an experiment is chosen that is of another program.
+
+    Studies, which have a key `study`, are of evaluate.py; all others are of train.py. Hydra itself
+    would name the first key that does not fit, or start a multirun.
+    """
+    chosen = [re.fullmatch(r"\+*experiment=(.*)", override) for override in overrides]
+    for name in (name for match in chosen if match for name in match[1].split(",")):
+        file = Path(CONFIGS) / "experiment" / f"{name}.yaml"
+        if not file.is_file():
+            continue
+        owner = "evaluate.py" if "study" in (yaml.safe_load(file.read_text()) or {}) else "train.py"
+        if program.name != owner:
+            raise ValueError(f"experiment={name} is of {owner}: python {owner} experiment={name}")
+
+
+def one_line(error: BaseException) -> str:
+    """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
+    while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
+        error = error.__cause__
+    words = str(error)
+    for noise in ("Config search path", "full_key:", "To append to your "):
+        words = words.split(noise)[0]
+    if words.startswith("Could not override"):
+        words = f"{words.strip().rstrip('.')}. There is no such key; --help lists them"
+    if isinstance(error, OSError) and error.filename is not None:
+        words = f"{error.filename}: {error.strerror}"
+    return "error: " + " ".join(words.split())
+
+
+def check_targets(config: DictConfig) -> None:
+    """Raise ValueError if a `_target_` lies outside suspnet."""
+    stack: list[Any] = [OmegaConf.to_container(config, resolve=False)]
+    while stack:
+        node = stack.pop()
+        if isinstance(node, dict):
+            target = node.get("_target_", "suspnet.")
+            if not str(target).startswith("suspnet."):
+                raise ValueError(f"`_target_` must lie in suspnet, got {target!r}")
+            stack.extend(node.values())
+        elif isinstance(node, list):
+            stack.extend(node)
+
+
+def run_folder() -> Path:
+    """Return the folder that Hydra made for this run."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def n_threads(wanted: int | None) -> int:
+    """Set torch's threads to `wanted`, or leave them; return their number.
+
+    Raises
+    ------
+    ValueError
+        If `wanted` is not a positive whole number or null.
+    """
+    if wanted is None:
+        return torch.get_num_threads()
+    if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
+        raise ValueError(f"`threads` must be a positive whole number or null, got {wanted!r}")
+    torch.set_num_threads(wanted)
+    return wanted
+
+
+def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:
+    """Write the resolved configuration to config.yaml and return it as plain values."""
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(config, resolve=True))
+    plain = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(plain, dict)
+    return {str(key): value for key, value in plain.items()}

@@ -1,1 +1,0 @@
-"""Scores, limits and comparisons."""

@@ -1,0 +1,1 @@
+"""A fitted model: its parts, its files, and what it estimates from curves and recordings."""

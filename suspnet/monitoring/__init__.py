@@ -1,1 +1,0 @@
-"""From recordings of trips to stiffness and damping along the mileage."""

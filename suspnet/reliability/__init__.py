@@ -1,1 +1,0 @@
-"""How far an estimate can be trusted: refinement on the curve, intervals, what is out of range."""

@@ -1,0 +1,226 @@
+"""Fit a method to a problem and predict with it: data, scaling, tuning, progress."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, is_dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.source import quiet
+from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
+from suspnet.learning import MSVR, CurveFit, Scaling, ranks
+from suspnet.learning.search import GridSearch, SearchResult
+from suspnet.model.checkpoint import ESTIMATORS, TrainedModel, parameters
+from suspnet.runs.tensorboard import RunLog
+
+log = logging.getLogger(__name__)
+FloatArray = NDArray[np.float64]
+TOO_MANY_LOST = 0.02
+"""Fraction of curves without all of their peaks above which a user should be warned."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be learnt, and with which means.
+
+    Parameters
+    ----------
+    generator : QuarterCar or VerticalVehicle
+        The source of frequency responses.
+    task : Task
+    settings : CurveSettings or EstimateSettings
+        Where the band is left to the vehicle, it is bound to the generator's.
+    seed : int
+    threads : int
+        Blocks of curves made at the same time, and threads of torch.
+    progress : bool
+    """
+
+    generator: QuarterCar | VerticalVehicle
+    task: Task
+    settings: CurveSettings | EstimateSettings
+    seed: int = 0
+    threads: int = 1
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        for name, low in (("seed", 0), ("threads", 1)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < low:
+                raise ValueError(f"`{name}` must be a whole number >= {low}, got {value!r}")
+        object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
+
+    @cached_property
+    def source(self) -> CurveSource:
+        """The source of noisy curves and features."""
+        return CurveSource(
+            self.generator, self.task, self.settings, self.seed, self.threads, self.progress
+        )
+
+
+def method_name(estimator: Any) -> str:
+    """Return the name of a method in ``ESTIMATORS``.
+
+    Raises
+    ------
+    TypeError
+        If it is none of them.
+    """
+    for name, kind in ESTIMATORS.items():
+        if type(estimator) is kind:
+            return name
+    raise TypeError(f"`model` must be one of {sorted(ESTIMATORS)}, got {type(estimator).__name__}")
+
+
+def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
+    """Return the cross-validated RMSE of every setting of a search, on the training curves."""
+    name = method_name(estimator)
+    data = problem.source.features(TRAIN).complete()
+    inputs, outputs = scalings(problem.task, data)
+    n_settings = search.n_settings(name)
+    with tqdm(total=n_settings, desc=f"search {name}", disable=quiet(problem.progress)) as bar:
+
+        def told(setting: Mapping[str, Any], rmse: float) -> None:
+            run_log.scalars("search", {"rmse": rmse}, int(bar.n))
+            bar.update()
+
+        return search.run(
+            name,
+            estimator,
+            inputs.apply(data.inputs),
+            outputs.apply(data.outputs),
+            outputs,
+            told,
+        )
+
+
+def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedModel:
+    """Return the estimator fitted to the training curves, with its scaling and a summary.
+
+    Where torchrun started several processes, each makes its share of the curves and all fit one
+    model together; only the first has a `run_log`.
+
+    Raises
+    ------
+    ValueError
+        If the method cannot be spread over processes.
+    """
+    source = problem.source
+    name = method_name(estimator)
+    if ranks.together() and not isinstance(estimator, MSVR):
+        raise ValueError(
+            f"model={name} cannot be spread over processes, only msvr: start it with python, not "
+            "with torchrun"
+        )
+    model = TrainedModel(
+        name,
+        estimator,
+        replace(problem.task, extractor=source.extractor),
+        problem.generator,
+        replace(problem.settings, cache_dir=None),
+        source.healthy_features(),
+    )
+    training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
+    if not isinstance(estimator, CurveFit):
+        part = None
+        if ranks.together():
+            part = ranks.share(source.n_batches(len(source.ratios(TRAIN))))
+        data = source.features(TRAIN, part)
+        kept = data.subset(data.valid)
+        n_made, n_kept = (_count(rows) for rows in (data.inputs, kept.inputs))
+        if not n_kept:
+            raise ValueError(f"none of the {n_made} curves has all of its peaks")
+        if 1 - n_kept / n_made > TOO_MANY_LOST:
+            log.warning(
+                "%.1f %% of the training curves lack a peak and are left out; look at "
+                "figures/peaks.png and at protocol.features (smoothing_hz, low_hz, high_hz)",
+                100 * (1 - n_kept / n_made),
+            )
+        inputs, outputs = scalings(problem.task, kept)
+        model = replace(model, input_scaling=inputs, output_scaling=outputs)
+        start = time.perf_counter()
+        with _Told(estimator, name, run_log, problem.progress), _spread(estimator):
+            estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
+        training["seconds"] = time.perf_counter() - start
+        training |= {"n_train": n_made, "n_train_complete": n_kept}
+    training |= _summary(estimator)
+    return replace(model, training=training)
+
+
+def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
+    """Return the scaling of inputs and outputs that a task asks for, from complete curves."""
+    log_inputs = task.log_ratios and task.extractor.positive
+    return (
+        Scaling.of(data.inputs, log_inputs, ranks.total),
+        Scaling.of(data.outputs, task.log_ratios, ranks.total),
+    )
+
+
+def _count(rows: FloatArray) -> int:
+    """Return the number of rows over all ranks."""
+    return int(ranks.total(torch.tensor([len(rows)])))
+
+
+@contextmanager
+def _spread(estimator: Any) -> Iterator[None]:
+    """Let MSVR take its samples as one rank's where there are several."""
+    if not ranks.together():
+        yield
+        return
+    estimator.set_params(distributed=True)
+    try:
+        yield
+    finally:
+        estimator.set_params(distributed=False)
+
+
+def _summary(estimator: Any) -> dict[str, Any]:
+    """Return the scalar fitted attributes of an estimator, and its parameters."""
+    fitted = {
+        key.removesuffix("_"): value
+        for key, value in vars(estimator).items()
+        if key.endswith("_") and isinstance(value, bool | int | float)
+    }
+    return {"fitted": fitted, "parameters": parameters(estimator)}
+
+
+class _Told:
+    """While fitting, show a progress bar and log what the estimator's callback is told."""
+
+    def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
+        self._estimator, self._name, self._log = estimator, name, run_log
+        self._active = run_log is not None and "callback" in estimator.get_params()
+        self._bar = tqdm(desc=f"fit {name}", unit="step", disable=quiet(progress and self._active))
+
+    def __enter__(self) -> None:
+        if self._active:
+            self._estimator.set_params(callback=self._tell)
+
+    def __exit__(self, *_: object) -> None:
+        if self._active:
+            self._estimator.set_params(callback=None)
+        self._bar.close()
+
+    def _tell(self, info: Any) -> None:
+        self._bar.update()
+        if self._log is not None and is_dataclass(info) and not isinstance(info, type):
+            values = asdict(info)
+            step = values.pop(next(iter(values)))
+            self._log.scalars(self._name, values, step)
+            self._bar.set_postfix({k: f"{v:.3g}" for k, v in list(values.items())[:2]})

@@ -1,0 +1,131 @@
+"""What happens when the last job of a multirun has ended: tables, figures, override files."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from suspnet.runs import plots
+from suspnet.runs.tables import (
+    records_csv,
+    sensitivity_markdown,
+    sensitivity_records,
+    table6_caption,
+    table6_markdown,
+    table6_records,
+)
+from suspnet.runs.tensorboard import RunLog
+from suspnet.storage import read_json, write_atomically, write_json
+from suspnet.studies.ablation import write_ablation
+
+log = logging.getLogger(__name__)
+Run = Mapping[str, Any]
+
+
+class _Summary(Callback):
+    """Reads the metrics.json of every job and hands them to `summarise`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Summarise the jobs of the multirun that has just ended."""
+        folder = Path(config.hydra.sweep.dir)
+        runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
+        if runs:
+            self.summarise(runs, folder)
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write what the runs show together into `folder`."""
+
+
+class Table6(_Summary):
+    """Table VI: published and measured side by side, as JSON, CSV, Markdown and a figure."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write table6.json, .csv, .md and .png and print the table."""
+        write_table6(runs, folder)
+
+
+class Table5(_Summary):
+    """Table V: the best hyperparameters of each method and group, as an override file."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write experiment/best.yaml and table5.json and print the best settings."""
+        tuned: dict[str, dict[str, Any]] = {}
+        for run in runs:
+            if "search" in run:
+                best = run["search"]["best"].items()
+                numbers = {key: value for key, value in best if isinstance(value, int | float)}
+                tuned.setdefault(run["group"], {})[run["model"]] = numbers
+        content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
+        path = write_atomically(
+            folder / "experiment" / "best.yaml",
+            f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
+            f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
+        )
+        write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
+        log.info(
+            "best hyperparameters (least cross-validated RMSE):\n%s-> %s\n"
+            "use them with: python train.py --config-dir %s experiment=best",
+            content,
+            path,
+            folder,
+        )
+
+
+class Sensitivity(_Summary):
+    """MAPE against sensor precision (Fig. 11)."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write sensitivity.json, .csv, .md and .png and print the table."""
+        records = sensitivity_records(runs)
+        write_json(folder / "sensitivity.json", records)
+        write_atomically(folder / "sensitivity.csv", records_csv(records))
+        with RunLog(folder) as run_log:
+            run_log.figure("sensitivity", plots.sensitivity(runs), folder)
+        table = sensitivity_markdown(records)
+        write_atomically(folder / "sensitivity.md", f"{table}\n")
+        log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
+
+
+class Ablation(Callback):
+    """What each change about a baseline costs or gains: see `write_ablation`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Compare the jobs of the multirun that has just ended."""
+        write_ablation(Path(config.hydra.sweep.dir))
+
+
+def write_table6(runs: Sequence[Run], folder: Path) -> None:
+    """Write and print the comparison of runs with Table VI of the paper."""
+    records = table6_records(runs)
+    by_protocol = {
+        name: [r for r in records if r["protocol"] == name]
+        for name in dict.fromkeys(r["protocol"] for r in records)
+    }
+    text = "\n".join(
+        f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
+    )
+    write_json(folder / "table6.json", records)
+    write_atomically(folder / "table6.csv", records_csv(records))
+    write_atomically(folder / "table6.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text("table6", text)
+        for name, part in by_protocol.items():
+            figure = "table6" if len(by_protocol) == 1 else f"table6_{name}"
+            run_log.figure(figure, plots.table6(part), folder)
+    log.info("Table VI, published beside measured\n\n%s\n-> %s/table6.*", text, folder)
+
+
+def _search_record(run: Run) -> dict[str, Any]:
+    search = run["search"]
+    keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
+    return {key: run[key] for key in keys} | {
+        "best": search["best"],
+        "cv_rmse": min(search["rmse"]),
+        "n_settings": len(search["rmse"]),
+    }

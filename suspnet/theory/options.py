@@ -1,0 +1,150 @@
+"""What could be measured: choices of curves, sensors and masses, with the information of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.data.curves import CurveObserver
+from suspnet.data.estimates import EstimateObserver
+from suspnet.data.protocols import RESPONSES, Task
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.theory.information import cramer_rao, estimate_information, fisher_information
+from suspnet.theory.sensor_information import (
+    THREE_SENSORS,
+    FromAxleBox,
+    Places,
+    recording_information,
+)
+
+MASS = "M_s"
+SECOND_SET = "a second set of sensors"
+FloatArray = NDArray[np.float64]
+Kind = Literal["baseline", "less", "more", "other", "estimate"]
+
+
+@dataclass(frozen=True)
+class Option:
+    """Something that could be measured, and what it tells.
+
+    Attributes
+    ----------
+    title : str
+    kind : {"baseline", "less", "more", "other", "estimate"}
+        What is measured now, less or more than that, something else instead, or what the
+        estimator makes of what is measured now.
+    unknown : tuple of str
+        The parameters that have to be estimated.
+    information : array of shape (n_vehicles, n_unknown, n_unknown)
+        With respect to ratios to healthy.
+    """
+
+    title: str
+    kind: Kind
+    unknown: tuple[str, ...]
+    information: FloatArray
+
+    def knowing(self, parameter: str) -> Option:
+        """Return the option with one parameter measured by other means."""
+        kept = [j for j, name in enumerate(self.unknown) if name != parameter]
+        unknown = tuple(self.unknown[j] for j in kept)
+        return replace(self, unknown=unknown, information=self.information[:, kept][:, :, kept])
+
+    def percent(self, ratios: FloatArray) -> FloatArray:
+        """Return the bounds relative to each vehicle's own values, (n_vehicles, n_unknown), [%].
+
+        Parameters
+        ----------
+        ratios : array of shape (n_vehicles, 5), [-]
+            Those of the information.
+        """
+        columns = [PARAMETERS.index(name) for name in self.unknown]
+        return np.asarray(100 * cramer_rao(self.information) / ratios[:, columns])
+
+
+def options(
+    task: Task, observer: CurveObserver | EstimateObserver, ratios: FloatArray
+) -> list[Option]:
+    """Return what could be measured for a task; the first is what is measured now.
+
+    Of curves: one of them, both, and further ones of the same signal-to-noise ratio. Of trips: the
+    recordings of fewer and of more sensors, and the estimate that is made of three. Of either: the
+    car-body mass, and twice the sensors.
+
+    Parameters
+    ----------
+    task : Task
+    observer : CurveObserver or EstimateObserver
+    ratios : array of shape (n_vehicles, 5), [-]
+    """
+    if isinstance(observer, EstimateObserver):
+        now, *others = _from_recordings(task, observer, ratios)
+    else:
+        now, *others = _from_curves(task, observer, ratios)
+    if task.mass_known:
+        unmeasured = replace(now, title="car-body mass not measured", kind="less")
+        return [*(option.knowing(MASS) for option in (now, *others)), unmeasured]
+    measured = replace(now.knowing(MASS), title="+ measured car-body mass", kind="more")
+    return [now, *others, measured]
+
+
+def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> list[Option]:
+    """Return the options of section III-B, all of ``task.varied`` unknown."""
+
+    def information(source: ResponseGenerator, response: str) -> FloatArray:
+        bins, snr_db = observer.frequencies_hz, observer.settings.snr_db
+        return fisher_information(source, ratios, bins, snr_db, task.varied, (response,))
+
+    def option(title: str, kind: Kind, total: FloatArray) -> Option:
+        return Option(title, kind, task.varied, total)
+
+    primary, secondary = (information(observer.generator, name) for name in RESPONSES)
+    curves = {
+        ("G_p",): ("only G_p", primary),
+        ("G_s",): ("only G_s", secondary),
+        RESPONSES: ("both curves", primary + secondary),
+    }
+    measured = tuple(name for name in RESPONSES if name in task.responses)
+    now = curves[measured][1]
+    found = [option(curves[measured][0], "baseline", now)]
+    for responses, (title, total) in curves.items():
+        if responses != measured:
+            found.append(option(title, _against(responses, measured), total))
+    places = Places(observer.generator)
+    if places.elsewhere is not None:
+        source = FromAxleBox(places.elsewhere)
+        # the second axle box moves as much as the first: its curve is 1 whatever the parameters
+        for place, name in zip(places.further, RESPONSES, strict=False):
+            found.append(option(f"+ {place}", "more", now + information(source, name)))
+    return [*found, option(f"+ {SECOND_SET}", "more", 2 * now)]
+
+
+def _against(responses: Sequence[str], measured: Sequence[str]) -> Kind:
+    if set(responses) > set(measured):
+        return "more"
+    return "less" if set(responses) < set(measured) else "other"
+
+
+def _from_recordings(task: Task, observer: EstimateObserver, ratios: FloatArray) -> list[Option]:
+    """Return the options of a trip, all of ``task.varied`` unknown."""
+    names = Places(observer.generator).names
+    one = np.eye(len(names))
+    three = one[: len(THREE_SENSORS)].sum(axis=0)
+    choices = {"three sensors": three}
+    choices |= {f"without the {name}": three - one[j] for j, name in enumerate(THREE_SENSORS)}
+    further = names[len(THREE_SENSORS) :]
+    choices |= {f"+ {name}": three + one[names.index(name)] for name in further}
+    choices[f"+ {SECOND_SET}"] = 2 * three
+    found = recording_information(observer, ratios, task.varied, list(choices.values()))
+    kinds: dict[float, Kind] = {-1.0: "less", 0.0: "baseline", 1.0: "more"}
+    recorded = [
+        Option(title, kinds[np.sign(count.sum() - three.sum())], task.varied, information)
+        for (title, count), information in zip(choices.items(), found, strict=True)
+    ]
+    estimate = estimate_information(observer, ratios, task.varied)
+    title = f"three sensors, {observer.settings.method} estimate"
+    return [*recorded, Option(title, "estimate", task.varied, estimate)]

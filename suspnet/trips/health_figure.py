@@ -1,0 +1,197 @@
+"""The figure that matters most: each parameter along the mileage, with intervals and flags."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
+from suspnet.trips.records import TripResult
+from suspnet.trips.trend import PAYLOAD
+from suspnet.runs.plots import SYMBOLS
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
+FLAGGED_COLOUR = "tab:purple"
+HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
+LEAST_SPAN_PERCENT = 2.0
+"""No axis of a parameter is finer than this, so that mere spread looks like spread."""
+MARGIN = 0.05
+"""Share of the span that stays free above and below."""
+
+
+def health_trend(
+    results: Sequence[TripResult], outputs: Sequence[str], level: float = 0.9
+) -> Figure:
+    """Each parameter in % of healthy along the mileage (Fig. 10).
+
+    Dots are trips with their interval, the line is the running median of all; a flagged trip is
+    hollow and has no interval. A red tick at the bottom is a trip without an estimate, a thin black
+    line the truth of simulated trips. The axis holds unflagged trips and the median; a trip more
+    than their span beyond is cut off and marked at the edge. Trips without a mileage are left out,
+    and counted in the title.
+
+    Parameters
+    ----------
+    results : sequence of TripResult
+        In any order.
+    outputs : sequence of str
+        From ``SYMBOLS``.
+    level : float
+        Probability of the intervals, for the legend.
+    """
+    figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
+    axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
+    placed = by_mileage(r for r in results if np.isfinite(r.mileage_km))
+    mileage = np.array([r.mileage_km / 1000 for r in placed])
+    for axis, name in zip(axes, outputs, strict=True):
+        axis.set_ylabel(f"{SYMBOLS[name]} [% of {'nominal' if name == PAYLOAD else 'healthy'}]")
+        known = np.isfinite([r.estimates.get(name, np.nan) for r in placed])
+        if known.any():
+            trips = [r for r, is_known in zip(placed, known, strict=True) if is_known]
+            _draw(axis, trips, name, level)
+            _draw_truth(axis, placed, name)
+        else:
+            say(axis, "no trip with an estimate and a mileage", keep_x=len(mileage) > 0)
+        _mark_missing(axis, mileage[~known])
+    axes[-1].set_xlabel(MILEAGE_LABEL)
+    figure.align_ylabels(axes)
+    _legend(figure, axes, len(results) - len(placed))
+    return figure
+
+
+def running_median(values: FloatArray, window: int = 5) -> FloatArray:
+    """Return the median of the `window` values around each; the window shrinks at the ends.
+
+    Parameters
+    ----------
+    values : array of shape (n_trips,)
+        In the order of the mileage, without NaN.
+    window : int
+        Odd.
+    """
+    half = window // 2
+    return np.array(
+        [np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))]
+    )
+
+
+def _draw(axis: Axes, trips: Sequence[TripResult], name: str, level: float) -> None:
+    """Draw trips with an estimate, in ascending order, and set the axis to them."""
+    mileage = np.array([r.mileage_km / 1000 for r in trips])
+    values = _percent([r.estimates[name] for r in trips])
+    limits = _percent([r.interval(name) for r in trips])  # (n_trips, 2)
+    truth = _percent([r.truth.get(name, np.nan) for r in trips])
+    flagged = np.array([bool(r.flags) for r in trips])
+    limits[flagged] = np.nan
+    barred = np.isfinite(limits).all(axis=1)
+    if not flagged.all():
+        style: dict[str, Any] = {"ms": 6, "color": ESTIMATE_COLOUR, "label": "trip"}
+        axis.plot(mileage[~flagged], values[~flagged], ".", **style)
+    if barred.any():
+        style = {"color": ESTIMATE_COLOUR, "alpha": 0.5, "lw": 0.9}
+        label = f"its {100 * level:g} % interval"
+        axis.vlines(mileage[barred], *limits[barred].T, label=label, **style)
+    if flagged.any():
+        style = {"ms": 4.5, "label": "flagged: see the table", **HOLLOW}
+        axis.plot(mileage[flagged], values[flagged], "o", **style)
+    if len(values) > 2:
+        style = {"color": ESTIMATE_COLOUR, "alpha": 0.6}
+        axis.plot(
+            mileage, running_median(values), label="median of five neighbouring trips", **style
+        )
+    usual = ~flagged if not flagged.all() else flagged
+    _limit(axis, values, limits[barred], np.append(values[usual], truth[usual]))
+    _mark_cut_off(axis, mileage, values)
+
+
+def _limit(axis: Axes, values: FloatArray, limits: FloatArray, usual: FloatArray) -> None:
+    """Set the axis to the `usual` values, so that one odd trip does not make all others a line.
+
+    The median of neighbouring trips stays on the axis, and so does a lasting change. Other values,
+    and intervals `limits` (n, 2), widen it by up to its span on each side.
+    """
+    base = np.append(usual[np.isfinite(usual)], running_median(values))
+    low, high = base.min(), base.max()
+    span = max(high - low, LEAST_SPAN_PERCENT)
+    near = values[(values >= low - span) & (values <= high + span)]
+    wide = np.concatenate([base, near, limits.clip(low - span, high + span).ravel()])
+    middle, size = (wide.min() + wide.max()) / 2, wide.max() - wide.min()
+    half = max((1 + 2 * MARGIN) * size, LEAST_SPAN_PERCENT) / 2
+    axis.set_ylim(middle - half, middle + half)
+    axis.ticklabel_format(axis="y", useOffset=False)
+    axis.axhline(100, color="0.6", lw=0.8, ls=":", zorder=0)
+    axis.grid(True, alpha=0.3)
+
+
+def _mark_cut_off(axis: Axes, mileage: FloatArray, values: FloatArray) -> None:
+    """Put a triangle and the value at the edge beyond which a trip lies."""
+    low, high = axis.get_ylim()
+    edges = axis.get_xaxis_transform()
+    for beyond, marker, edge in ((values < low, "v", 0), (values > high, "^", 1)):
+        if not beyond.any():
+            continue
+        style: dict[str, Any] = {"ms": 6, "clip_on": False, "transform": edges, **HOLLOW}
+        heights = np.full(beyond.sum(), edge)
+        axis.plot(mileage[beyond], heights, marker, label="beyond the axis", **style)
+        for km, value in zip(mileage[beyond], values[beyond], strict=True):
+            axis.annotate(
+                f"{value:.0f} %",
+                (km, edge),
+                (6, -2 if edge else 2),
+                xycoords=edges,
+                textcoords="offset points",
+                va="top" if edge else "bottom",
+                fontsize="x-small",
+                color=FLAGGED_COLOUR,
+            )
+
+
+def _draw_truth(axis: Axes, trips: Sequence[TripResult], name: str) -> None:
+    mileage = np.array([r.mileage_km / 1000 for r in trips])
+    truth = _percent([r.truth.get(name, np.nan) for r in trips])
+    known = np.isfinite(truth)
+    if known.any():
+        style: dict[str, Any] = {"lw": 0.8} if known.sum() > 1 else {"marker": "x", "ls": ""}
+        axis.plot(
+            mileage[known], truth[known], color=TRUTH_COLOUR, label="truth (simulated)", **style
+        )
+
+
+def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
+    if len(mileage):
+        axis.plot(
+            mileage,
+            np.zeros(len(mileage)),
+            "|",
+            ms=12,
+            mew=2,
+            color=MISSING_COLOUR,
+            transform=axis.get_xaxis_transform(),
+            clip_on=False,
+            label="trip without an estimate",
+        )
+
+
+def _percent(ratios: Sequence[Any]) -> FloatArray:
+    return 100 * np.array(ratios, dtype=float)
+
+
+def _legend(figure: Figure, axes: Sequence[Axes], n_unplaced: int) -> None:
+    """Name every kind of mark once, above the axes."""
+    marks: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            marks.setdefault(label, handle)
+    if marks:
+        figure.legend(
+            list(marks.values()), list(marks), loc="outside upper center", ncols=3, fontsize="small"
+        )
+    if n_unplaced:
+        axes[0].set_title(f"without a mileage, not shown: {n_unplaced}", fontsize="small")

@@ -1,0 +1,171 @@
+"""What is written of a fleet: tables, figures, TensorBoard, metrics and the report."""
+
+from __future__ import annotations
+
+import io
+import json
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from tabulate import tabulate
+
+from suspnet.storage import write_atomically, write_json
+from suspnet.trips import figures
+from suspnet.trips.health_figure import health_trend
+from suspnet.trips.records import OK, TripResult
+from suspnet.trips.report import write_report
+from suspnet.trips.trend import Trend
+from suspnet.runs.tensorboard import RunLog
+
+KNOWN_ERROR_PERCENT = "rms error %"
+COVERAGE_PERCENT = "intervals hold %"
+TOLD_CHARACTERS = 100
+"""So much of a reason is in the summary; trips.csv has all of it."""
+
+
+def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
+    """Return a table of all trips, and the errors where the truth is known."""
+    header = ["trip", "1000 km", *outputs, "averages", "reason or flags"]
+    rows = [
+        [
+            r.trip,
+            r.mileage_km / 1000,
+            *(r.estimates.get(name) for name in outputs),
+            r.quality.n_averages,
+            textwrap.shorten(
+                r.reason or r.flags, TOLD_CHARACTERS, placeholder=" \N{HORIZONTAL ELLIPSIS}"
+            ),
+        ]
+        for r in results
+    ]
+    errors = errors_percent(results, outputs)
+    if errors:
+        rows.append([KNOWN_ERROR_PERCENT, None, *(errors[name] for name in outputs), None, None])
+    held = coverage_percent(results, outputs)
+    if held:
+        rows.append([COVERAGE_PERCENT, None, *(held[name] for name in outputs), None, None])
+    words = [0, len(header) - 1]
+    table = tabulate(
+        rows,
+        header,
+        tablefmt="github",
+        floatfmt=("", ".1f", *[".4g"] * 20),
+        disable_numparse=words,
+    )
+    done = sum(r.status == OK for r in results)
+    flagged = sum(bool(r.flags) for r in results)
+    are = "is" if flagged == 1 else "are"
+    return f"{done} of {len(results)} trips have an estimate, {flagged} {are} flagged\n{table}"
+
+
+def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return the rms relative error of each output over trips whose truth is known, [%]."""
+    known = [r for r in results if r.status == OK and all(name in r.truth for name in outputs)]
+    if not known:
+        return {}
+    return {
+        name: 100
+        * float(np.sqrt(np.mean([(r.estimates[name] / r.truth[name] - 1) ** 2 for r in known])))
+        for name in outputs
+    }
+
+
+def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return how often the intervals hold the truth, over trips whose truth is known, [%].
+
+    Empty where no trip has both truth and intervals.
+    """
+    known = [
+        r
+        for r in results
+        if r.status == OK
+        and all(n in r.truth and np.isfinite(r.interval(n)).all() for n in outputs)
+    ]
+    if not known:
+        return {}
+    return {
+        name: 100
+        * float(
+            np.mean([r.interval(name)[0] <= r.truth[name] <= r.interval(name)[1] for r in known])
+        )
+        for name in outputs
+    }
+
+
+def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
+    """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
+    table = pa.Table.from_pylist([result.row(outputs) for result in results])
+    for name, write in (("trips.parquet", pq.write_table), ("trips.csv", pacsv.write_csv)):
+        stream = io.BytesIO()
+        write(table, stream)
+        write_atomically(output / name, stream.getvalue())
+    curves = [
+        pa.table(
+            {
+                "trip": [result.trip] * len(result.curves.frequencies_hz),
+                "frequency_hz": result.curves.frequencies_hz,
+                **{
+                    f"{what}_{link}": values[i]
+                    for i, link in enumerate(("p", "s"))
+                    for what, values in (
+                        ("magnitude", np.abs(result.curves.responses)),
+                        ("phase_rad", np.angle(result.curves.responses)),
+                        ("coherence", result.curves.coherences),
+                        ("deviation", result.curves.deviations),
+                    )
+                },
+            }
+        )
+        for result in results
+        if result.curves is not None
+    ]
+    if curves:
+        stream = io.BytesIO()
+        pq.write_table(pa.concat_tables(curves), stream)
+        write_atomically(output / "responses.parquet", stream.getvalue())
+
+
+def write_pages(
+    results: Sequence[TripResult],
+    outputs: tuple[str, ...],
+    trends: Sequence[Trend],
+    output: Path,
+    details: Mapping[str, str],
+    level: float,
+) -> None:
+    """Write figures, TensorBoard events, metrics.json and report.html."""
+    done = [r for r in results if r.status == OK]
+    drawn = {
+        "trend": health_trend(results, outputs, level),
+        "responses": figures.trip_responses(results),
+        "signals": figures.trip_signals(done[-1] if done else results[-1]),
+        "quality": figures.quality(results),
+    }
+    with RunLog(output) as run_log:
+        for i, result in enumerate(done):
+            values = result.estimates | {"n_averages": result.quality.n_averages}
+            step = i if np.isnan(result.mileage_km) else round(result.mileage_km)
+            run_log.scalars("trips", values, step)
+        for name, figure in drawn.items():
+            run_log.figure(name, figure, output / "figures")
+        run_log.text("trips", summary(results, outputs))
+    errors = errors_percent(results, outputs)
+    metrics = {
+        "n_trips": len(results),
+        "n_estimated": len(done),
+        "n_flagged": sum(bool(r.flags) for r in results),
+        "rms_error_percent": errors,
+        "coverage_percent": coverage_percent(results, outputs),
+        "trends": [asdict(one) for one in trends],
+        "details": dict(details),
+    }
+    write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
+    write_report(
+        output / "report.html", "Suspension report", results, outputs, drawn, trends, details, level
+    )

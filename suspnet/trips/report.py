@@ -1,0 +1,270 @@
+"""One page that says how a suspension is, for people who maintain it."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from suspnet.storage import write_atomically
+from suspnet.trips.records import OK, TripResult
+from suspnet.trips.trend import PAYLOAD, Trend
+
+NAMES = {
+    "k_p": "stiffness of the primary spring",
+    "c_p": "damping of the primary damper",
+    "k_s": "stiffness of the secondary spring",
+    "c_s": "damping of the secondary damper",
+    "M_s": "mass of the car body",
+}
+ROLES = {
+    "k_p": ", between axle box and bogie frame.",
+    "c_p": ", between axle box and bogie frame.",
+    "k_s": ", between bogie frame and car body; often an air spring.",
+    "c_s": ", between bogie frame and car body.",
+    "M_s": ": it varies with the pay-load and says nothing about faults.",
+}
+CAPTIONS = {
+    "trend": (
+        "Health along the mileage",
+        "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look for a "
+        "line that leaves its level, not for single dots. Red ticks at the bottom are trips "
+        "without an estimate.{intervals}{flags}",
+    ),
+    "responses": (
+        "How the suspension passes vibration on",
+        "Above: by how much each suspension amplifies vibration of each frequency, one line for "
+        "each trip; a suspension that does not change draws the same line again and again. Below: "
+        "the coherence, which is near 1 where the sensors explain each other.",
+    ),
+    "signals": (
+        "Signals of one trip",
+        "Grey is the range of the measured vibration, red its mean. A channel that is flat, cut "
+        "off at a straight edge, or unlike the others points to a sensor, not to the suspension.",
+    ),
+    "quality": (
+        "Quality of the recordings",
+        "More averages, a coherence nearer to 1 and a larger usable share make the estimates of a "
+        "trip more certain.",
+    ),
+}
+INTERVALS_SHOWN = (
+    " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
+    "within it, if vehicle and recording are like those of the training. Where no bar is to be "
+    "seen, it is shorter than the dot."
+)
+FLAGS_SHOWN = (
+    " A hollow circle is a flagged trip: it shows something that was not trained for, and its "
+    "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
+)
+SVG_LIMIT = 400_000
+"""Figures whose SVG has more bytes than this are embedded as PNG."""
+PNG_DPI = 130
+NO_NUMBER = "\N{EN DASH}"
+
+
+def write_report(
+    path: Path,
+    title: str,
+    results: Sequence[TripResult],
+    outputs: Sequence[str],
+    figures: Mapping[str, Figure],
+    trends: Sequence[Trend],
+    details: Mapping[str, str],
+    level: float = 0.9,
+) -> Path:
+    """Write one HTML file that needs no other file and no network.
+
+    Parameters
+    ----------
+    path : Path
+    title : str
+    results : sequence of TripResult
+        In any order; the table of trips follows the mileage.
+    outputs : sequence of str
+        Parameters, the columns of that table.
+    figures : mapping of Figure
+        "trend", "responses", "signals" and "quality" come first, in this order and with an
+        explanation; others follow under their own name.
+    trends : sequence of Trend
+    details : mapping of str
+        Model, settings, version, date.
+    level : float
+        Probability of the intervals.
+
+    Returns
+    -------
+    Path
+        The file, written atomically.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {
+        "number": _number,
+        "plus_minus": _plus_minus,
+        "thousands": _thousands,
+        "symbol": _symbol,
+    }
+    template = environment.from_string(
+        resources.files("suspnet.trips").joinpath("report.html").read_text(encoding="utf-8")
+    )
+    trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
+    tone, finding = _finding(trends)
+    doubts = _doubts(trips)
+    halves = {name: [_half_width(r, name) for r in trips] for name in outputs}
+    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    shown = {
+        "intervals": INTERVALS_SHOWN.format(level=f"{100 * level:g}") if known else "",
+        "flags": FLAGS_SHOWN if doubts else "",
+    }
+    page = template.render(
+        title=title,
+        headline=_headline(trips),
+        tone="note" if doubts else tone,
+        finding=finding,
+        doubts=doubts,
+        standing_out=[t for t in trends if t.stands_out],
+        trends=trends,
+        figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
+        trips=trips,
+        halves=halves,
+        digits={name: _digits(column) for name, column in halves.items()},
+        level=f"{100 * level:g}" if known else "",
+        outputs=outputs,
+        names=NAMES,
+        roles=ROLES,
+        ok=OK,
+        details=details,
+    )
+    return write_atomically(path, page.encode("utf-8", errors="replace"))
+
+
+def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
+    """Return what the page is about: label and text."""
+    mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
+    span = "unknown"
+    if mileage:
+        span = " to ".join(dict.fromkeys(_thousands(km) for km in (min(mileage), max(mileage))))
+        span += " km"
+    starts = sorted(r.start for r in trips if r.start)
+    dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
+    done = sum(r.status == OK for r in trips)
+    flagged = sum(bool(r.flags) for r in trips)
+    texts = {
+        "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
+        "Suspension": ", ".join(dict.fromkeys(r.suspension for r in trips if r.suspension)),
+        "Mileage": span,
+        "Dates": dates,
+        "Trips": f"{len(trips)}, of which {done} with an estimate"
+        + (f", {flagged} of these flagged" if flagged else ""),
+    }
+    return {label: text for label, text in texts.items() if text}
+
+
+def _finding(trends: Sequence[Trend]) -> tuple[str, str]:
+    """Return the tone (note, good or plain) and a sentence on all parameters but the pay-load."""
+    judged = [t for t in trends if t.parameter != PAYLOAD]
+    n_tested = sum(math.isfinite(t.p_value) for t in judged)
+    n_changed = sum(t.stands_out for t in judged)
+    if n_changed:
+        verb = "stands" if n_changed == 1 else "stand"
+        return "note", f"{n_changed} of {len(judged)} parameters {verb} out:"
+    if n_tested == 0:
+        return "plain", "There are too few trips with an estimate to tell whether anything changed."
+    if n_tested < len(judged):
+        return "plain", "Nothing stands out, but some parameters have too few trips to tell."
+    return "good", "Nothing stands out: no parameter changed by more than its trips scatter."
+
+
+def _doubts(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on flagged trips; empty if there is none."""
+    done, flagged = sum(r.status == OK for r in trips), sum(bool(r.flags) for r in trips)
+    if not flagged:
+        return ""
+    if flagged == done > 1:
+        return (
+            f"All {done} trips are flagged: what they show was not trained for, so that none of "
+            "these numbers is to be relied on; see the table."
+        )
+    they = "is flagged: what it shows" if flagged == 1 else "are flagged: what they show"
+    return f"{flagged} of {done} trips {they} was not trained for; see the table."
+
+
+def _half_width(result: TripResult, name: str) -> float:
+    """Return half an interval, [% of healthy]; NaN if there is none or the trip is flagged."""
+    low, high = result.interval(name)
+    return math.nan if result.flags else 100 * (high - low) / 2
+
+
+def _digits(half_widths: Sequence[float]) -> int:
+    """Return after how many digits a column of estimates and half widths ends: 1, 2 or 3."""
+    known = [half for half in half_widths if math.isfinite(half) and half > 0]
+    if not known:
+        return 1
+    further = math.ceil(math.log10(0.095 / statistics.median(known)))
+    return 1 + min(max(further, 0), 2)
+
+
+def _ordered(figures: Mapping[str, Figure]) -> list[str]:
+    known = [name for name in CAPTIONS if name in figures]
+    return known + [name for name in figures if name not in CAPTIONS]
+
+
+def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
+    """Return a figure's heading, explanation with what is `shown`, and image, as a data URI."""
+    heading, explanation = name.replace("_", " ").capitalize(), ""
+    if name in CAPTIONS:
+        heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "suspnet"}):  # the same figure gives the same bytes
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    kind = "svg+xml"
+    if stream.tell() > SVG_LIMIT:
+        kind, stream = "png", io.BytesIO()
+        figure.savefig(stream, format="png", dpi=PNG_DPI)
+    image = f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
+    return {"name": name, "heading": heading, "explanation": explanation, "image": image}
+
+
+def _number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
+    """Return a number with a true minus sign, or a dash if there is none."""
+    if value is None or not math.isfinite(value):
+        return NO_NUMBER
+    text = f"{value * scale:.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
+
+
+def _plus_minus(half_width: float, digits: int) -> Markup:
+    """Return a half width in small print; nothing if there is none."""
+    if not math.isfinite(half_width):
+        return Markup()
+    return Markup("<small> ± {}</small>").format(_number(half_width, digits))
+
+
+def _thousands(value: float) -> str:
+    """Return a whole number with no-break spaces between thousands, or a dash."""
+    if not math.isfinite(value):
+        return NO_NUMBER
+    return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+
+
+def _symbol(name: str) -> Markup:
+    """Return a parameter's symbol with its index."""
+    letter, _, index = name.partition("_")
+    return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)

@@ -1,0 +1,152 @@
+"""Prediction intervals of stiffness and damping: calibrated on fresh simulated curves.
+
+The difficulty of a curve, which the intervals are proportional to, is the standard deviation that
+Gauss-Newton gives a refined estimate; for any other method it is learnt: an MSVR from the features
+to the logarithm of the absolute residual, on curves kept apart from those that calibrate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.learning import MSVR, Scaling
+from suspnet.uncertainty.conformal import Conformal
+
+FloatArray = NDArray[np.float64]
+SMALLEST_SHARE = 1e-3
+"""Residuals below this share of their median are taken as that: a logarithm needs a floor."""
+PENALTY = 0.1
+"""C of the MSVR: the logarithm of a residual scatters by 1.1 about its mean, so it is small."""
+N_COMPONENTS = 512
+
+
+@dataclass(frozen=True)
+class Difficulty:
+    """An estimate of the absolute residual from the inputs of the model.
+
+    Attributes
+    ----------
+    regression : MSVR
+        From scaled inputs to scaled logarithms.
+    scaling : Scaling
+        Of the absolute residuals.
+    """
+
+    regression: MSVR
+    scaling: Scaling
+
+    @classmethod
+    def learnt(cls, inputs: FloatArray, residuals: FloatArray) -> Self:
+        """Return the difficulty learnt from scaled inputs (n, n_inputs), residuals (n, n_outputs).
+
+        Raises
+        ------
+        ValueError
+            If every residual of an output is the same: there is nothing to learn from.
+        """
+        sizes = np.abs(residuals)
+        sizes = np.maximum(sizes, SMALLEST_SHARE * np.median(sizes, axis=0))
+        scaling = Scaling.of(sizes)
+        regression = _learner(inputs.shape[1]).fit(inputs, scaling.apply(sizes))
+        return cls(regression, scaling)
+
+    def predict(self, inputs: FloatArray) -> FloatArray:
+        """Return the difficulty of samples with scaled inputs (n, n_inputs), (n, n_outputs)."""
+        scaled = self.regression.predict(inputs)
+        return self.scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Calibrated intervals about estimates.
+
+    Attributes
+    ----------
+    conformal : Conformal
+    log : bool
+        Whether residuals are those of logarithms: limits are then estimate * exp(+-half width),
+        else estimate +- half width.
+    difficulty : Difficulty or None
+        None where the deviations of the refined estimate serve.
+    """
+
+    conformal: Conformal
+    log: bool
+    difficulty: Difficulty | None
+
+    def residuals(self, estimates: FloatArray, truth: FloatArray) -> FloatArray:
+        """Return what the intervals are about, shape of the arguments (n, n_outputs)."""
+        return residuals(estimates, truth, self.log)
+
+    def limits(
+        self, estimates: FloatArray, difficulties: FloatArray, level: float, joint: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper limits, each (n, n_outputs), [-].
+
+        Parameters
+        ----------
+        estimates, difficulties : arrays of shape (n, n_outputs)
+        level : float
+            Probability that the interval holds the truth.
+        joint : bool
+            All outputs at once, not each.
+        """
+        factors = self.conformal.joint_factor(level) if joint else self.conformal.factors(level)
+        half = difficulties * factors
+        if self.log:
+            return estimates * np.exp(-half), estimates * np.exp(half)
+        return estimates - half, estimates + half
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays that make up the intervals, for storage."""
+        arrays = {"scores": self.conformal.scores, "log": np.array([float(self.log)])}
+        if self.difficulty is not None:
+            arrays |= {f"difficulty.{k}": v for k, v in self.difficulty.regression.state().items()}
+            arrays["size_mean"] = self.difficulty.scaling.mean
+            arrays["size_scale"] = self.difficulty.scaling.scale
+        return arrays
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
+        """Return the intervals whose `state` this is.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If arrays are missing or do not fit together.
+        """
+        scores, log = arrays["scores"], arrays["log"]
+        if scores.ndim != 2 or not len(scores) or not (np.isfinite(scores) & (scores >= 0)).all():
+            raise ValueError("`scores` must be a table of numbers >= 0")
+        if log.shape != (1,):
+            raise ValueError(f"`log` must be one number, got shape {log.shape}")
+        learnt = {
+            key.removeprefix("difficulty."): value
+            for key, value in arrays.items()
+            if key.startswith("difficulty.")
+        }
+        difficulty = None
+        if learnt:
+            regression = _learner(1).restore(learnt)
+            scaling = Scaling(arrays["size_mean"], arrays["size_scale"])
+            shapes = {a.shape for a in (scaling.mean, scaling.scale, regression.intercept_)}
+            if shapes != {(scores.shape[1],)}:
+                raise ValueError(f"`scores` has {scores.shape[1]} outputs, the difficulty {shapes}")
+            difficulty = Difficulty(regression, scaling)
+        return cls(Conformal(scores), bool(log[0]), difficulty)
+
+
+def residuals(estimates: FloatArray, truth: FloatArray, log: bool) -> FloatArray:
+    """Return estimates minus truth, of the logarithms or of the ratios themselves."""
+    return np.log(estimates / truth) if log else estimates - truth
+
+
+def _learner(n_inputs: int) -> MSVR:
+    """Return the regression of a difficulty, as wide as standardised inputs are far apart."""
+    return MSVR(PENALTY, math.sqrt(n_inputs), n_components=N_COMPONENTS, random_state=0)

@@ -1,0 +1,201 @@
+"""What a model was not trained for: inputs and curves on which its estimate means nothing.
+
+Four kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
+cloud of the training curves; a parameter lies outside the range of the training curves; the
+generator, with whatever parameters, does not explain the curve.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.neighbors import NearestNeighbors
+
+from suspnet.data.protocols import Task
+from suspnet.uncertainty.refine import Refined
+
+KINDS = ("missing", "cloud", "range", "misfit")
+N_REFERENCE, N_NEIGHBOURS = 4096, 4
+"""Training curves that stand for the cloud; the distance is the mean to so many of the nearest."""
+FALSE_ALARMS = 1e-4
+"""Share of curves like the training curves whose features are called beyond the cloud."""
+MISFIT_DEVIATIONS = 4.5
+"""A misfit is odd if it exceeds the mean of curves like the training curves by so many of their
+standard deviations."""
+EDGE_DEVIATIONS = 2.33
+"""A parameter is outside its range if it is so by this many of its standard deviations: 1 % of
+those on the very edge."""
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Flags:
+    """What speaks against each estimate.
+
+    Attributes
+    ----------
+    found : bool array of shape (n_curves, 4)
+        Columns as ``KINDS``.
+    reasons : tuple of str
+        For each curve; empty where nothing was found.
+    """
+
+    found: NDArray[np.bool_]
+    reasons: tuple[str, ...]
+
+    @property
+    def flagged(self) -> NDArray[np.bool_]:
+        """Whether anything was found, shape (n_curves,)."""
+        return np.asarray(self.found.any(axis=1))
+
+
+@dataclass(frozen=True)
+class Scope:
+    """The cloud of training features and the limits of distance and misfit.
+
+    Attributes
+    ----------
+    reference : array of shape (n_reference, n_inputs), [-]
+        Scaled features of training curves.
+    distance_limit : float, [-]
+        Largest distance of features like the training features from the reference.
+    misfit_limit : float, [-]
+    """
+
+    reference: FloatArray
+    distance_limit: float
+    misfit_limit: float
+
+    @classmethod
+    def learnt(cls, training: FloatArray, fresh: FloatArray, misfits: FloatArray) -> Self:
+        """Return the scope of a model.
+
+        Parameters
+        ----------
+        training : array of shape (n_train, n_inputs)
+            Scaled inputs of the training curves.
+        fresh : array of shape (n_fresh, n_inputs)
+            Of other curves made in the same way.
+        misfits : array of shape (n_fits,)
+            Of refined estimates of such curves.
+        """
+        scope = cls(training[:N_REFERENCE], math.inf, math.inf)
+        distances = np.sort(scope.distances(fresh))
+        rank = min(math.ceil((len(distances) + 1) * (1 - FALSE_ALARMS)), len(distances))
+        spread = MISFIT_DEVIATIONS * float(misfits.std())
+        return cls(scope.reference, float(distances[rank - 1]), float(misfits.mean()) + spread)
+
+    @cached_property
+    def _neighbours(self) -> NearestNeighbors:
+        return NearestNeighbors(n_neighbors=min(N_NEIGHBOURS, len(self.reference))).fit(
+            self.reference
+        )
+
+    def distances(self, inputs: FloatArray) -> FloatArray:
+        """Return the distance of scaled inputs (n, n_inputs) from the cloud, shape (n,), [-]."""
+        return np.asarray(self._neighbours.kneighbors(inputs)[0].mean(axis=1))
+
+    def flags(
+        self, task: Task, missing: Sequence[str], inputs: FloatArray, refined: Refined
+    ) -> Flags:
+        """Return what speaks against the estimates of some curves.
+
+        Parameters
+        ----------
+        task : Task
+        missing : sequence of str
+            What is missing of each curve's features; empty if nothing is.
+        inputs : array of shape (n_curves, n_inputs), [-]
+            Scaled; NaN where a peak is missing.
+        refined : Refined
+        """
+        complete = np.isfinite(inputs).all(axis=1)
+        distances = np.zeros(len(inputs))
+        if complete.any():
+            distances[complete] = self.distances(inputs[complete])
+        outside = np.stack(
+            [_outside(task, name, refined) for name in refined.names], axis=1
+        )  # (n_curves, n_unknown)
+        odd = ~(refined.misfit <= self.misfit_limit)
+        found = np.stack(
+            [
+                np.array([bool(words) for words in missing]),
+                distances > self.distance_limit,
+                outside.any(axis=1),
+                odd,
+            ],
+            axis=1,
+        )
+        reasons = []
+        for i, row in enumerate(found):
+            words = [f"missing: {missing[i]}"] if row[0] else []
+            if row[1]:
+                words.append(self._far(task, inputs[i], distances[i]))
+            words += [
+                _out_of_range(task, name, refined.ratios[i, j])
+                for j, name in enumerate(refined.names)
+                if outside[i, j]
+            ]
+            if row[3]:
+                words.append(
+                    f"the model cannot explain the curve: what is left of it is "
+                    f"{refined.misfit[i]:.3g} times the noise, at most "
+                    f"{self.misfit_limit:.3g} is usual"
+                )
+            reasons.append("; ".join(words))
+        return Flags(found, tuple(reasons))
+
+    def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
+        low, high = self.reference.min(axis=0), self.reference.max(axis=0)
+        beyond = np.maximum(low - inputs, inputs - high) / (high - low)
+        worst = task.inputs[int(np.argmax(beyond))]
+        return (
+            f"the features lie {distance / self.distance_limit:.2g} times as far from the training "
+            f"curves' as any of these, {worst} most of all"
+        )
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays that make up the scope, for storage."""
+        limits = np.array([self.distance_limit, self.misfit_limit])
+        return {"reference": self.reference, "limits": limits}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
+        """Return the scope whose `state` this is; KeyError, ValueError if it is not one."""
+        reference, limits = arrays["reference"], arrays["limits"]
+        if reference.ndim != 2 or not len(reference) or not np.isfinite(reference).all():
+            raise ValueError("`reference` must be a table of finite numbers")
+        if limits.shape != (2,) or np.isnan(limits).any():
+            raise ValueError("`limits` must be two numbers")
+        return cls(reference, float(limits[0]), float(limits[1]))
+
+
+def _outside(task: Task, name: str, refined: Refined) -> NDArray[np.bool_]:
+    low, high = np.log(_range(task, name))
+    ratios, deviations = refined.of((name,))
+    margin = EDGE_DEVIATIONS * deviations[:, 0]
+    position = np.log(ratios[:, 0])
+    return np.asarray((position < low - margin) | (position > high + margin))
+
+
+def _range(task: Task, name: str) -> tuple[float, float]:
+    """Return the range trained for: a grid stands for what lies within half a step of it."""
+    low, high = task.limits(name)
+    if task.sampling == "sobol":
+        return low, high
+    step = task.mass_step if name == "M_s" else task.step
+    return low - step / 2, high + step / 2
+
+
+def _out_of_range(task: Task, name: str, ratio: float) -> str:
+    low, high = task.limits(name)
+    return (
+        f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "
+        "trained for"
+    )

@@ -1,0 +1,188 @@
+"""Gauss-Newton steps on the curve itself, started from a regression's estimate.
+
+All that varies and is not measured is fitted along, so that the result is a maximum-likelihood
+estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its information matrix
+gives the deviations, and what is left of the curve says whether the model can explain it at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from suspnet.data.misfit import Misfit
+from suspnet.data.protocols import Task
+from suspnet.dynamics import PARAMETERS
+from suspnet.learning.least_squares import levenberg_marquardt
+from suspnet.theory.information import cramer_rao
+
+FloatArray = NDArray[np.float64]
+MAX_ITER, TOL, FIRST_DAMPING = 30, 1e-5, 1e-6
+"""Of `levenberg_marquardt`: a good start needs little damping, and 1e-5 is far below the noise."""
+BEYOND = 5.0
+"""Parameters stay within this factor of the range that training curves have."""
+N_LEVELS = 9
+"""Levels of a parameter that no estimate is given for, of which the best is the start."""
+N_SCATTERED, SCATTER, ROWS = 512, 1.5, 4
+"""A curve that is not explained is tried once more, from the nearest of so many vehicles within
+this factor of the range, for so many curves at a time."""
+UNEXPLAINED = 1.3
+"""Misfit of such a curve."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Maximum-likelihood estimates of everything unknown.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the columns, the task's unknown parameters.
+    ratios : array of shape (n_curves, n_unknown), [-]
+    deviations : array of shape (n_curves, n_unknown), [-]
+        Standard deviations of log(ratios), inf where the curve does not tell.
+    misfit : array of shape (n_curves,), [-]
+        Rms of what is left of the curve over that of the noise: 1 if the model explains it.
+    converged : bool array of shape (n_curves,)
+    """
+
+    names: tuple[str, ...]
+    ratios: FloatArray
+    deviations: FloatArray
+    misfit: FloatArray
+    converged: NDArray[np.bool_]
+
+    def of(self, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+        """Return ratios and deviations of some of the parameters, each (n_curves, n_names)."""
+        columns = [self.names.index(name) for name in names]
+        return self.ratios[:, columns], self.deviations[:, columns]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Refined]) -> Refined:
+        """Return the estimates of several batches of curves, one after the other."""
+        fields = ("ratios", "deviations", "misfit", "converged")
+        merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
+        return cls(parts[0].names, **merged)
+
+    def improved(self, rows: NDArray[np.int64], other: Refined) -> Refined:
+        """Return the estimates with those rows of `other` in which it leaves less of the curve."""
+        better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
+        chosen = rows[better]
+        merged = {}
+        for name in ("ratios", "deviations", "misfit", "converged"):
+            values = getattr(self, name).copy()
+            values[chosen] = getattr(other, name)[better]
+            merged[name] = values
+        return Refined(self.names, **merged)
+
+
+def refine(
+    task: Task, misfit: Misfit, estimates: FloatArray, mass: FloatArray | None = None
+) -> Refined:
+    """Return the parameters whose curves lie nearest to those observed.
+
+    Parameters
+    ----------
+    task : Task
+    misfit : CurveMisfit or EstimateMisfit
+        Of n_curves curves.
+    estimates : array of shape (n_curves, n_outputs), [-]
+        Where the search starts; a row with NaN starts from the healthy vehicle.
+    mass : array of shape (n_curves,), optional
+        The measured car-body mass ratio, where the task knows it.
+    """
+    device = misfit.observed.device
+    full = torch.ones(len(estimates), len(PARAMETERS), dtype=torch.float64, device=device)
+    usable = np.asarray(np.isfinite(estimates).all(axis=1))
+    limits = np.array([task.limits(name) for name in task.outputs])
+    inside = np.clip(np.where(usable[:, None], estimates, 1.0), limits[:, 0], limits[:, 1])
+    full[:, task.output_indices] = torch.as_tensor(inside, device=device)
+    if mass is not None:
+        full[:, PARAMETERS.index("M_s")] = torch.as_tensor(mass, device=device)
+    for name in set(task.unknown) - set(task.outputs):
+        full = _best_level(misfit, full, task, name)
+    search = _Search(task, misfit, full)
+    found = search.run(torch.arange(len(full), device=device), full)
+    bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
+    if len(bad):
+        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad))
+        found = found.improved(bad, again)
+    return found
+
+
+class _Search:
+    """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds."""
+
+    def __init__(self, task: Task, misfit: Misfit, full: Tensor) -> None:
+        self._task, self._misfit, self._full = task, misfit, full
+        self._columns = torch.tensor(
+            [PARAMETERS.index(name) for name in task.unknown], device=full.device
+        )
+        limits = [task.limits(name) for name in task.unknown]
+        self._limits = torch.tensor(limits, dtype=full.dtype, device=full.device).T.log()
+        self._bounds = self._limits[0] - math.log(BEYOND), self._limits[1] + math.log(BEYOND)
+
+    def run(self, rows: Tensor, start: Tensor) -> Refined:
+        """Return the best fit of the curves `rows`, each from its row of `start` (n_rows, 5)."""
+
+        def residual(theta: Tensor, which: Tensor) -> Tensor:
+            return self._misfit(self._vehicles(theta, rows[which]), rows[which])
+
+        solution = levenberg_marquardt(
+            residual,
+            start[:, self._columns].log(),
+            max_iter=MAX_ITER,
+            tol=TOL,
+            first_damping=FIRST_DAMPING,
+            bounds=self._bounds,
+        )
+        n_points = residual(solution.parameters[:1], rows[:1] * 0).shape[1]
+        mean_square = 2 * solution.cost / (n_points - len(self._columns))
+        return Refined(
+            self._task.unknown,
+            solution.parameters.exp().cpu().numpy(),
+            cramer_rao(solution.information.cpu().numpy()),
+            np.sqrt(mean_square.cpu().numpy() / self._misfit.expected),
+            solution.converged.cpu().numpy(),
+        )
+
+    def nearest(self, rows: NDArray[np.int64]) -> Tensor:
+        """Return for each of some curves the nearest of scattered vehicles, (n_rows, 5)."""
+        low, high = self._limits[0] - math.log(SCATTER), self._limits[1] + math.log(SCATTER)
+        points = torch.quasirandom.SobolEngine(len(low)).draw(N_SCATTERED, dtype=low.dtype)
+        theta = low + (high - low) * points.to(low)
+        starts = []
+        for part in torch.as_tensor(rows, device=low.device).split(ROWS):
+            repeated = part.repeat_interleave(N_SCATTERED)
+            tried = self._vehicles(theta.repeat(len(part), 1), repeated)
+            cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
+            starts.append(
+                tried.reshape(len(part), N_SCATTERED, -1)[
+                    torch.arange(len(part)), cost.nan_to_num(torch.inf).argmin(dim=1)
+                ]
+            )
+        return torch.cat(starts)
+
+    def _vehicles(self, theta: Tensor, rows: Tensor) -> Tensor:
+        """Return complete ratios (n, 5): what is measured or healthy is that of the curve."""
+        return self._full[rows].index_copy(1, self._columns, theta.exp())
+
+
+def _best_level(misfit: Misfit, full: Tensor, task: Task, name: str) -> Tensor:
+    """Return the ratios with one parameter set to the level that fits each curve best."""
+    column = PARAMETERS.index(name)
+    rows = torch.arange(len(full), device=full.device)
+    best, least = full.clone(), torch.full_like(full[:, 0], torch.inf)
+    for level in np.geomspace(*task.limits(name), N_LEVELS):
+        trial = full.clone()
+        trial[:, column] = level
+        cost = misfit(trial, rows).square().sum(dim=1)
+        best[cost < least] = trial[cost < least]
+        least = torch.minimum(least, cost)
+    return best

@@ -1,0 +1,162 @@
+"""Every configuration composes, instantiates and agrees with its class."""
+
+import inspect
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import get_class, instantiate
+from omegaconf import OmegaConf
+
+from suspnet.cli.program import check_targets
+from suspnet.data import Protocol
+from suspnet.features import PeakFeatures
+from suspnet.model.checkpoint import ESTIMATORS
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+NAMES = {
+    group: sorted(file.stem for file in (CONFIGS / group).glob("*.yaml"))
+    for group in (
+        "vehicle",
+        "protocol",
+        "model",
+        "experiment",
+        "ablation",
+        "search",
+        "scenario",
+        "generator",
+    )
+}
+
+
+def composed(*overrides, name="train"):
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
+        return compose(name, overrides=list(overrides))
+
+
+@pytest.mark.parametrize("name", NAMES["model"])
+@pytest.mark.parametrize("protocol", NAMES["protocol"])
+def test_every_model_instantiates_under_every_protocol(name, protocol):
+    config = composed(f"model={name}", f"protocol={protocol}")
+    groups = instantiate(config.protocol).groups
+    for group in groups:
+        config.group = group
+        assert type(instantiate(config.model)) is ESTIMATORS[name.removesuffix("_table5")]
+
+
+@pytest.mark.parametrize("name", NAMES["model"])
+def test_model_file_shows_every_argument_and_the_same_defaults(name):
+    node = OmegaConf.to_container(composed(f"model={name}").model, resolve=False)
+    parameters = inspect.signature(get_class(node.pop("_target_")).__init__).parameters
+    defaults = {key: p.default for key, p in parameters.items() if key != "self"}
+    assert set(node) == set(defaults)
+    plain = {key: v for key, v in node.items() if "${" not in str(v)}
+    assert plain == {key: defaults[key] for key in plain}
+
+
+@pytest.mark.parametrize("group", ["vehicle", "protocol", "data"])
+def test_other_files_show_every_argument(group):
+    node = OmegaConf.to_container(composed()[group], resolve=False)
+    target = get_class(node.pop("_target_"))
+    node.pop("_convert_", None)
+    assert set(node) == set(inspect.signature(target).parameters)
+
+
+def test_data_file_shows_the_defaults_of_its_class():
+    assert instantiate(composed().data) == get_class("suspnet.data.curves.CurveSettings")()
+
+
+@pytest.mark.parametrize("name", NAMES["protocol"])
+def test_protocol_file_shows_every_setting_of_peaks_and_its_default(name):
+    settings = OmegaConf.to_container(composed(f"protocol={name}").protocol.features)
+    parameters = inspect.signature(PeakFeatures).parameters
+    assert settings == {key: p.default for key, p in parameters.items() if key != "peaks"}
+
+
+@pytest.mark.parametrize("name", NAMES["ablation"])
+def test_every_ablation_composes_with_trusted_targets(name):
+    config = composed("experiment=ablation", f"ablation={name}")
+    check_targets(config)
+    assert instantiate(config.protocol).task(config.group).outputs
+    assert type(instantiate(config.model)) is ESTIMATORS["msvr"]
+    assert instantiate(config.data).n_calibrate is None
+
+
+@pytest.mark.parametrize("name", NAMES["vehicle"])
+def test_every_vehicle_is_valid_and_names_its_source(name):
+    vehicle = instantiate(composed(f"vehicle={name}").vehicle)
+    assert vehicle.name == name
+    assert vehicle.source
+
+
+@pytest.mark.parametrize("name", NAMES["protocol"])
+def test_every_protocol_has_tuned_values_for_its_groups(name):
+    config = composed(f"protocol={name}")
+    protocol = instantiate(config.protocol)
+    assert isinstance(protocol, Protocol)
+    assert protocol.name == name
+    assert set(config.tuned) == set(protocol.groups) == set(config.groups.split(","))
+    assert config.group in protocol.groups
+    methods = {"msvr", "msvr_table5", "svr", "mvgpr"}
+    assert all(set(values) == methods for values in config.tuned.values())
+
+
+@pytest.mark.parametrize("protocol", [name for name in NAMES["protocol"] if name != "trips"])
+def test_tuned_values_lie_in_table_v(protocol):
+    ranges = {
+        "C": (1, 100),
+        "sigma": (1e-3, 100),
+        "epsilon": (1e-6, 1e-3),
+        "length_scale": (1e-2, 10),
+        "signal_variance": (1e-3, 100),
+        "noise_variance": (1e-4, 1e-1),
+    }
+    for methods in composed(f"protocol={protocol}").tuned.values():
+        for name, values in methods.items():
+            for key, value in values.items():
+                beyond = name == "msvr" and key == "C"  # see configs/search/beyond.yaml
+                assert ranges[key][0] <= value <= (1e6 if beyond else ranges[key][1])
+
+
+def test_search_grid_spans_table_v():
+    grids = composed("search=table5").search.grids
+    for name in ("msvr", "svr"):
+        assert (min(grids[name].C), max(grids[name].C)) == (1, 100)
+        assert (min(grids[name].sigma), max(grids[name].sigma)) == (1e-3, 100)
+        assert (min(grids[name].epsilon), max(grids[name].epsilon)) == (1e-6, 1e-3)
+    assert (min(grids.mvgpr.length_scale), max(grids.mvgpr.length_scale)) == (1e-2, 10)
+    assert (min(grids.mvgpr.signal_variance), max(grids.mvgpr.signal_variance)) == (1e-3, 100)
+    assert (min(grids.mvgpr.noise_variance), max(grids.mvgpr.noise_variance)) == (1e-4, 1e-1)
+    assert len(grids.msvr.C) * len(grids.msvr.sigma) * len(grids.msvr.epsilon) >= 60
+
+
+@pytest.mark.parametrize("name", NAMES["experiment"])
+def test_every_experiment_composes_with_trusted_targets(name):
+    study = "study" in OmegaConf.load(CONFIGS / "experiment" / f"{name}.yaml")
+    config = composed(f"experiment={name}", name="evaluate" if study else "train")
+    assert config.job == name
+    check_targets(config)
+
+
+def test_command_line_beats_experiment():
+    assert composed("experiment=table6", "data.n_train=77").data.n_train == 77
+
+
+def test_foreign_target_is_rejected():
+    config = composed("model._target_=os.system")
+    with pytest.raises(ValueError, match=r"must lie in suspnet, got 'os\.system'"):
+        check_targets(config)
+
+
+def test_evaluate_composes_with_and_without_a_protocol():
+    assert composed(name="evaluate").get("protocol") is None
+    assert composed("protocol=joint", name="evaluate").protocol.name == "joint"
+
+
+def test_slurm_preset_asks_for_modest_jobs():
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
+        config = compose("train", ["hydra/launcher=slurm"], return_hydra_config=True)
+    launcher = config.hydra.launcher
+    assert launcher._target_.endswith("SlurmLauncher")
+    assert (launcher.timeout_min, launcher.cpus_per_task, launcher.mem_gb) == (60, 8, 8)

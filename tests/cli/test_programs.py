@@ -1,0 +1,382 @@
+"""train.py and evaluate.py as a user runs them, at small size."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import open_dict
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+import evaluate
+import train
+
+ROOT = Path(__file__).parents[2]
+FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
+SMALL = [*FEW, "data.cache_dir=null", "progress=false"]
+RECORD = "protocol group output metric model published measured limit n_train snr_db seed seconds"
+
+
+def run_main(module, folder, *overrides):
+    """Compose and run a program in this process; its run folder is `folder`."""
+    name = module.__name__
+    with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
+        output = f"hydra.runtime.output_dir={folder}"
+        config = compose(name, overrides=[*overrides, output], return_hydra_config=True)
+    HydraConfig.instance().set_config(config)
+    with open_dict(config):
+        del config["hydra"]
+    folder.mkdir(parents=True, exist_ok=True)
+    module.main(config)
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def command(program, *overrides, launcher=(), cwd=ROOT, **options):
+    return subprocess.run(
+        [sys.executable, *launcher, str(ROOT / program), *overrides],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    return folder, run_main(train, folder, *SMALL, "threads=1")
+
+
+def test_run_folder_holds_everything(run):
+    folder, metrics = run
+    names = {path.name for path in folder.iterdir()}
+    assert {
+        "config.yaml",
+        "environment.json",
+        "figures",
+        "metrics.json",
+        "model.json",
+        "model.safetensors",
+    } <= names
+    figures = {path.stem for path in (folder / "figures").iterdir()}
+    assert {"bode", "degradation", "features", "parity", "peaks", "residuals"} <= figures
+    assert metrics["training"]["fitted"]["converged"] is True
+    assert json.loads((folder / "environment.json").read_text())["packages"]["torch"]
+
+
+def test_scores_lie_between_the_limit_and_a_guess(run):
+    _, metrics = run
+    for output in ("k_p", "c_p"):
+        assert metrics["limit"][output]["mape_percent"] < metrics["scores"][output]["mape_percent"]
+        assert metrics["scores"][output]["mape_percent"] < 5  # a constant guess has about 38
+
+
+def test_intervals_and_flags_are_scored(run, tmp_path):
+    folder, metrics = run
+    assert metrics["intervals"]["level"] == 0.9
+    assert set(metrics["intervals"]["outputs"]) == {"k_p", "c_p"}
+    assert "flagged_percent" not in metrics  # training fits no test curve
+    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=100", "progress=false")
+    for scored in (metrics, fresh):
+        for values in scored["intervals"]["outputs"].values():
+            # at least 33 calibration and 100 test curves: 5 % and 3 %; three of their root sum
+            assert values["coverage_percent"] == pytest.approx(90, abs=18)
+            assert 0.01 < values["half_width_percent"] < 30
+    assert set(fresh["flagged_percent"]) == {"missing", "cloud", "range", "misfit", "any"}
+    assert fresh["flagged_percent"]["any"] < 10
+
+
+def test_refined_run_reaches_the_bound_and_is_called_so(tmp_path):
+    small = [*SMALL, "model=linear", "refine=true", "threads=1"]
+    metrics = run_main(train, tmp_path / "run", *small)
+    assert metrics["model"] == "linear+refine"
+    for ratio in metrics["rms_ratio"].values():
+        assert ratio == pytest.approx(1, abs=0.28)  # 100 curves: 7 %, four of those
+    fresh = run_main(evaluate, tmp_path, f"run={tmp_path / 'run'}", "data.n_test=100", *small[-1:])
+    assert fresh["model"] == "linear+refine"
+    assert fresh["scores"]["c_p"]["rmse"] < 1.5 * metrics["scores"]["c_p"]["rmse"]
+
+
+def test_tensorboard_holds_iterations_figures_and_hyperparameters(run):
+    folder, metrics = run
+    events = EventAccumulator(str(folder)).Reload()
+    tags = events.Tags()
+    assert {f"msvr/{n}" for n in ("objective", "grad_norm", "step", "support_fraction")} <= set(
+        tags["scalars"]
+    )
+    n_iter = metrics["training"]["fitted"]["n_iter"]
+    assert [e.step for e in events.Scalars("msvr/objective")] == list(range(1, n_iter + 1))
+    assert {"bode", "features", "parity", "residuals"} <= set(tags["images"])
+    assert "config/text_summary" in tags["tensors"]
+    plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data
+    assert plugin.plugin_name == "hparams"
+    assert b"sigma" in plugin.content
+    assert events.Scalars("final/mape_percent_k_p")[0].value == pytest.approx(
+        metrics["scores"]["k_p"]["mape_percent"], rel=1e-6
+    )
+
+
+def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
+    overrides = ["vehicle.secondary_damping_ns_per_m=32e3", "model=linear", "group=secondary"]
+    with caplog.at_level("WARNING", logger="suspnet"):
+        metrics = run_main(train, tmp_path, *SMALL, *overrides)
+    assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
+    assert "of the training curves lack a peak" in caplog.text
+
+
+def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
+    _, metrics = run
+    again = run_main(train, tmp_path / "a", *SMALL, "threads=1")
+    other = run_main(train, tmp_path / "b", *SMALL, "threads=1", "seed=1")
+    assert again["scores"] == metrics["scores"]
+    assert other["scores"] != metrics["scores"]
+
+
+def test_evaluate_scores_fresh_curves_alike(run, tmp_path):
+    folder, metrics = run
+    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=400", "progress=false")
+    assert fresh["seed"] == 1000
+    assert fresh["n_test"] == 400
+    for output, values in fresh["scores"].items():
+        ratio = values["rmse"] / metrics["scores"][output]["rmse"]
+        assert 0.5 < ratio < 2  # 300 training curves: the errors' tails vary between test sets
+
+
+def test_evaluate_sees_more_noise(run, tmp_path):
+    folder, metrics = run
+    noise = ["data.snr_db=26", "data.n_test=400", "progress=false"]
+    noisy = run_main(evaluate, tmp_path, f"run={folder}", *noise)
+    assert noisy["scores"]["c_p"]["rmse"] > 1.5 * metrics["scores"]["c_p"]["rmse"]
+    assert noisy["limit"]["c_p"]["rmse"] > 2 * metrics["limit"]["c_p"]["rmse"]
+
+
+def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
+    folder, _ = run
+    small = ["data.n_test=50", "progress=false", f"run={folder}"]
+    joint = run_main(evaluate, tmp_path / "joint", *small, "protocol=joint")
+    assert joint["protocol"] == "joint"
+    assert set(joint["scores"]) == {"k_p", "c_p"}
+    with pytest.raises(SystemExit, match="protocol 'paper' does not fit"):
+        run_main(evaluate, tmp_path / "paper", *small, "protocol=paper")
+
+
+def test_mass_known_and_mass_estimated(tmp_path):
+    known = run_main(train, tmp_path / "known", *SMALL, "protocol.mass_known=true", "model=linear")
+    assert known["mass_known"] is True
+    mass = ["protocol=joint", "protocol.estimate_mass=true", "model=linear"]
+    asked = run_main(train, tmp_path / "asked", *SMALL, *mass)
+    assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
+
+
+def test_curve_fit_comes_close_to_the_limit(tmp_path):
+    small = [*SMALL, "model=curve_fit", "data.n_test=128", "data.n_calibrate=null"]
+    metrics = run_main(train, tmp_path, *small)
+    for output in ("k_p", "c_p"):
+        ratio = metrics["scores"][output]["rmse"] / metrics["limit"][output]["rmse"]
+        assert 0.8 < ratio < 1.25  # efficient: 1 within the sampling error of 128 curves
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("vehicle.primary_stiffness_n_per_m=1.3e9", "print kN/m where N/m is meant"),
+        ("vehicle.primary_stiffness_n_per_m=1300", "is the stiffness in kN/m"),
+        ("vehicle.body_mass_kg=-1", "`body_mass_kg` must be positive"),
+        ("data.snr_db=abc", r"`data.snr_db` must be a number, got 'abc'"),
+        ("group=tertiary", "has no group 'tertiary'; choose from"),
+        ("model.C=-1", r"`C` must be finite and in \(0, inf\), got -1"),
+        ("model.C=abc", "`C` must be a number, got 'abc'"),
+        ("device=cuda:99", "`device`='cuda:99' cannot be used here"),
+        ("seed=-1", "`seed` must be a whole number"),
+        ("threads=0", "`threads` must be a positive whole number"),
+        ("model._target_=os.system", "must lie in suspnet"),
+    ],
+)
+def test_mistake_gets_one_line(override, message, tmp_path):
+    with pytest.raises(SystemExit, match=f"^error: .*{message}") as caught:
+        run_main(train, tmp_path, *SMALL, override)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("program", "overrides", "message"),
+    [
+        ("train.py", ["protocol=foo"], "Could not find 'protocol/foo'"),
+        ("train.py", ["data.n_trian=1"], "Could not override 'data.n_trian'"),
+        ("train.py", ["hydra.run.dir={file}/x"], "Not a directory"),
+        ("evaluate.py", [], "which run?"),
+        ("evaluate.py", ["run=nowhere"], "run=nowhere does not exist"),
+    ],
+)
+def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    ended = command(program, *(o.format(file=file) for o in overrides), cwd=tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("error: ")
+    assert message in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_traceback_on_request(tmp_path):
+    environment = os.environ | {"HYDRA_FULL_ERROR": "1"}
+    ended = command("train.py", "seed=-1", *SMALL, cwd=tmp_path, env=environment)
+    assert ended.returncode == 1
+    assert "Traceback" in ended.stderr
+
+
+def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path):
+    overrides = ["data.n_train=all", "data.n_test=100", "hydra.run.dir=run", "threads=1"]
+    with subprocess.Popen(
+        [sys.executable, str(ROOT / "train.py"), *overrides],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "run" / "config.yaml").exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(1.5)  # well inside the generation of 364,816 curves
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert "interrupted" in errors
+    left = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
+    again = [*FEW, "hydra.run.dir=run", "progress=false"]
+    assert command("train.py", *again, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "run" / "model.json").exists()
+
+
+@pytest.fixture(scope="module")
+def table6(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("table6")
+    ended = command(
+        "train.py",
+        "experiment=table6",
+        "model=linear,msvr",
+        *FEW,
+        "progress=false",
+        "hydra.sweep.dir=sweep",
+        cwd=folder,
+    )
+    assert ended.returncode == 0, ended.stderr
+    return folder / "sweep", ended.stdout
+
+
+def test_table6_has_a_record_for_each_output_metric_and_model(table6):
+    folder, printed = table6
+    records = json.loads((folder / "table6.json").read_text())
+    assert all(list(record) == RECORD.split() for record in records)
+    keys = {(r["group"], r["output"], r["metric"], r["model"]) for r in records}
+    assert len(keys) == len(records) == 4 * 2 * 2
+    assert {r["group"] for r in records} == {"primary", "secondary"}
+    first = next(r for r in records if r["output"] == "k_s" and r["model"] == "msvr")
+    assert first["published"] == 4.37
+    assert first["n_train"] == 300
+    assert "| secondary | c_s " in printed
+
+
+def test_table6_files_agree(table6):
+    folder, _ = table6
+    records = json.loads((folder / "table6.json").read_text())
+    with (folder / "table6.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    np.testing.assert_allclose(
+        [float(row["measured"]) for row in rows], [r["measured"] for r in records]
+    )
+    assert (folder / "table6.md").read_text().startswith("| group ")
+    assert (folder / "table6.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_evaluate_takes_a_whole_multirun(table6, tmp_path):
+    folder, _ = table6
+    ended = command(
+        "evaluate.py",
+        f"run={folder}",
+        "data.n_test=60",
+        "progress=false",
+        "hydra.run.dir=fresh",
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    records = json.loads((tmp_path / "fresh" / "table6.json").read_text())
+    assert {(r["group"], r["model"], r["seed"]) for r in records} == {
+        (group, model, 1000) for group in ("primary", "secondary") for model in ("linear", "msvr")
+    }
+
+
+def test_table5_writes_an_override_file_that_works(tmp_path):
+    ended = command(
+        "train.py",
+        "experiment=table5",
+        "model=msvr",
+        "group=primary",
+        "model.n_components=64",
+        "search.n_folds=2",
+        "search.grids.msvr.C=[1.0,100.0]",
+        "search.grids.msvr.sigma=[0.01,3.0]",
+        "search.grids.msvr.epsilon=[1e-3]",
+        *SMALL,
+        "hydra.sweep.dir=sweep",
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    (record,) = json.loads((tmp_path / "sweep" / "table5.json").read_text())
+    assert record["best"] == {"C": 100.0, "epsilon": 1e-3, "sigma": 3.0}
+    assert record["n_settings"] == 4
+    search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *SMALL]
+    ended = command("train.py", *search, "hydra.run.dir=tuned", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    metrics = json.loads((tmp_path / "tuned" / "metrics.json").read_text())
+    assert metrics["training"]["parameters"]["C"] == 100.0
+
+
+def test_sensitivity_error_grows_with_the_noise(tmp_path):
+    ended = command(
+        "train.py",
+        "experiment=sensitivity",
+        "group=primary",
+        "data.snr_db=26,54",
+        "model=linear",
+        *SMALL,
+        "hydra.sweep.dir=sweep",
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    records = json.loads((tmp_path / "sweep" / "sensitivity.json").read_text())
+    limits = {r["snr_db"]: r["limit"] for r in records if r["output"] == "k_p"}
+    assert limits[26] / limits[54] == pytest.approx(10 ** (28 / 20), rel=0.02)
+    assert (tmp_path / "sweep" / "sensitivity.png").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("protocol", ["multi_location", "paper", "joint"])
+def test_table6_with_every_method(protocol, tmp_path):
+    ended = command(
+        "train.py",
+        "experiment=table6",
+        f"protocol={protocol}",
+        "data.n_train=500",
+        "data.n_test=300",
+        "data.n_calibrate=300",
+        "progress=false",
+        "hydra.sweep.dir=sweep",
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    records = json.loads((tmp_path / "sweep" / "table6.json").read_text())
+    assert {r["model"] for r in records} == {"msvr", "svr", "mvgpr", "linear"}
+    assert {r["output"] for r in records} == {"k_p", "c_p", "k_s", "c_s"}

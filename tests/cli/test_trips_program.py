@@ -1,0 +1,413 @@
+"""Fleets simulated, models trained and trips read from the command line, at small size."""
+
+import json
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import open_dict
+from trip_fixtures import RATES_HZ, changed, signal
+
+import evaluate
+import train
+from suspnet import simulate
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trips import fleet, output
+
+ROOT = Path(__file__).parents[2]
+SLOW = ("china_star", "chinese_coach")
+"""Like the others, and tested on request only; every kind of vehicle is among the others."""
+VEHICLES = [
+    pytest.param(path.stem, marks=[pytest.mark.slow] if path.stem in SLOW else [])
+    for path in sorted((ROOT / "configs" / "vehicle").glob("*.yaml"))
+]
+CARS = ("sedan", "truck")
+"""Without geometry; so little of theirs is slow that it drowns in 34 dB of noise."""
+RATES = [f"fleet.sensors.{n}.rate_hz={r:g}" for n, r in zip(CHANNELS, RATES_HZ, strict=True)]
+SIMULATE = ["fleet.minutes=5", "progress=false", "workers=1", *RATES]
+TRAIN = [
+    *("experiment=trips", "data.n_train=1000", "data.n_test=100", "data.minutes=5"),
+    "data.n_calibrate=300",
+    *("data.rates_hz=[400,250,250]", "data.cache_dir=null", "progress=false", "threads=1"),
+    *("model.feature_map=nystroem", "model.n_components=512"),
+]
+EVALUATE = ["progress=false", "monitor.workers=1"]
+SOME_WITHOUT_ESTIMATE = 2
+
+
+def run_program(module, folder, *overrides):
+    """Compose and run a program in this process; return its exit code, or its last words."""
+    name = module.__name__.rpartition(".")[2]
+    with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
+        output = f"hydra.runtime.output_dir={folder}"
+        config = compose(name, overrides=[*overrides, output], return_hydra_config=True)
+    HydraConfig.instance().set_config(config)
+    with open_dict(config):
+        del config["hydra"]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        module.main(config)
+    except SystemExit as ended:
+        return ended.code
+    return 0
+
+
+def command(*arguments, cwd):
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
+def metrics(folder):
+    return json.loads((folder / "metrics.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    assert run_program(train, folder, *TRAIN) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trips") / "worn"
+    out = f"out={folder}"
+    assert run_program(simulate, folder.parent / "log", *SIMULATE, out, "fleet.n_trips=3") == 0
+    return folder
+
+
+@contextmanager
+def undrawn():
+    """Draw nothing: that takes longest, and one run that draws is enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RunLog, "figure", lambda *_: None)
+        patch.setattr(output, "write_report", lambda *_: None)
+        yield
+
+
+@pytest.fixture
+def no_figures():
+    with undrawn():
+        yield
+
+
+# the way from nothing to a report
+
+
+def test_simulated_trips_are_read(run, trips, tmp_path):
+    assert run_program(evaluate, tmp_path, f"run={run}", f"trips={trips}", *EVALUATE) == 0
+    found, test = metrics(tmp_path), json.loads((run / "model.json").read_text())["training"]
+    assert (found["n_trips"], found["n_estimated"]) == (3, 3)
+    for name, error in found["rms_error_percent"].items():
+        assert 0 < error < 3 * test["test_rms_percent"][name]
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {
+        *("config.yaml", "figures", "metrics.json", "report.html", "responses.parquet"),
+        *("trips.csv", "trips.parquet"),
+    } <= names
+    config = (tmp_path / "config.yaml").read_text()
+    assert "min_averages: 10.0" in config
+    assert f"trips: {trips}" in config
+
+
+def test_trips_are_those_of_the_scenario(trips):
+    manifests = sorted(trips.glob("*.yaml"))
+    assert [path.stem for path in manifests] == ["trip_001", "trip_002", "trip_003"]
+    assert len(signal(manifests[0], "axle_box")) == 5 * 60 * RATES_HZ[0]
+    assert "mileage_km: 308000.0" in manifests[2].read_text()
+    assert "k_p: 0.99" in manifests[2].read_text()  # configs/scenario/worn_spring.yaml
+    assert "k_p: 1.0" in manifests[1].read_text()
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_every_vehicle_works_by_its_name_alone(vehicle, no_figures, tmp_path):
+    snr = [f"fleet.sensors.{name}.snr_db=60" for name in CHANNELS] if vehicle in CARS else []
+    noise = ["data.snr_db=60"] if vehicle in CARS else []
+    name = f"vehicle={vehicle}"
+    folder, run = tmp_path / "trips", tmp_path / "run"
+    assert run_program(train, run, *TRAIN, "data.n_test=16", name, *noise) == 0
+    options = [f"out={folder}", "fleet.n_trips=2", name, *snr]
+    assert run_program(simulate, tmp_path / "log", *SIMULATE, *options) == 0
+    out = tmp_path / "out"
+    assert run_program(evaluate, out, f"run={run}", f"trips={folder}", *EVALUATE) == 0
+    found = metrics(out)
+    assert found["n_estimated"] == 2
+    generator = "QuarterCar" if vehicle in CARS else "VerticalVehicle"
+    assert found["details"]["model"].endswith(generator)
+    for parameter, error in found["rms_error_percent"].items():
+        # two trips of 5 min, 1000 curves; a sedan's tyre has hardly any damping to be seen
+        assert 0 < error < (20 if (vehicle, parameter) == ("sedan", "c_p") else 5)
+
+
+def test_simulate_as_a_module(tmp_path):
+    options = [*SIMULATE, "fleet.n_trips=2", "fleet.minutes=0.5", "scenario=random", "seed=3"]
+    ended = command("-m", "suspnet.simulate", "out=mine", *options, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "2 trips of scenario random in mine" in ended.stdout
+    assert "python evaluate.py trips=mine run=RUN" in ended.stdout
+    assert sorted(path.name for path in (tmp_path / "mine").glob("*.yaml")) == [
+        "trip_001.yaml",
+        "trip_002.yaml",
+    ]
+
+
+@pytest.mark.slow
+def test_whole_way_as_a_user_with_two_workers_and_dask(tmp_path):
+    pytest.importorskip("distributed")
+    files = {"trips": "out=trips", "run": "hydra.run.dir=run"}
+    made = [
+        command(
+            "-m", "suspnet.simulate", files["trips"], *SIMULATE, "fleet.n_trips=3", cwd=tmp_path
+        ),
+        command(str(ROOT / "train.py"), files["run"], *TRAIN, cwd=tmp_path),
+    ]
+    assert [ended.returncode for ended in made] == [0, 0], made
+    program = [str(ROOT / "evaluate.py"), "run=run", "trips=trips", "progress=false"]
+    found = []
+    for name, options in (
+        ("one", ["monitor.workers=1"]),
+        ("two", ["monitor.workers=2"]),
+        ("dask", ["monitor.workers=2", "monitor.cluster=local"]),
+    ):
+        ended = command(*program, f"hydra.run.dir={name}", *options, cwd=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+        table = pq.read_table(tmp_path / name / "trips.parquet").to_pydict()
+        found.append([table[key] for key in ("k_p", "c_p", "k_s", "c_s", "M_s")])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+    np.testing.assert_allclose(found[2], found[0], rtol=1e-9)
+    (tmp_path / "trips" / "trip_002" / "body.parquet").unlink()
+    ended = command(*program, "hydra.run.dir=bad", "monitor.workers=2", cwd=tmp_path)
+    assert ended.returncode == SOME_WITHOUT_ESTIMATE
+    assert "2 of 3 trips have an estimate" in ended.stdout
+
+
+# bad recordings
+
+
+def cut(manifest, folder, name, size):
+    """Copy a trip, but only the first bytes of the body's file."""
+    source = manifest.with_suffix("") / "body.parquet"
+    file = folder / f"{name}.parquet"
+    file.write_bytes(source.read_bytes()[:size])
+    return changed(manifest, folder, name, channels={"body": {"file": str(file)}})
+
+
+def as_csv(manifest, folder, name, text=None):
+    """Copy a trip with the body's file as CSV, one number of it a text."""
+    values = [f"{v:.6g}" for v in signal(manifest, "body")]
+    if text is not None:
+        values[4000] = text
+    file = folder / f"{name}.csv"
+    pacsv.write_csv(pa.table({"acceleration": pa.array(values)}), file)
+    file.write_text(file.read_text().replace('"', ""))
+    return changed(manifest, folder, name, channels={"body": {"file": str(file)}})
+
+
+@pytest.fixture(scope="module")
+def bad(run, trips, tmp_path_factory):
+    """Return the exit code and the rows of a folder of good and of bad trips."""
+    folder = tmp_path_factory.mktemp("bad")
+    good, other, third = sorted(trips.glob("*.yaml"))
+    body, n = signal(good, "body").astype(float), len(signal(good, "body"))
+    at = np.arange(n)
+    times = at / 250.0
+    gone = changed(good, folder, "missing_file", signals={"body": body})
+    (folder / "missing_file" / "body.parquet").unlink()
+    assert gone.exists()
+    for name, values in {
+        "gaps": np.where(at % 3750 < 10, np.nan, body),
+        "gap_30_s": np.where((at >= 25_000) & (at < 32_500), np.nan, body),
+        "spikes": body + 300.0 * (at % 2500 == 1250),
+        "saturation": np.clip(body, -0.5 * body.std(), 0.5 * body.std()),
+        "constant": np.full(n, 0.25),
+        "offset": body + 9.81,
+        "drift": body + np.linspace(-4, 4, n),
+        "ten_seconds": body[:2500],
+    }.items():
+        changed(good, folder, name, signals={"body": values})
+    for rate_hz in (248, 253):
+        table = {"t": times, "acceleration": body}
+        options = {"body": {"time": "t", "rate_hz": rate_hz}}
+        changed(good, folder, f"rate_{rate_hz}", signals={"body": table}, channels=options)
+    changed(good, folder, "missing_column", channels={"body": {"column": "a_z"}})
+    cut(good, folder, "empty", 0)
+    cut(good, folder, "truncated", 20_000)
+    as_csv(good, folder, "csv")
+    as_csv(good, folder, "csv_with_text", "n/a?")
+    changed(other, folder, "good_2")
+    changed(third, folder, "good_3")
+    out = tmp_path_factory.mktemp("out")
+    with undrawn():
+        code = run_program(evaluate, out, f"run={run}", f"trips={folder}", *EVALUATE)
+    rows = pq.read_table(out / "trips.parquet").to_pylist()
+    assert len(rows) == len(list(folder.glob("*.yaml")))
+    return code, {row["trip"]: row for row in rows}
+
+
+@pytest.fixture(scope="module")
+def alone(run, trips, tmp_path_factory):
+    """Return the rows of the good trips, evaluated without the bad ones."""
+    out = tmp_path_factory.mktemp("alone")
+    with undrawn():
+        assert run_program(evaluate, out, f"run={run}", f"trips={trips}", *EVALUATE) == 0
+    return pq.read_table(out / "trips.parquet").to_pylist()
+
+
+def test_bad_trips_end_with_code_2_and_do_no_harm_to_good_ones(bad, alone):
+    code, rows = bad
+    assert code == SOME_WITHOUT_ESTIMATE
+    for i, name in ((1, "good_2"), (2, "good_3")):
+        kept = {key for key in alone[i] if key not in ("trip", "manifest", "seconds")}
+        assert {key: rows[name][key] for key in kept} == {key: alone[i][key] for key in kept}
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("csv", ""),
+        ("gap_30_s", "body: gap of 7500 samples (30 s) from 100.000 s on, not usable"),
+        ("spikes", "body: spike of 30 samples (0.12 s) from 5.000 s on, repaired"),
+        ("offset", "body: offset of 9.81 m/s2, harmless"),
+        ("drift", "body: drift of 7."),
+        ("rate_248", ""),
+    ],
+)
+def test_harmless_fault_is_told_and_the_estimate_stays(bad, alone, name, fault):
+    row = bad[1][name]
+    assert (row["status"], row["reason"]) == ("ok", "")
+    assert row["faults"].startswith(fault)
+    for parameter in ("k_p", "c_p", "k_s", "c_s", "M_s"):
+        assert row[parameter] == pytest.approx(alone[0][parameter], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "reason"),
+    [
+        ("gaps", "no estimate", "no segment of 20 s is free of faults: body: gap of 200 samples"),
+        ("saturation", "no estimate", "no segment of 20 s is free of faults: body: saturation of"),
+        ("constant", "error", "channel 'body' is constant (0.25) throughout: is the sensor conn"),
+        (
+            "ten_seconds",
+            "error",
+            "only 10.0 s are common to all channels; at least 60 s are needed",
+        ),
+        ("missing_file", "error", "`channels.body.file` must name an existing plain file, got"),
+        ("missing_column", "error", "body.parquet has no column 'a_z' of numbers; it has ['accele"),
+        ("rate_253", "error", "channel 'body': `rate_hz` says 253 Hz, its times say 250 Hz"),
+        ("empty", "error", "empty.parquet is empty"),
+        ("truncated", "error", "truncated.parquet is damaged, cut off or not a .parquet file"),
+        ("csv_with_text", "error", "csv_with_text.csv: text in a column of numbers, one of ['acc"),
+    ],
+)
+def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
+    row = bad[1][name]
+    assert row["status"] == status
+    assert reason in row["reason"]
+    assert "\n" not in row["reason"]
+    assert np.isnan(row["k_p"])
+    assert row["n_averages"] == 0
+
+
+# mistakes of the user
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["trips={tmp}/nowhere"],
+            "there is no folder .*nowhere; give the one that holds the trips",
+        ),
+        (["trips={tmp}"], r"holds no \*\.yaml file; each trip needs one"),
+        (["trips={trips}", "run={tmp}/no"], "run=.*/no does not exist"),
+        (
+            ["trips={trips}", "monitor.reference=x"],
+            "`reference` must be 'vehicle' or 'first_trips'",
+        ),
+        (["trips={trips}", "monitor.workers=0"], "`workers` must be a whole number >= 1, got 0"),
+        (["trips={trips}", "monitor.n_reference=two"], "`n_reference` must be a whole number >= 1"),
+        (["trips={trips}", "monitor.trips.rate_hz=5"], r"`trips\.rate_hz` must lie between 20 and"),
+        (["trips={trips}", "monitor.trips.min_averages=x"], r"`trips\.min_averages` must be a num"),
+        (["trips={trips}", "monitor._target_=os.system"], "must lie in suspnet"),
+        (
+            ["trips={trips}", "monitor.reference=first_trips"],
+            "the healthy reference asks for 5 first trips, 3 have an estimate",
+        ),
+    ],
+)
+def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, message):
+    given = [one.format(tmp=tmp_path, trips=trips) for one in overrides]
+    if not any(one.startswith("run=") for one in given):
+        given.append(f"run={run}")
+    words = run_program(evaluate, tmp_path / "out", *EVALUATE, *given)
+    with pytest.raises(SystemExit, match=f"^error: .*{message}"):
+        raise SystemExit(words)
+    assert "\n" not in words
+    assert not (tmp_path / "out" / "trips.csv").exists()
+
+
+def test_run_of_another_protocol_is_refused(trips, no_figures, tmp_path):
+    small = ["data.n_train=300", "data.n_test=16", "data.n_calibrate=150"]
+    small += ["data.cache_dir=null", "progress=false"]
+    assert run_program(train, tmp_path / "run", *small, "model=linear", "threads=1") == 0
+    given = [f"run={tmp_path / 'run'}", f"trips={trips}", *EVALUATE]
+    words = run_program(evaluate, tmp_path / "out", *given)
+    assert words == (
+        "error: the model of protocol 'multi_location' was trained on curves of section III-B; "
+        "trips need one of: python train.py experiment=trips"
+    )
+
+
+def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
+    monkeypatch.setattr(fleet, "HAS_DASK", False)
+    given = [f"run={run}", f"trips={trips}", "monitor.cluster=local", *EVALUATE]
+    words = run_program(evaluate, tmp_path, *given)
+    assert words == 'error: `cluster` needs dask: pip install "suspnet[cluster]"'
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["out={trips}"], "out=.*worn already holds trips; give another folder"),
+        (["fleet.n_trips=0"], "`n_trips` must be a whole number >= 1, got 0"),
+        (["fleet.minutes=-1"], "`minutes` must be > 0 and finite, got -1"),
+        (["track=moon"], "track.* must be one of|moon"),
+        (["fleet.sensors.body.rate_hz=0"], "sensor `rate_hz` must be > 0, got 0"),
+        (["scenario.spread=2"], r"scenario `spread` must lie in 0 <= spread < 1, got 2"),
+        (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
+        (["fleet._target_=os.system"], "must lie in suspnet"),
+    ],
+)
+def test_mistake_with_simulate_gets_one_line(trips, tmp_path, overrides, message):
+    before = sorted(trips.rglob("*"))
+    given = [one.format(trips=trips) for one in overrides]
+    out = [] if given[0].startswith("out=") else [f"out={tmp_path / 'new'}"]
+    words = run_program(simulate, tmp_path / "log", *SIMULATE, *out, *given)
+    with pytest.raises(SystemExit, match=f"^error: .*({message})"):
+        raise SystemExit(words)
+    assert "\n" not in words
+    assert sorted(trips.rglob("*")) == before
+    assert not (tmp_path / "new").exists()
+
+
+def test_unknown_scenario_gets_one_line(tmp_path):
+    ended = command("-m", "suspnet.simulate", "scenario=moon", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("error: ")
+    assert "Could not find 'scenario/moon'" in ended.stderr
+    assert ended.stderr.count("\n") == 1

@@ -1,0 +1,174 @@
+"""Every plot gives a Figure that can be drawn, with the right axes and finite data."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from suspnet.features import PeakFeatures
+from suspnet.runs import plots
+from suspnet.runs.tables import table6_records
+
+FREQUENCIES = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
+NAMES = ("k_p", "c_p")
+
+
+@pytest.fixture
+def predictions():
+    rng = np.random.default_rng(0)
+    actual = rng.uniform(0.5, 2.0, (200, 2))
+    return actual, actual * rng.normal(1.0, 0.05, (200, 2))
+
+
+def run(model, outputs, snr_db=34.0):
+    return {
+        "protocol": "multi_location",
+        "model": model,
+        "scores": {name: {"mape_percent": 400 / snr_db**2, "rmse": 0.02} for name in outputs},
+        "limit": {name: {"mape_percent": 100 / snr_db**2, "rmse": 0.01} for name in outputs},
+        "n_train": 100,
+        "snr_db": snr_db,
+        "seed": 0,
+        "seconds": 1.0,
+    }
+
+
+def line_data(figure):
+    """Return the x and y values of every line of a figure."""
+    return [
+        np.asarray(line.get_xydata(), dtype=float) for axis in figure.axes for line in axis.lines
+    ]
+
+
+def assert_drawn(figure, n_axes):
+    """Check the number of axes and that all data are finite; drawing must not warn."""
+    assert isinstance(figure, Figure)
+    assert len(figure.axes) == n_axes
+    shown = [data for data in line_data(figure) if len(data)]
+    assert shown
+    assert all(np.isfinite(data).all() for data in shown)
+    FigureCanvasAgg(figure).draw()
+
+
+def test_bode_shows_decibels_and_degrees_of_both_responses(quarter_car):
+    figure = plots.bode(quarter_car, FREQUENCIES)
+    assert_drawn(figure, 4)
+    magnitude_p, magnitude_s, phase_p, phase_s = (axis.lines[0].get_ydata() for axis in figure.axes)
+    curves = quarter_car.magnitudes(torch.ones(1, 5), FREQUENCIES)[0].numpy()
+    np.testing.assert_allclose(magnitude_p, 20 * np.log10(curves[0]), atol=1e-9)
+    np.testing.assert_allclose(magnitude_s, 20 * np.log10(curves[1]), atol=1e-9)
+    # one degree of freedom turns by less than 180 degrees, two by less than 360
+    assert -180 < phase_s.min() < phase_s.max() < 0
+    assert -360 < phase_p.min() < phase_p.max() < 0
+
+
+def test_degradation_shows_three_curves_of_each_parameter_and_response(quarter_car):
+    figure = plots.degradation(quarter_car, FREQUENCIES)
+    assert_drawn(figure, 10)
+    assert [len(axis.lines) for axis in figure.axes] == [3] * 10
+    # neither k_p nor c_p changes G_s, everything else changes what it is plotted for
+    for axis, changes in zip(
+        figure.axes, [True] * 5 + [False, False, True, True, True], strict=True
+    ):
+        half, _, double = (line.get_ydata() for line in axis.lines)
+        assert bool(np.abs(half - double).max() > 1e-3) == changes
+
+
+def test_peak_fits_mark_each_peak_on_its_own_curve(quarter_car):
+    extractor = PeakFeatures()
+    curves = quarter_car.magnitudes(torch.ones(1, 5), FREQUENCIES)
+    values = extractor.extract(curves, FREQUENCIES).values[0].tolist()
+    features = dict(zip(extractor.names, values, strict=True))
+    figure = plots.peak_fits(FREQUENCIES.numpy(), curves[0].numpy(), features)
+    assert_drawn(figure, 2)
+    primary, secondary = figure.axes
+    assert len(primary.lines) == 1 + 2 * 2
+    assert len(secondary.lines) == 1 + 2
+    marker, width = secondary.lines[1:]
+    assert marker.get_xydata().tolist() == [
+        [features["secondary_position"], features["secondary_height"]]
+    ]
+    left, right = width.get_xdata()
+    assert right - left == pytest.approx(features["secondary_width"])
+    assert width.get_ydata()[0] == pytest.approx(features["secondary_height"] / math.sqrt(2))
+
+
+def test_feature_spread_has_a_row_an_output_and_a_column_a_feature(predictions):
+    actual, _ = predictions
+    inputs = np.repeat(actual[:, :1], 9, axis=1) ** np.arange(1, 10)
+    names = PeakFeatures().names
+    figure = plots.feature_spread(inputs, names, actual, NAMES)
+    assert_drawn(figure, 18)
+    np.testing.assert_array_equal(figure.axes[11].lines[0].get_xdata(), actual[:, 1])
+    np.testing.assert_array_equal(figure.axes[11].lines[0].get_ydata(), inputs[:, 2])
+
+
+def test_feature_spread_shows_at_most_2000_curves():
+    rng = np.random.default_rng(0)
+    table = rng.uniform(0.5, 2.0, (2500, 2))
+    figure = plots.feature_spread(table, ["secondary_height", "secondary_width"], table, NAMES)
+    assert_drawn(figure, 4)
+    assert {len(data) for data in line_data(figure)} == {2000}
+
+
+def test_parity_shows_predictions_against_actual_values(predictions):
+    actual, predicted = predictions
+    figure = plots.parity(actual, predicted, NAMES)
+    assert_drawn(figure, 2)
+    np.testing.assert_array_equal(
+        figure.axes[1].lines[0].get_xydata(), np.column_stack([actual[:, 1], predicted[:, 1]])
+    )
+
+
+def test_residuals_show_relative_errors_and_count_every_curve(predictions):
+    actual, predicted = predictions
+    figure = plots.residuals(actual, predicted, NAMES)
+    assert_drawn(figure, 4)
+    found = figure.axes[0].lines[0].get_ydata()
+    expected = 100 * (predicted[:, 0] - actual[:, 0]) / actual[:, 0]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert sum(bar.get_height() for bar in figure.axes[2].patches) == 200
+
+
+def test_convergence_shows_the_objective_above_its_last_value():
+    figure = plots.convergence([5.0, 2.0, 1.5, 1.0])
+    assert_drawn(figure, 1)
+    assert figure.axes[0].lines[0].get_ydata().tolist() == [4.0, 1.0, 0.5]
+
+
+def test_table6_has_an_axis_an_output_and_bars_for_each_model():
+    records = table6_records(
+        [run(model, outputs) for model in ("msvr", "linear") for outputs in (NAMES, ("k_s", "c_s"))]
+    )
+    figure = plots.table6(records)
+    assert_drawn(figure, 4)
+    heights = [bar.get_height() for bar in figure.axes[1].patches]
+    assert heights == pytest.approx([8.97, 400 / 34**2, 21.71, 400 / 34**2])
+    limits = [axis.lines[0].get_ydata()[0] for axis in figure.axes]
+    assert limits == pytest.approx([100 / 34**2] * 4)
+
+
+def test_table6_draws_a_model_the_paper_lacks():
+    figure = plots.table6(table6_records([run("curve_fit", ("M_s",))]))
+    assert_drawn(figure, 1)
+
+
+def test_sensitivity_shows_each_model_against_the_precision():
+    runs = [run(model, NAMES, snr) for model in ("msvr", "linear") for snr in (54.0, 34.0, 26.0)]
+    figure = plots.sensitivity(runs)
+    assert_drawn(figure, 2)
+    assert [len(axis.lines) for axis in figure.axes] == [3, 3]
+    first = figure.axes[0].lines[0]
+    assert list(first.get_xdata()) == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
+    assert list(first.get_ydata()) == pytest.approx([400 / s**2 for s in (26, 34, 54)])
+
+
+def test_search_map_joins_the_best_of_each_value():
+    settings = [{"C": c, "sigma": s} for c in (1.0, 10.0) for s in (0.5, 1.0, 2.0)]
+    figure = plots.search_map(settings, [0.5, 0.2, 0.4, 0.3, 0.6, 0.1])
+    assert_drawn(figure, 2)
+    assert figure.axes[0].lines[1].get_xydata().tolist() == [[1.0, 0.2], [10.0, 0.1]]
+    assert figure.axes[1].lines[1].get_xydata().tolist() == [[0.5, 0.3], [1.0, 0.2], [2.0, 0.1]]

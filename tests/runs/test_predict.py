@@ -1,0 +1,267 @@
+"""Estimates with intervals and flags end to end: coverage, seeds, threads, storage."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from conftest import GROUPS
+from trip_fixtures import trips_protocol
+from vehicles import AM96
+
+from suspnet.data import CALIBRATE, TEST, TRAIN, CurveSettings, Protocol
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.misfit import CurveMisfit
+from suspnet.data.source import BLOCK
+from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
+from suspnet.model.checkpoint import load_model, save_model
+from suspnet.runs.fit import Problem, fit
+from suspnet.runs.predict import calibrated, flags_of, predict_stream
+from suspnet.theory.information import output_bounds
+from suspnet.uncertainty.refine import refine
+
+SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
+METHODS = {
+    "msvr": lambda: MSVR(1e4, 8.0, 1e-3, n_components=256),
+    "linear": LinearRegression,
+    "mvgpr": lambda: MVGPR(n_optimize=60, n_restarts=0),
+    "curve_fit": lambda: CurveFit(64),
+}
+LEVEL = 0.9
+
+
+def problem_of(group="primary", protocol="multi_location", seed=0, threads=1, **changes):
+    names = {"mass_known"} & set(changes)
+    task = Protocol(protocol, GROUPS[protocol], **{name: changes.pop(name) for name in names}).task(
+        group
+    )
+    settings = replace(SETTINGS, **changes)
+    return Problem(QuarterCar(AM96), task, settings, seed, threads, progress=False)
+
+
+@cache
+def outcome_of(name, refined=False, **changes):
+    """Return problem, calibrated model and flagged test curves; made once for all tests."""
+    problem = problem_of(**changes)
+    model = calibrated(problem, replace(fit(problem, METHODS[name](), None), refined=refined))
+    return problem, model, predict_stream(problem, model, TEST, flags=True)
+
+
+def assert_same(first, second):
+    for name in ("predicted", "difficulties", "n_asked"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    np.testing.assert_array_equal(first.flags.found, second.flags.found)
+    assert first.flags.reasons == second.flags.reasons
+
+
+# reference
+
+
+@pytest.mark.parametrize("name", ["msvr", "linear", "mvgpr"])
+@pytest.mark.parametrize("refined", [False, True])
+def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
+    _, model, outcome = outcome_of(name, refined)
+    assert outcome.n_asked == 200
+    assert outcome.predicted.shape == outcome.difficulties.shape == outcome.data.outputs.shape
+    truth = outcome.data.outputs
+    # 100 calibration and 200 test curves: 3 % and 2.1 %; three and a half of their root sum
+    low, high = model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL)
+    within = (low <= truth) & (truth <= high)
+    np.testing.assert_allclose(within.mean(axis=0), LEVEL, atol=0.13)
+    low, high = model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL, joint=True)
+    both = ((low <= truth) & (truth <= high)).all(axis=1)
+    assert both.mean() == pytest.approx(LEVEL, abs=0.13)
+    assert both.mean() >= within.all(axis=1).mean()
+    assert (high / low).max() < 2
+
+
+def test_scores_are_residuals_of_calibration_curves_over_their_difficulty():
+    problem, model, _ = outcome_of("linear")
+    data = problem.source.features(CALIBRATE).complete()
+    estimates = model.predict(data.inputs)
+    known = np.hstack(
+        [model.input_scaling.apply(data.inputs), model.output_scaling.apply(estimates)]
+    )
+    every = np.abs(np.log(estimates / data.outputs)) / model.intervals.difficulty.predict(known)
+    scores = model.intervals.conformal.scores
+    assert 100 <= len(scores) < len(every)  # the others taught the difficulty
+    for score in scores:
+        assert np.isclose(every, score, rtol=1e-9).all(axis=1).sum() == 1
+
+
+def test_refined_estimates_are_fits_of_the_streams_curves():
+    problem, _, outcome = outcome_of("linear", refined=True)
+    plain = outcome_of("linear")[2]
+    task, source = problem.task, problem.source
+    for block in range(2):
+        rows = slice(block * BLOCK, (block + 1) * BLOCK)
+        curves = source.curves(outcome.data.ratios, TEST, block)
+        found = refine(task, CurveMisfit(source.observer, curves), plain.predicted[rows])
+        ratios, deviations = found.of(task.outputs)
+        np.testing.assert_array_equal(outcome.predicted[rows], ratios)
+        np.testing.assert_array_equal(outcome.difficulties[rows], deviations)
+
+
+@pytest.mark.parametrize("changes", [{}, {"mass_known": True}], ids=["unknown", "mass_known"])
+def test_refined_estimates_reach_the_bound(changes):
+    problem, _, outcome = outcome_of("linear", refined=True, **changes)
+    bounds = output_bounds(problem.task, problem.source.observer, outcome.data.ratios)
+    normalised = (outcome.predicted - outcome.data.outputs) / bounds
+    # 200 curves: 5 %, four of those
+    np.testing.assert_allclose(np.sqrt((normalised**2).mean(axis=0)), 1.0, atol=0.2)
+
+
+def test_flags_of_any_curves_are_those_of_the_stream():
+    problem, model, outcome = outcome_of("linear")
+    curves = problem.source.curves(outcome.data.ratios, TEST, 0)
+    curves[3] = curves[3] * (
+        1 - 0.3 * torch.exp(-((problem.source.observer.frequencies_hz - 4) ** 2))
+    )
+    found = flags_of(model, problem.source.observer, curves)
+    others = [row for row in range(BLOCK) if row != 3]
+    np.testing.assert_array_equal(found.found[others], outcome.flags.found[others])
+    assert found.found[3, 3]
+    assert "the model cannot explain the curve" in found.reasons[3]
+
+
+# limit
+
+
+@pytest.mark.parametrize("name", ["linear", "curve_fit"])
+def test_without_calibration_there_are_neither_intervals_nor_flags(name):
+    _, model, outcome = outcome_of(name, n_calibrate=None)
+    assert model.intervals is None
+    assert model.scope is None
+    assert outcome.difficulties is None
+    assert outcome.flags is None
+    error = outcome.predicted / outcome.data.outputs - 1
+    assert np.abs(error).max() < 0.5
+
+
+def test_curve_fit_and_refinement_end_in_the_same_optimum():
+    fitted = outcome_of("curve_fit", n_calibrate=None)[2]
+    refined = outcome_of("linear", refined=True)[2]
+    # refinement ends within 1e-5
+    np.testing.assert_allclose(refined.predicted, fitted.predicted, rtol=1e-4)
+
+
+# property
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
+    *_, first = outcome_of("linear", refined)
+    for threads in (1, 2):
+        problem = problem_of(threads=threads)
+        model = calibrated(
+            problem, replace(fit(problem, LinearRegression(), None), refined=refined)
+        )
+        assert_same(first, predict_stream(problem, model, TEST, flags=True))
+
+
+def test_another_seed_gives_other_numbers():
+    _, model, _ = outcome_of("linear")
+    _, other, _ = outcome_of("linear", seed=1)
+    assert not np.isin(other.intervals.conformal.scores, model.intervals.conformal.scores).any()
+    assert model.scope.distance_limit != other.scope.distance_limit
+
+
+def test_calibration_curves_are_no_training_or_test_curves():
+    problem, *_ = outcome_of("linear")
+    streams = [problem.source.ratios(stream) for stream in (TRAIN, TEST, CALIBRATE)]
+    assert [len(ratios) for ratios in streams] == [300, 200, 300]
+    sets = [{tuple(row) for row in np.round(ratios, 6).tolist()} for ratios in streams]
+    assert not sets[2] & (sets[0] | sets[1])
+
+
+@pytest.mark.parametrize(("name", "refined"), [("msvr", False), ("linear", True)])
+def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path):
+    problem, model, outcome = outcome_of(name, refined)
+    save_model(tmp_path, model)
+    loaded = load_model(tmp_path)
+    assert loaded.refined is refined
+    found = predict_stream(problem, loaded, TEST, flags=True)
+    assert_same(found, outcome)
+    for joint in (False, True):
+        limits = [
+            one.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL, joint)
+            for one in (model, loaded)
+        ]
+        np.testing.assert_array_equal(limits[0], limits[1])
+
+
+@pytest.mark.parametrize("refined", [False, True])
+def test_curves_that_lack_a_peak_are_flagged_and_have_no_estimate(refined):
+    # the band begins above the lower peak of some heavy vehicles
+    problem, _, outcome = outcome_of("linear", refined, low_hz=0.9)
+    data = problem.source.features(TEST)
+    assert 2 < (~data.valid).sum() < 60
+    assert len(outcome.predicted) == len(outcome.difficulties) == data.valid.sum()
+    assert np.isfinite(outcome.predicted).all()
+    assert np.isfinite(outcome.difficulties).all()
+    assert outcome.n_asked == len(outcome.flags.reasons) == 200
+    np.testing.assert_array_equal(outcome.flags.found[:, 0], ~data.valid)
+    for row in np.flatnonzero(~data.valid):
+        names = [
+            peak
+            for peak, reason in zip(problem.task.extractor.peaks, data.reasons[row], strict=True)
+            if reason
+        ]
+        first = outcome.flags.reasons[row].split("; ")[0]
+        assert first.startswith("missing: ")
+        assert [
+            word.split(" (")[0] for word in first.removeprefix("missing: ").split(", ")
+        ] == names
+
+
+def test_few_usual_curves_are_flagged_and_many_noisier_ones():
+    problem, model, outcome = outcome_of("linear")
+    assert outcome.flags.flagged.mean() < 0.03
+    noisy = replace(problem, settings=replace(problem.settings, snr_db=20.0), seed=5)
+    observer = problem.source.observer
+    curves = noisy.source.curves(noisy.source.ratios(TEST)[:24], TEST, 0)
+    assert flags_of(model, observer, curves).found[:, 3].mean() > 0.9
+
+
+def test_trips_have_intervals_and_flags_too():
+    settings = EstimateSettings(256, 48, 128, minutes=5.0, cache_dir=None)
+    task = trips_protocol().task("all")
+    problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
+    fitted = replace(fit(problem, LinearRegression(), None), refined=True)
+    model = calibrated(problem, fitted)
+    outcome = predict_stream(problem, model, TEST, flags=True)
+    low, high = model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL)
+    truth = outcome.data.outputs
+    # 48 trips of five outputs, 128 to calibrate: at least 4.3 % and 2.7 %; three of their root sum
+    assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(LEVEL, abs=0.15)
+    assert outcome.flags.found.shape == (48, 4)
+    assert outcome.flags.flagged.mean() < 0.1
+    regression = fitted.predict(outcome.data.inputs)
+    for j in range(5):
+        errors = [
+            np.std(np.log(one[:, j] / truth[:, j])) for one in (outcome.predicted, regression)
+        ]
+        assert errors[0] < 0.5 * errors[1]
+
+
+# failure
+
+
+def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
+    problem = problem_of("secondary", "paper")
+    model = replace(fit(problem, LinearRegression(), None), refined=True)
+    with pytest.raises(ValueError, match="refine=true needs curves that tell k_s"):
+        calibrated(problem, model)
+    with pytest.raises(ValueError, match="refine=true needs curves that tell k_s"):
+        predict_stream(problem, model, TEST)
+
+
+def test_curve_fit_cannot_read_trips():
+    settings = EstimateSettings(300, 20, None, minutes=5.0, cache_dir=None)
+    task = trips_protocol().task("all")
+    problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
+    model = fit(problem, CurveFit(8), None)
+    with pytest.raises(ValueError, match="it cannot be used with data=trips"):
+        predict_stream(problem, model, TEST)

@@ -1,0 +1,493 @@
+"""A folder of trips: the same whatever the workers, and everything that is written of it."""
+
+import csv
+import json
+import os
+import shutil
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal, small_fleet
+from trip_records import fleet as made_up
+
+from suspnet.model.checkpoint import ModelFileError
+from suspnet.data import CurveSettings
+from suspnet.trips import fleet, output
+from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
+from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
+from suspnet.trips.trend import LEAST_PERCENT
+from suspnet.trips.trip import TripSettings, evaluate_trip
+from suspnet.runs.tensorboard import RunLog
+
+TRIPS = TripSettings()
+SETTINGS = FleetSettings(TRIPS)
+FIGURES = {"trend", "responses", "signals", "quality"}
+
+
+@pytest.fixture(scope="module")
+def manifests(tmp_path_factory):
+    return small_fleet(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return model_at()
+
+
+@pytest.fixture(scope="module")
+def alone(manifests, model):
+    """Each trip's result, evaluated by itself."""
+    return [evaluate_trip(path, [model], TRIPS) for path in manifests]
+
+
+@pytest.fixture(scope="module")
+def broken(manifests, tmp_path_factory):
+    """A folder of four good trips, in another order, and three bad ones."""
+    folder = tmp_path_factory.mktemp("broken")
+    for name, i in (("d", 0), ("c", 3), ("b", 1), ("a", 4)):
+        changed(manifests[i], folder, name)
+    changed(manifests[2], folder, "slow", speed=20.0)
+    changed(manifests[5], folder, "dead", signals={"body": 0 * signal(manifests[5], "body")})
+    (folder / "nonsense.yaml").write_text("<b>: [")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(broken, model, tmp_path_factory):
+    """The folder written of `broken`, and the results."""
+    folder = tmp_path_factory.mktemp("done")
+    return folder, evaluate_fleet(broken, [model], folder, SETTINGS, progress=False)
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    monkeypatch.setattr(output, "write_report", lambda *_: None)
+
+
+def estimates(results):
+    return {r.mileage_km: r.estimates for r in results if r.status == "ok"}
+
+
+def rows(path):
+    if path.suffix == ".parquet":
+        return pq.read_table(path).to_pylist()
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def same(a, b):
+    """Whether two values, or a value and its text, are equal; NaN is NaN."""
+    b = type(a)(b)
+    return a == b or (a != a and b != b)
+
+
+# reference: the fleet is its trips
+
+
+def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
+    _, results = done
+    assert [r.trip for r in results] == ["d", "b", "slow", "c", "a", "dead", "nonsense"]
+    assert [r.status for r in results] == [*("ok", "ok", "no estimate", "ok", "ok"), *["error"] * 2]
+    good = {i: results[place] for i, place in ((0, 0), (1, 1), (3, 3), (4, 4))}
+    for i, result in good.items():
+        assert result.estimates == alone[i].estimates
+        assert result.quality == alone[i].quality
+    assert "at 68.6 to 71.4 m/s throughout" in results[2].reason
+    assert results[5].reason.startswith("channel 'body' is constant (0) throughout")
+    assert results[6].reason.startswith("is not valid YAML")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_change_nothing(manifests, model, alone, no_figures, tmp_path, workers):
+    settings = FleetSettings(TRIPS, workers=workers)
+    results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+    # BLAS may sum in another order where it has other threads
+    found, expected = estimates(results), estimates(alone)
+    assert list(found) == list(expected)
+    for mileage, values in expected.items():
+        assert found[mileage] == pytest.approx(values, rel=1e-9)
+
+
+def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
+    with distributed.LocalCluster(**options, dashboard_address=":0") as cluster:
+        settings = FleetSettings(TRIPS, cluster=cluster.scheduler_address)
+        results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+    assert estimates(results) == estimates(alone)
+
+
+def test_errors_are_the_naive_ones(alone):
+    for name, value in errors_percent(alone, OUTPUTS).items():
+        squares = [(r.estimates[name] / r.truth[name] - 1) ** 2 for r in alone]
+        assert value == pytest.approx(100 * (sum(squares) / len(squares)) ** 0.5)
+        assert value > 0
+
+
+def test_errors_are_of_trips_with_an_estimate_and_a_known_truth(alone):
+    unknown = [
+        replace(alone[0], truth={}),
+        replace(alone[1], truth={"k_p": 1.0}),
+        replace(alone[2], status="error", estimates={}),
+    ]
+    assert errors_percent(unknown, OUTPUTS) == {}
+    found = errors_percent([*unknown, alone[3]], OUTPUTS)
+    assert found == errors_percent([alone[3]], OUTPUTS)
+    assert list(errors_percent([unknown[1]], ("k_p",))) == ["k_p"]
+
+
+# what is written
+
+
+def test_tables_have_a_row_a_trip_and_agree(done):
+    folder, results = done
+    parquet, text = rows(folder / "trips.parquet"), rows(folder / "trips.csv")
+    assert len(parquet) == len(text) == len(results)
+    for a, b, result in zip(parquet, text, results, strict=True):
+        assert list(a) == list(b) == list(result.row(OUTPUTS))
+        for name, value in result.row(OUTPUTS).items():
+            assert same(value, a[name]), name
+            assert same(value, b[name]), name
+
+
+def test_columns_do_not_depend_on_success(done, alone, tmp_path):
+    folder, results = done
+    schema = pq.read_schema(folder / "trips.parquet")
+    for name, some in (("good", alone[:2]), ("bad", results[5:]), ("one", results[2:3])):
+        write_tables(some, OUTPUTS, tmp_path / name)
+        assert pq.read_schema(tmp_path / name / "trips.parquet") == schema
+        assert pacsv.read_csv(tmp_path / name / "trips.csv").column_names == schema.names
+        exists = (tmp_path / name / "responses.parquet").exists()
+        assert exists is (name == "good")
+    for field in schema:
+        name = field.name
+        number = isinstance(alone[0].row(OUTPUTS)[name], float | int)
+        assert pa.types.is_string(field.type) is not number
+
+
+def test_responses_are_those_of_each_trip(done, alone):
+    folder, _ = done
+    table = pq.read_table(folder / "responses.parquet").to_pydict()
+    assert list(dict.fromkeys(table["trip"])) == ["d", "b", "c", "a"]
+    chosen = np.array(table["trip"]) == "b"
+    curves = alone[1].curves
+    for i, link in enumerate(("p", "s")):
+        magnitude, phase, coherence, deviation = (
+            np.array(table[f"{what}_{link}"])[chosen]
+            for what in ("magnitude", "phase_rad", "coherence", "deviation")
+        )
+        response = magnitude * np.exp(1j * phase)
+        np.testing.assert_allclose(response, curves.responses[i], rtol=1e-12)
+        np.testing.assert_array_equal(coherence, curves.coherences[i])
+        np.testing.assert_array_equal(deviation, curves.deviations[i])
+    np.testing.assert_array_equal(np.array(table["frequency_hz"])[chosen], curves.frequencies_hz)
+
+
+def test_metrics_and_figures(done, broken, alone):
+    folder, _ = done
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert (metrics["n_trips"], metrics["n_estimated"]) == (7, 4)
+    expected = errors_percent([alone[i] for i in (0, 1, 3, 4)], OUTPUTS)
+    assert metrics["rms_error_percent"] == pytest.approx(expected)
+    assert [one["parameter"] for one in metrics["trends"]] == list(OUTPUTS)
+    assert [one["n_trips"] for one in metrics["trends"]] == [4] * 5
+    for one in metrics["trends"]:  # four trips tell no change, but a level far from healthy
+        level = np.median([alone[i].estimates[one["parameter"]] for i in (0, 1, 3, 4)])
+        off = one["parameter"] != "M_s" and abs(level - 1) > 0.1
+        assert one["stands_out"] == off
+    details = metrics["details"]
+    assert details["trips"] == str(broken)
+    assert details["model"] == "msvr, trained on 2000 curves of VerticalVehicle"
+    assert details["speeds"] == "70 m/s"
+    assert details["transfer functions"] == "IV, hann windows of 20 s"
+    assert details["healthy is"] == "the vehicle's parameters"
+    assert {path.stem for path in (folder / "figures").glob("*.png")} == FIGURES
+
+
+def test_tensorboard_has_a_scalar_at_each_mileage(done, alone):
+    folder, _ = done
+    events = EventAccumulator(str(folder)).Reload()
+    tags = events.Tags()
+    assert set(tags["scalars"]) == {f"trips/{name}" for name in (*OUTPUTS, "n_averages")}
+    assert set(tags["images"]) == FIGURES
+    assert "trips/text_summary" in tags["tensors"]
+    scalars = events.Scalars("trips/c_s")
+    for name in ("c_s", "n_averages"):
+        steps = [event.step for event in events.Scalars(f"trips/{name}")]
+        assert steps == [1000, 2000, 4000, 5000]
+    expected = [alone[i].estimates["c_s"] for i in (0, 1, 3, 4)]
+    assert [event.value for event in scalars] == pytest.approx(expected, rel=1e-6)
+
+
+def test_report_names_each_trip_and_reason(done):
+    folder, results = done
+    text = (folder / "report.html").read_text()
+    assert "<b>" not in text.replace("<body>", "")
+    plain = " ".join(unescape(text).split())
+    for result in results:
+        assert result.trip in plain
+        assert result.reason in plain
+    assert plain.count("data:image/") >= len(FIGURES)
+
+
+def test_summary_names_trips_errors_and_reasons(done):
+    _, results = done
+    text = summary(results, OUTPUTS)
+    first, _, _, *lines = text.splitlines()
+    assert first.startswith("4 of 7 trips have an estimate, ")
+    assert [line.split("|")[1].strip() for line in lines[:-2]] == [r.trip for r in results]
+    assert lines[-2].startswith("| rms error %")
+    assert lines[-1].startswith("| intervals hold %")
+    assert "`" not in lines[0]
+    assert results[2].reason[:60] in lines[2]  # the whole reason is in trips.csv
+    first = summary(results[5:], OUTPUTS).splitlines()[0]
+    assert first == "0 of 2 trips have an estimate, 0 are flagged"
+    assert "rms error" not in summary(results[5:], OUTPUTS)
+
+
+def test_nothing_works_at_all(broken, model, tmp_path):
+    folder = tmp_path / "bad"
+    folder.mkdir()
+    shutil.copy(broken / "nonsense.yaml", folder)
+    shutil.copy(broken / "dead.yaml", folder)
+    results = evaluate_fleet(folder, [model], tmp_path / "out", SETTINGS, progress=False)
+    assert [r.status for r in results] == ["error", "error"]
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["n_estimated"] == 0
+    assert metrics["rms_error_percent"] == {}
+    assert "nonsense" in (tmp_path / "out" / "report.html").read_text()
+    assert len(rows(tmp_path / "out" / "trips.csv")) == 2
+    assert not (tmp_path / "out" / "responses.parquet").exists()
+
+
+def test_reference_of_the_first_trips(manifests, model, alone, no_figures, tmp_path):
+    folder = manifests[0].parent
+    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
+    results = evaluate_fleet(folder, [model], tmp_path, settings, progress=False)
+    for name in OUTPUTS:
+        reference = 1.0 if name == "M_s" else sorted(r.raw[name] for r in alone[:3])[1]
+        for result, by_itself in zip(results, alone, strict=True):
+            assert result.raw == by_itself.raw
+            expected = by_itself.raw[name] / reference
+            assert result.estimates[name] == pytest.approx(expected, rel=1e-12)
+    table = pq.read_table(tmp_path / "trips.parquet").to_pydict()
+    assert table["k_s"] == [r.estimates["k_s"] for r in results] != table["k_s_raw"]
+    details = json.loads((tmp_path / "metrics.json").read_text())["details"]
+    assert details["healthy is"] == "the median of the first 3 trips (k and c)"
+    settings = replace(settings, n_reference=N_TRIPS + 1)
+    with pytest.raises(ValueError, match=r"asks for 7 first trips, 6 have an estimate"):
+        evaluate_fleet(folder, [model], tmp_path, settings, progress=False)
+
+
+def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, tmp_path):
+    """The first trips are those of least mileage, here d, b and c."""
+    _, absolute = done
+    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
+    results = evaluate_fleet(broken, [model], tmp_path, settings, progress=False)
+    assert [r.trip for r in results] == [r.trip for r in absolute]
+    expected = sorted(r.raw["k_p"] for r in absolute if r.trip in ("d", "b", "c"))[1]
+    for before, after in zip(absolute, results, strict=True):
+        if before.status == "ok":
+            assert before.estimates["k_p"] / after.estimates["k_p"] == pytest.approx(expected)
+
+
+def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_path):
+    folder = tmp_path / "trips"
+    folder.mkdir()
+    changed(manifests[0], folder, "fast")
+    changed(manifests[1], folder, "middle", speed=60.0)
+    models = [model_at(50.0), model]
+    results = evaluate_fleet(folder, models, tmp_path / "out", SETTINGS, progress=False)
+    assert [r.status for r in results] == ["ok", "no estimate"]
+    assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
+    details = json.loads((tmp_path / "out" / "metrics.json").read_text())["details"]
+    assert details["speeds"] == "50 m/s, 70 m/s"
+
+
+def test_change_below_what_the_model_resolves_does_not_stand_out(model, monkeypatch):
+    """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
+    results = made_up(with_curves=False)
+    other = model_at(50.0)
+
+    def stand_out(*errors):
+        models = [
+            replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
+            for one, e in zip((model, other), errors, strict=False)
+        ]
+        return {t.parameter for t in fleet._trends(results, OUTPUTS, models) if t.stands_out}
+
+    assert LEAST_PERCENT < 0.2
+    assert stand_out(None) == stand_out(0.1) == {"k_p", "c_s"}
+    assert stand_out(1.0) == stand_out(0.1, 1.0) == stand_out(1.0, 0.1) == {"c_s"}
+    assert stand_out(50.0) == set()
+
+
+# failure
+
+
+@pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
+@pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stop")])
+def test_interrupted_run_leaves_only_whole_files(
+    manifests, model, alone, monkeypatch, tmp_path, place, error
+):
+    def fail(*_):
+        raise error
+
+    folder = tmp_path / "trips"
+    folder.mkdir()
+    changed(manifests[0], folder)
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    target = {"write_table": pq, "replace": os, "write_report": output}[place]
+    monkeypatch.setattr(target, place, fail)
+    out = tmp_path / "out"
+    with pytest.raises(type(error), match=str(error)):
+        evaluate_fleet(folder, [model], out, SETTINGS, progress=False)
+    monkeypatch.undo()
+    left = {p.name for p in out.rglob("*") if p.is_file() and "tfevents" not in p.name}
+    assert "report.html" not in left
+    assert not [name for name in left if name.startswith(".")]
+    if place == "write_report":
+        assert len(rows(out / "trips.parquet")) == len(rows(out / "trips.csv")) == 1
+        assert json.loads((out / "metrics.json").read_text())["n_trips"] == 1
+    else:
+        assert left == set()
+
+
+def test_ctrl_c_in_a_trip_ends_the_run(manifests, model, monkeypatch, tmp_path):
+    def interrupt(*_):
+        raise KeyboardInterrupt("stop")
+
+    monkeypatch.setattr(fleet, "evaluate_trip", interrupt)
+    with pytest.raises(KeyboardInterrupt, match="stop"):
+        evaluate_fleet(manifests[0].parent, [model], tmp_path / "out", SETTINGS, progress=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_folder_without_trips_is_refused(model, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*nowhere; give the one"):
+        evaluate_fleet(tmp_path / "nowhere", [model], tmp_path, SETTINGS)
+    with pytest.raises(FileNotFoundError, match=r"holds no \*\.yaml file; each trip needs one"):
+        evaluate_fleet(tmp_path, [model], tmp_path / "out", SETTINGS)
+
+
+def test_models_that_cannot_read_trips_are_refused(model):
+    assert check_models([model]) == check_models([model_at(50.0), model]) == OUTPUTS
+    curves = replace(model, settings=CurveSettings())
+    with pytest.raises(ModelFileError, match=r"protocol 'trips' was trained on curves of section"):
+        check_models([model, curves])
+    known = replace(model, task=replace(model.task, mass_known=True))
+    with pytest.raises(ModelFileError, match="mass_known=true cannot read trips"):
+        check_models([known])
+    heavy = replace(model.vehicle, bogie_mass_kg=2000.0)
+    other = replace(model, generator=replace(model.generator, vehicle=heavy))
+    fewer = replace(model, task=replace(model.task, outputs=OUTPUTS[:4]))
+    for different in (other, fewer):
+        with pytest.raises(ModelFileError, match="must share vehicle and outputs"):
+            check_models([model, model, different])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"reference": "x"}, "`reference` must be 'vehicle' or 'first_trips', got 'x'"),
+        ({"workers": 0}, "`workers` must be a whole number >= 1, got 0"),
+        ({"workers": True}, "`workers` must be a whole number >= 1, got True"),
+        ({"n_reference": 1.5}, r"`n_reference` must be a whole number >= 1, got 1\.5"),
+    ],
+)
+def test_settings_are_checked(change, message):
+    with pytest.raises(ValueError, match=message):
+        FleetSettings(TRIPS, **change)
+
+
+def test_cluster_needs_dask(monkeypatch):
+    monkeypatch.setattr(fleet, "HAS_DASK", False)
+    with pytest.raises(ValueError, match=r'`cluster` needs dask: pip install "suspnet\[cluster\]"'):
+        FleetSettings(TRIPS, cluster="local")
+    assert FleetSettings(TRIPS).cluster is None
+
+
+def test_two_models_of_one_speed_are_refused(model):
+    with pytest.raises(ModelFileError, match=r"same speed \(70 m/s, 70 m/s\)"):
+        check_models([model, replace(model)])
+
+
+def test_names_that_look_like_numbers_stay_as_they_are(alone):
+    named = [replace(alone[0], trip=name, truth={}) for name in ("1.10", "001", "1e5")]
+    lines = summary(named, OUTPUTS).splitlines()
+    assert [line.split("|")[1].strip() for line in lines[3:]] == ["1.10", "001", "1e5"]
+
+
+# intervals and flags
+
+
+def test_long_reasons_are_short_in_the_summary_and_whole_in_the_table(alone, tmp_path):
+    words = "k_p at about 27 % lies outside the 50 to 160 % trained for; " * 5
+    results = [replace(alone[0], flags=words), replace(alone[1], flags="short"), alone[2]]
+    lines = summary(results, OUTPUTS).splitlines()
+    assert lines[0] == "3 of 3 trips have an estimate, 2 are flagged"
+    cells = [line.rpartition("| ")[2].rstrip(" |") for line in lines[3:6]]
+    assert cells[0].endswith("\N{HORIZONTAL ELLIPSIS}")
+    assert 80 < len(cells[0]) <= 100
+    assert words.startswith(cells[0][:-2])
+    assert cells[1:] == ["short", ""]
+    write_tables(results, OUTPUTS, tmp_path)
+    assert [row["flags"] for row in rows(tmp_path / "trips.csv")] == [words, "short", ""]
+    assert "1 is flagged" in summary(results[1:], OUTPUTS)
+
+
+def test_coverage_is_the_naive_one(alone):
+    held = coverage_percent(alone, OUTPUTS)
+    for name in OUTPUTS:
+        n = sum(
+            abs(np.log(r.estimates[name] / r.truth[name])) <= r.half_widths[name] for r in alone
+        )
+        assert held[name] == pytest.approx(100 * n / len(alone))
+    unknown = [replace(alone[0], half_widths={}), replace(alone[1], truth={})]
+    assert coverage_percent(unknown, OUTPUTS) == {}
+    assert coverage_percent([*unknown, alone[2]], OUTPUTS) == coverage_percent([alone[2]], OUTPUTS)
+
+
+def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
+    seen = {}
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-1]))
+    monkeypatch.setattr(
+        fleet,
+        "evaluate_trip",
+        lambda path, *_: replace(
+            evaluate_trip(path, [model], TRIPS), flags="odd" if path == manifests[1] else ""
+        ),
+    )
+    settings = replace(
+        SETTINGS, trips=TripSettings(level=0.95), reference="first_trips", n_reference=3
+    )
+    results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert metrics["n_flagged"] == 1
+    assert metrics["coverage_percent"] == pytest.approx(coverage_percent(results, OUTPUTS))
+    assert seen == {"level": 0.95}
+    n = len(model.intervals.conformal.scores)
+    assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
+    assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")
+    assert metrics["trends"][0]["verdict"].endswith("; 1 of the first 3 trips is flagged")
+
+
+def test_model_without_calibration_gives_no_intervals(manifests, model, no_figures, tmp_path):
+    folder = tmp_path / "trips"
+    folder.mkdir()
+    changed(manifests[0], folder)
+    plain = replace(model, intervals=None, scope=None)
+    (result,) = evaluate_fleet(folder, [plain], tmp_path / "out", SETTINGS, progress=False)
+    assert result.status == "ok"
+    assert np.isnan(result.interval("k_p")).all()
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["coverage_percent"] == {}
+    assert metrics["details"]["intervals"].startswith("none: the model was trained with")

@@ -1,0 +1,170 @@
+"""Intervals, flags and the axis of the figure along the mileage."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
+
+from suspnet.trips.health_figure import LEAST_SPAN_PERCENT, health_trend
+
+FEW = OUTPUTS[:2]
+FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"
+
+
+def drawn(results, outputs=FEW, **options):
+    """Return a figure's panels, drawn (a warning is an error)."""
+    figure = health_trend(results, outputs, **options)
+    FigureCanvasAgg(figure).draw()
+    return figure.axes
+
+
+def labels(axis):
+    return [line.get_label() for line in (*axis.lines, *axis.collections)]
+
+
+def points(axis, label):
+    """Return the x and y values of all lines with a label, in ascending order of x."""
+    found = [line.get_xydata() for line in axis.lines if line.get_label() == label]
+    rows = np.concatenate(found) if found else np.zeros((0, 2))
+    return rows[np.argsort(rows[:, 0])].T
+
+
+def bars(axis, label=INTERVAL):
+    """Return place, lower and upper end of each interval, (n, 3)."""
+    (found,) = [part for part in axis.collections if part.get_label() == label]
+    return np.array([[x, low, high] for (x, low), (_, high) in found.get_segments()])
+
+
+def measured(n=12, missing=()):
+    """Return a fleet's trips with intervals."""
+    trips = fleet(n, missing)
+    return [replace(r, half_widths=HALF_WIDTHS) if r.estimates else r for r in trips]
+
+
+def legend(axis):
+    (found,) = axis.figure.legends
+    return [text.get_text() for text in found.get_texts()]
+
+
+# reference
+
+
+def test_bars_are_the_intervals_in_percent():
+    trips = measured(missing=(3,))
+    known = [r for r in trips if r.estimates]
+    for axis, name in zip(drawn(trips[::-1], OUTPUTS), OUTPUTS, strict=True):
+        expected = [[r.mileage_km / 1000, *(100 * v for v in r.interval(name))] for r in known]
+        np.testing.assert_allclose(bars(axis), expected)
+        low, high = axis.get_ylim()
+        assert low < np.min(expected, axis=0)[1]
+        assert high > np.max(expected, axis=0)[2]
+
+
+def test_level_is_that_of_the_legend():
+    axis = drawn(measured(), level=0.95)[0]
+    assert "its 95 % interval" in legend(axis)
+    assert len(bars(axis, "its 95 % interval")) == 12
+
+
+def test_flagged_trips_are_hollow_and_without_interval():
+    trips = measured()
+    trips[2] = flagged(trips[2])
+    for axis, name in zip(drawn(trips), FEW, strict=True):
+        np.testing.assert_allclose(
+            points(axis, FLAGGED)[:, 0], [30.0, 100 * trips[2].estimates[name]]
+        )
+        (hollow,) = [line for line in axis.lines if line.get_label() == FLAGGED]
+        assert hollow.get_markerfacecolor() == "none"
+        assert 30.0 not in points(axis, "trip")[0]
+        assert len(points(axis, "trip")[0]) == len(bars(axis)) == 11
+        assert 30.0 not in bars(axis)[:, 0]
+        assert FLAGGED in legend(axis)
+
+
+def test_without_intervals_and_flags_the_figure_is_as_before():
+    axes = drawn(fleet(12, ()))
+    assert FLAGGED not in legend(axes[0])
+    for axis, name in zip(axes, FEW, strict=True):
+        assert not axis.collections
+        values = [100 * r.estimates[name] for r in fleet(12, ())]
+        low, high = axis.get_ylim()
+        assert low <= min(values)
+        assert high >= max(values)
+        assert high - low <= max(1.2 * np.ptp([*values, 100.0]), LEAST_SPAN_PERCENT + 1e-9)
+
+
+# limit: what the axis holds
+
+
+@pytest.mark.parametrize(("value", "edge", "words"), [(0.27, 0, "27 %"), (2.5, 1, "250 %")])
+@pytest.mark.parametrize("place", [0, 6, 11])
+def test_a_single_odd_trip_does_not_spoil_the_axis(value, edge, words, place):
+    trips = measured()
+    usual = drawn(trips)[0].get_ylim()
+    trips[place] = flagged(trips[place], k_p=value)
+    axis, other = drawn(trips)[:2]
+    assert np.ptp(axis.get_ylim()) < 1.5 * np.ptp(usual)
+    np.testing.assert_allclose(points(axis, BEYOND)[:, 0], [10.0 * (place + 1), edge])
+    assert [text.get_text() for text in axis.texts] == [words]
+    assert BEYOND not in labels(other)
+    assert BEYOND in legend(axis)
+
+
+def test_a_lasting_change_stays_on_the_axis_though_flagged():
+    """A damper that has failed is out of the range trained for from then on."""
+    trips = [replace(trip(i), half_widths=HALF_WIDTHS) for i in range(9)]
+    trips += [flagged(trip(i), c_s=0.3) for i in range(9, 12)]
+    (axis,) = drawn(trips, ("c_s",))
+    assert axis.get_ylim()[0] < 30
+    assert BEYOND not in labels(axis)
+
+
+def test_a_flagged_trip_near_the_others_widens_the_axis():
+    trips = measured()
+    usual = drawn(trips)[0].get_ylim()
+    trips[5] = flagged(trips[5], k_p=0.985)
+    axis = drawn(trips)[0]
+    assert usual[0] > 98.5 > axis.get_ylim()[0]
+    assert BEYOND not in labels(axis)
+
+
+def test_all_flagged_are_all_shown():
+    trips = measured(missing=(4,))
+    trips = [flagged(r, k_p=0.2 + 0.1 * i) if r.estimates else r for i, r in enumerate(trips)]
+    axis = drawn(trips)[0]
+    assert "trip" not in labels(axis)
+    assert BEYOND not in labels(axis)
+    assert axis.get_ylim()[0] < 20
+    assert axis.get_ylim()[1] > 130
+    assert len(points(axis, FLAGGED)[0]) == 11
+
+
+def test_a_wide_interval_is_cut_off_at_the_span_of_the_others():
+    trips = measured()
+    trips[5] = replace(trips[5], half_widths=HALF_WIDTHS | {"k_p": 2.0})
+    axis = drawn(trips)[0]
+    assert np.ptp(axis.get_ylim()) < 4 * np.ptp(drawn(measured())[0].get_ylim())
+    assert len(bars(axis)) == 12
+
+
+# failure
+
+
+@pytest.mark.parametrize("half", [np.nan, np.inf, 1000.0])
+def test_unknown_intervals_are_left_out(half):
+    trips = measured()
+    trips[5] = replace(trips[5], half_widths=dict.fromkeys(OUTPUTS, half))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        axis = drawn(trips)[0]
+    assert 60.0 not in bars(axis)[:, 0]
+    assert 60.0 in points(axis, "trip")[0]
+
+
+def test_a_lone_flagged_trip_is_shown():
+    axis = drawn([flagged(trip(3), k_p=0.2)])[0]
+    np.testing.assert_allclose(points(axis, FLAGGED)[:, 0], [40.0, 20.0])
+    assert BEYOND not in labels(axis)

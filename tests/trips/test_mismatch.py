@@ -1,0 +1,455 @@
+"""The richer simulator of the tests, against suspnet's, closed forms and an independent solver."""
+
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+import rich_motion
+import torch
+from rich_motion import BergFriction, march, simulate
+from rich_trips import PARTS, SENSORS, drawn_ratios, off_ratios, write_rich_trips
+from rich_vehicle import RichVehicle, bending_shape, build
+from scipy.integrate import cumulative_trapezoid, solve_ivp
+from trips_reference import pitching_matrices, pitching_numbers, pitching_transfer
+from vehicles import AM96
+
+from suspnet.dynamics import VerticalVehicle
+from suspnet.dynamics.motion import SampledMotion
+from suspnet.recordings.manifest import CHANNELS, read_manifest
+from suspnet.simulation import Fleet, Scenario, write_fleet
+
+pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
+
+SPEED = 70.0
+LAGS_S = np.array([0.0, 2.7, 19.0, 21.7]) / SPEED
+HEALTHY = np.ones(5)
+DEGRADED = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
+NEVER = {"blow_off_m_per_s": 1e6}
+FULL = RichVehicle(**dict.fromkeys(PARTS, True))
+LINEAR = replace(FULL, friction_share=1e-12, **NEVER)
+BENT = RichVehicle(bending=True)
+SCRIPT = Path(__file__).parents[1] / "benchmarks" / "mismatch.py"
+
+
+def waves(frequencies_hz, velocity=0.01):
+    """Return a track of cosine waves of the same velocity, [m/s]."""
+    omega = 2 * math.pi * np.array(frequencies_hz)[:, None, None]
+    start = np.arange(len(omega))[:, None, None]
+
+    def under_wheels(times):
+        wave = velocity / omega * np.exp(1j * (omega * (times - LAGS_S[:, None]) + start))
+        return np.stack([(wave * factor).real.sum(0) for factor in (1, 1j * omega, -(omega**2))])
+
+    return under_wheels
+
+
+def rough(n_samples, rate_hz, seed=0):
+    """Return a track whose accelerations are white noise, linear between samples, from rest."""
+    a = np.random.default_rng(seed).standard_normal((4, n_samples + 1))
+    h = 1 / rate_hz
+    v = np.pad(np.cumsum(h * (a[:, :-1] + a[:, 1:]) / 2, axis=1), ((0, 0), (1, 0)))
+    rise = h * v[:, :-1] + h**2 * (2 * a[:, :-1] + a[:, 1:]) / 6
+    r = np.pad(np.cumsum(rise, axis=1), ((0, 0), (1, 0)))
+    motion = np.stack([r, v, a])
+    return lambda times: motion[:, :, np.rint(times * rate_hz).astype(int)]
+
+
+def still(times):
+    """Return a flat track that lies 1 m high."""
+    return np.stack([np.ones((4, len(times))), *np.zeros((2, 4, len(times)))])
+
+
+def phasors(signals, times, frequencies_hz):
+    columns = [f(2 * math.pi * w * times) for w in frequencies_hz for f in (np.cos, np.sin)]
+    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
+    return fits[0::2] - 1j * fits[1::2]  # (n_frequencies, n_signals)
+
+
+def relative_error(found, expected):
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
+def damper_forces(rich, track, seconds, rate_hz=1000.0):
+    """Return the force of each damper of a degraded vehicle and the velocity of its stretch."""
+    n = round(seconds * rate_hz)
+    x = np.concatenate([x[0] for _, x, _ in march([DEGRADED], rich, [track], rate_hz, n)], axis=1)
+    z, phi, z_1, psi_1, z_2, psi_2 = x[6:12]
+    frames = [z_1 + psi_1, z_1 - psi_1, z_2 + psi_2, z_2 - psi_2]
+    stretching = [z + phi - z_1, z - phi - z_2, *(frames - track(np.arange(n) / rate_hz)[1])]
+    return x[-6:], np.array(stretching)
+
+
+# reference
+
+
+@pytest.mark.parametrize("effects", [(), ("inertias", "geometry")])
+def test_plain_vehicle_moves_as_suspnet_says(effects):
+    rows = off_ratios(np.array([HEALTHY, DEGRADED]), effects)
+    rate_hz, n = 200.0, 3000
+    tracks = [rough(n, rate_hz, seed) for seed in range(2)]
+    found = simulate(rows, RichVehicle(), tracks, rate_hz, n)
+    for row, track, signals in zip(rows, tracks, found, strict=True):
+        wheels = track(np.arange(n) / rate_hz)[2]
+        system = VerticalVehicle(AM96).motion_system(torch.as_tensor(row))
+        expected = SampledMotion(system, rate_hz).advance(list(wheels))
+        assert relative_error(signals[1:], expected) < 1e-9
+        np.testing.assert_array_equal(signals[0], wheels[0])
+
+
+def test_stiff_bushings_and_contacts_leave_the_plain_vehicle():
+    stiff = {"secondary_series_n_per_m": 1e11, "primary_series_n_per_m": 1e11}
+    hard = {"contact_n_per_m": 1e11, "contact_ns_per_m": 1e7}
+    rich = RichVehicle(dampers=True, contact=True, **hard, **stiff, **NEVER)
+    track = waves([0.9, 3.1, 5.4, 9.0, 15.0])
+    found, expected = (
+        simulate([DEGRADED], vehicle, [track], 2000.0, 4000, 30_000)
+        for vehicle in (rich, RichVehicle())
+    )
+    # at 15 Hz a wheelset of 800 kg on 1e11 N/m adds 7e-5, the second derivative of the cubic
+    # (2 pi f / rate)^2 / 12, 2e-4
+    assert relative_error(found, expected) < 4e-4
+
+
+@pytest.mark.parametrize(("part", "friction"), [("dampers", 0), ("rubber", 1e-12), ("rubber", 0.1)])
+def test_bushings_and_rubber_have_the_stiffness_of_maxwell_elements(part, friction):
+    frequencies, rate_hz = [0.9, 2.3, 5.1, 7.4, 13.0], 500.0
+    rich = RichVehicle(**{part: True}, friction_share=friction, **NEVER)
+    n = 10_000
+    track = waves(frequencies, velocity=1e-8)  # friction is a spring, F_max / x_2, if x is small
+    signals = simulate([DEGRADED], rich, [track], rate_hz, n, round(25 * rate_hz))
+    box, frame, body = phasors(signals[0], np.arange(n) / rate_hz, frequencies).T
+    for i, f in enumerate(frequencies):
+        s = 2j * math.pi * f
+        numbers = pitching_numbers(AM96, DEGRADED, SPEED)
+        for name in ("measured", "other"):
+            k_p, c_p, k_s, c_s = numbers[name]
+            primary, secondary = k_p + s * c_p, k_s + s * c_s
+            if part == "dampers":  # two primary dampers a side, 1e6 N/m in series with each
+                primary = k_p + 2 / (2 / (s * c_p) + 1 / 1e6)
+                secondary = k_s + 1 / (1 / (s * c_s) + 1 / 6e6)
+            else:
+                primary += 0.1 * k_p / (1 + 2 * math.pi * 5.0 / s) + friction * k_p
+            numbers[name] = [
+                part for x in (primary, secondary) for part in (x.real, x.imag / abs(s))
+            ]
+        g_p, g_s = pitching_transfer(numbers, f)
+        # what is left of the start after 25 s is exp(-0.35 * 25); a friction that is straight
+        # between samples is lowered by (2 pi f / rate)^2 / 12, 2e-3 at 13 Hz
+        tolerance = 1e-4 + 0.01 * friction
+        assert abs(frame[i] / box[i] / g_p - 1) < tolerance
+        assert abs(body[i] / frame[i] / g_s - 1) < tolerance
+
+
+def test_dampers_that_blow_off_move_as_an_independent_solver_says():
+    track, seconds = waves([1.4, 5.2], velocity=0.2), 2.0
+    numbers = pitching_numbers(AM96, DEGRADED, SPEED)
+    bogies = [numbers["measured"], numbers["other"]]
+    laws = [(c_s, 6e6) for _, _, _, c_s in bogies]
+    laws += [(c_p / 2, 1e6) for _, c_p, _, _ in bogies for _ in range(2)]
+    for name in ("measured", "other"):
+        k_p, _, k_s, _ = numbers[name]
+        numbers[name] = (k_p, 0.0, k_s, 0.0)
+    mass, _, stiffness, _, input_stiffness = pitching_matrices(numbers)
+    L, a = numbers["L"], numbers["a"]
+    arms = np.array([  # stretch of each damper from heave and pitch [rad]
+        [1, L, -1, 0, 0, 0], [1, -L, 0, 0, -1, 0],
+        [0, 0, 1, a, 0, 0], [0, 0, 1, -a, 0, 0], [0, 0, 0, 0, 1, a], [0, 0, 0, 0, 1, -a],
+    ])  # fmt: skip
+
+    def rates(time, state):
+        q, v, force = state[:6], state[6:12], state[12:]
+        r, r_dot, _ = track(np.array([time]))[..., 0]
+        acceleration = input_stiffness @ r - stiffness @ q - arms.T @ force
+        stretching = arms @ v - np.concatenate([[0, 0], r_dot])
+        grown = []
+        for (c, k), f, s in zip(laws, force, stretching, strict=True):
+            limit = 0.1 * c
+            slip = f / c if abs(f) <= limit else math.copysign(0.1 + (abs(f) - limit) / c / 0.2, f)
+            grown.append(k * (s - slip))
+        return np.concatenate([v, acceleration / np.diag(mass), grown])
+
+    r, v, _ = track(np.zeros(1))[..., 0]
+    start = np.concatenate([r[0] * np.array([1, 0] * 3), v[0] * np.array([1, 0] * 3), np.zeros(6)])
+    times = np.arange(2000) / 1000.0
+    solved = solve_ivp(
+        rates, (0, seconds), start, "RK45", times, rtol=1e-7, atol=1e-9, max_step=2e-3
+    )
+    expected = np.array([rates(t, x)[6:12] for t, x in zip(times, solved.y.T, strict=True)])
+    frame, body = expected[:, 2] + a * expected[:, 3], expected[:, 0] + L * expected[:, 1]
+    found = simulate([DEGRADED], RichVehicle(dampers=True), [track], 1000.0, 2000)[0]
+    assert (np.abs(solved.y[12:]).max(axis=1) > 0.1 * np.array(laws)[:, 0]).all()
+    assert relative_error(found[1], frame) < 1e-3
+    assert relative_error(found[2], body) < 1e-3
+
+
+def test_bending_has_the_frequency_the_damping_and_the_shape_of_a_free_beam():
+    soft = np.array([1, 1, 1e-9, 1e-9, 1])
+    for mass_ratio in (1.0, 1.2):  # pay-load lowers the frequency
+        roots = np.linalg.eigvals(
+            build([*soft[:4], mass_ratio, 1, 1, 1e-9, 1e-9, *[1] * 6], BENT).a
+        )
+        mode = roots[np.argmin(np.abs(np.abs(roots) - 2 * math.pi * 9.0))]
+        assert abs(mode) / (2 * math.pi) == pytest.approx(9.0 / math.sqrt(mass_ratio), rel=1e-6)
+        assert -mode.real / abs(mode) == pytest.approx(0.015 / math.sqrt(mass_ratio), rel=1e-4)
+    length = 26.6
+    x, h = np.linspace(-length / 2, length / 2, 100_001, retstep=True)
+    shape = bending_shape(x, length)
+    assert np.trapezoid(shape**2, x) == pytest.approx(length, rel=1e-6)
+    assert np.trapezoid(shape, x) == pytest.approx(0, abs=1e-6)  # no heave in it
+    assert shape[-1] == pytest.approx(2, rel=1e-6)  # Blevins, Formulas for Natural Frequency
+    node = x[np.flatnonzero(np.diff(np.sign(shape)))[-1]]
+    assert 0.5 - node / length == pytest.approx(0.2242, abs=1e-4)
+    curvature = (shape[2:] - 2 * shape[1:-1] + shape[:-2]) / h**2
+    assert abs(curvature[-1]) < 1e-3 * np.abs(curvature).max()  # free ends
+
+
+def test_force_of_a_suspension_moves_the_body_as_its_three_modes_say():
+    numbers = pitching_numbers(AM96, DEGRADED, SPEED)
+    mass, ratio = numbers["half_body_kg"], numbers["L"] / numbers["body_gyration"]
+    shape = float(bending_shape(numbers["L"], BENT.body_length_m))
+    system = build(DEGRADED, RichVehicle(bending=True, dampers=True))
+    forces = system.a[:, -6:-4]  # of the secondary dampers, leading and trailing
+    leading, trailing = (1 + ratio**2 + shape**2) / mass, (1 - ratio**2 + shape**2) / mass
+    np.testing.assert_allclose(system.s[2] @ forces, [-leading, -trailing], rtol=1e-12)
+
+
+def test_wheelset_bounces_on_its_contact_with_the_frequency_of_hertz():
+    rich = RichVehicle(contact=True)
+    roots = np.linalg.eigvals(build(HEALTHY, rich).a)
+    high = roots[roots.imag > 2 * math.pi * 50]
+    assert len(high) == 4
+    k, c, m = rich.contact_n_per_m, rich.contact_ns_per_m, rich.wheel_mass_kg
+    # the primary suspension adds 0.65e6 N/m to 1.2e9 and 1850 N s/m to 1e5
+    np.testing.assert_allclose(np.abs(high) / (2 * math.pi), math.sqrt(k / m) / 2 / math.pi, 1e-3)
+    np.testing.assert_allclose(-high.real / np.abs(high), c / 2 / math.sqrt(k * m), 0.03)
+    f, rate_hz, n = 60.0, 2000.0, 4000
+    signals = simulate([HEALTHY], rich, [waves([f])], rate_hz, n, 2000)[0]
+    times, s = np.arange(n) / rate_hz, 2j * math.pi * f
+    box = phasors(signals, times, [f])[0, 0]
+    track = phasors(waves([f])(times)[2], times, [f])[0, 0]
+    assert box / track == pytest.approx((k + s * c) / (k + s * c + m * s**2), rel=5e-3)
+    assert abs(box / track) > 1.05
+
+
+def test_friction_rises_by_half_of_its_limit_and_cycles_as_berg_says():
+    limit, half, amplitude = 130.0, 1e-3, 3e-3
+    first = BergFriction(np.array([limit]), half)
+    assert first(np.array([0.0])) == 0
+    assert first(np.array([half])) == pytest.approx(limit / 2)
+    cycle = amplitude * np.sin(2 * math.pi * np.arange(20_001) / 1000)
+    friction = BergFriction(np.array([limit]), half)
+    force = np.array([friction(np.array([x]))[0] for x in cycle])
+    last = slice(19_000, None)
+    # Berg (1998), of a steady cycle: largest force and energy lost
+    root = math.sqrt(half**2 + amplitude**2 + 6 * half * amplitude)
+    share = (root - half - amplitude) / (2 * half)
+    assert force[last].max() == pytest.approx(share * limit, rel=1e-6)
+    assert force[last].min() == pytest.approx(-share * limit, rel=1e-6)
+    reach = half * (1 + share)
+    lost = (
+        2
+        * limit
+        * (2 * amplitude - reach * (1 + share) * math.log((reach + 2 * amplitude) / reach))
+    )
+    assert np.trapezoid(force[last], cycle[last]) == pytest.approx(lost, rel=1e-4)
+
+
+# limit
+
+
+def test_force_of_a_damper_stays_within_its_law():
+    track = waves([1.4, 5.2], velocity=0.2)
+    rich = RichVehicle(dampers=True)
+    force, stretching = damper_forces(rich, track, 5.0)
+    limits = rich.blow_off_m_per_s * np.array([0.7 * 22.6e3, 22.6e3, *[1.3 * 1850] * 2, 1850, 1850])
+    fastest = np.abs(stretching).max(axis=1)
+    assert (fastest > 2 * rich.blow_off_m_per_s).all()
+    beyond = limits * (1 + 0.2 * (fastest / rich.blow_off_m_per_s - 1))
+    largest = np.abs(force).max(axis=1)
+    assert (largest > limits).all()
+    assert (largest < 1.001 * beyond).all()
+    # without a slope beyond blow-off the limit is one
+    force, _ = damper_forces(RichVehicle(dampers=True, slope_after=1e-6), track, 5.0)
+    np.testing.assert_allclose(np.abs(force).max(axis=1), limits, rtol=3e-3)
+
+
+def test_slow_damper_is_viscous_and_a_fast_one_its_bushing():
+    rich = RichVehicle(dampers=True, **NEVER)
+    force, stretching = damper_forces(rich, waves([0.05]), 20.0, rate_hz=100.0)
+    late = slice(1000, None)
+    np.testing.assert_allclose(
+        force[0, late], 0.7 * 22.6e3 * stretching[0, late], atol=0.01 * np.abs(force[0]).max()
+    )
+    soft = RichVehicle(dampers=True, primary_series_n_per_m=1.0, **NEVER)
+    force, stretching = damper_forces(soft, waves([20.0]), 2.0)
+    path = cumulative_trapezoid(stretching[2], dx=1e-3, initial=0)
+    assert np.corrcoef(force[2], path)[0, 1] > 0.999
+    assert force[2].std() == pytest.approx(path.std(), rel=0.01)  # 1 N/m
+
+
+def test_vehicle_on_a_flat_track_stays_still():
+    signals = simulate([HEALTHY, DEGRADED], FULL, [still] * 2, 500.0, 1000, 100)
+    assert np.abs(signals).max() < 1e-8
+
+
+def test_effects_that_are_switched_off_leave_no_trace_in_the_equations():
+    plain, full = build(DEGRADED, RichVehicle()), build(DEGRADED, FULL)
+    assert plain.a.shape == (12, 12)
+    assert plain.e.shape == (12, 0)
+    assert full.a.shape == (32, 32)  # 11 coordinates, 4 rubber and 6 damper forces
+    assert full.e.shape == (32, 10)
+
+
+# property
+
+
+@pytest.mark.parametrize(("rich", "error", "gain"), [(LINEAR, 1e-6, 0.1), (FULL, 2e-4, 0.6)])
+def test_signals_converge_in_the_step(rich, error, gain):
+    track = waves([0.9, 2.3, 5.4, 9.0, 17.0], velocity=0.05)
+    signals = [
+        simulate([DEGRADED], rich, [track], rate, round(4 * rate), round(rate))[0, 1:]
+        for rate in (500.0, 1000.0, 4000.0)
+    ]
+    finest = signals[2][:, ::8]
+    errors = [
+        (s[:, :: s.shape[1] // finest.shape[1]] - finest).std(axis=1) / finest.std(axis=1)
+        for s in signals[:2]
+    ]
+    # fourth order in the wheels' motion, second in the forces, less where friction turns
+    assert (errors[1] < error).all()
+    assert (errors[1] < gain * errors[0]).all()
+
+
+def test_trips_and_blocks_do_not_depend_on_each_other(monkeypatch):
+    tracks = [waves([2.0, 6.0], velocity=0.1), waves([3.0, 7.0], velocity=0.2)]
+    together = simulate([HEALTHY, DEGRADED], FULL, tracks, 500.0, 1000, 300)
+    monkeypatch.setattr(rich_motion, "BLOCK", 77)
+    alone = [
+        simulate([row], FULL, [track], 500.0, 1000, 300)[0]
+        for row, track in zip((HEALTHY, DEGRADED), tracks, strict=True)
+    ]
+    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9 * np.abs(together).max())
+    assert relative_error(together[0], together[1]) > 0.1
+
+
+def test_only_blow_off_and_friction_break_the_proportion():
+    for rich, is_linear in ((LINEAR, True), (FULL, False)):
+        once, twice = (
+            simulate([DEGRADED], rich, [waves([1.5, 5.0], velocity=v)], 500.0, 1500)
+            for v in (0.1, 0.2)
+        )
+        assert (relative_error(twice, 2 * once) < 1e-9) == is_linear
+        assert relative_error(twice, 2 * once) < 0.5
+
+
+def test_motion_dies_out_where_the_track_becomes_flat():
+    rate_hz, bumpy = 500.0, waves([1.3, 5.0, 9.0], velocity=0.2)
+
+    def track(times):
+        return bumpy(times) * (times < 3.0) + still(times) * bumpy(np.array([3.0]))[0, 0] * (
+            times >= 3.0
+        )
+
+    body = simulate([DEGRADED], FULL, [track], rate_hz, 7500)[0, 2]
+    rms = np.sqrt(np.mean(body[1500:].reshape(4, -1) ** 2, axis=1))  # of 3 s each
+    assert rms[0] > 0.01
+    assert (rms[1:] < 0.5 * rms[:-1]).all()
+
+
+# trips
+
+
+def small_fleet(**changes):
+    return Fleet(**({"n_trips": 3, "minutes": 0.2, "sensors": SENSORS} | changes))
+
+
+def column(manifest, name):
+    return pq.read_table(manifest.with_suffix("") / f"{name}.parquet").column(0).to_numpy()
+
+
+def test_trips_without_effects_are_those_of_suspnet(tmp_path):
+    fleet, scenario = small_fleet(), Scenario("random", spread=0.4)
+    ratios = scenario.ratios(fleet.mileage_km(), 5)
+    found = write_rich_trips(tmp_path / "rich", (), ratios, fleet, seed=5)
+    generator = VerticalVehicle(AM96, speed_m_per_s=SPEED)
+    expected = write_fleet(tmp_path / "plain", fleet, scenario, generator, seed=5)
+    for mine, theirs in zip(found, expected, strict=True):
+        a, b = read_manifest(mine), read_manifest(theirs)
+        assert (a.truth, a.mileage_km, a.start, a.vehicle) == (
+            b.truth,
+            b.mileage_km,
+            b.start,
+            b.vehicle,
+        )
+        for channel in CHANNELS:
+            # noise and track are the same; of the other start exp(-0.35 * 20) is left
+            assert relative_error(column(mine, channel), column(theirs, channel)) < 4e-3
+
+
+def test_first_trips_are_healthy_and_the_others_are_not():
+    ratios = drawn_ratios(5, small_fleet(n_trips=40), seed=0)
+    assert (ratios[:5, :4] == 1).all()
+    assert ratios[5:, :4].min() > 0.6
+    assert ratios[5:, :4].max() < 1.4
+    assert ratios[5:, :4].std(axis=0).min() > 0.15
+    assert 0.9 < ratios[:, 4].min() < 0.95
+    assert 1.15 < ratios[:, 4].max() < 1.2
+    assert ratios[:5, 4].std() > 0.02  # pay-load from the first trip on
+
+
+def test_drift_changes_the_speed_by_three_percent(tmp_path):
+    fleet = small_fleet(n_trips=8)
+    manifests = write_rich_trips(tmp_path, {"drift"}, np.ones((8, 5)), fleet, seed=0)
+    ends = [column(m, "speed")[[0, -1]] for m in manifests]
+    changes = {round(float(last / first - 1), 6) for first, last in ends}
+    assert changes == {0.03, -0.03}
+    assert {float(first) for first, _ in ends} == {70.0}
+
+
+def test_inertias_and_geometry_that_are_off_stand_in_their_columns():
+    row = off_ratios(np.array([DEGRADED]), {"inertias", "geometry"})[0]
+    expected = {"bogie_mass": 1.1, "half_wheelbase": 1.1, "half_pivot_distance": 0.9}
+    expected |= {"bogie_gyration": 0.9, "body_gyration": 1.1}
+    names = VerticalVehicle(AM96).motion_system(torch.as_tensor(row)).behind_m
+    np.testing.assert_allclose(row[:9], [*DEGRADED, 1, 1, 1, 1])
+    np.testing.assert_allclose(row[9:], [*expected.values(), 1])
+    np.testing.assert_allclose(names, np.cumsum([0, 2.97, 17.1 - 2.97, 2.97]))
+
+
+# the script
+
+
+@pytest.mark.slow
+def test_script_writes_what_each_effect_costs(tmp_path):
+    options = ["--effects", "none", "bending+contact", "--readings", "nominal", "--trips", "3"]
+    options += [
+        "--healthy",
+        "2",
+        "--minutes",
+        "4",
+        "--train",
+        "data.n_train=1000",
+        "data.n_test=200",
+    ]
+    ended = subprocess.run(
+        [sys.executable, str(SCRIPT), *options, "--folder", str(tmp_path), "--output", tmp_path],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = pacsv.read_csv(tmp_path / "mismatch.csv").to_pylist()
+    assert len(rows) == 2 * 2 * 5  # effects, references, outputs
+    rms = {(r["effect"], r["reference"], r["output"]): r["rms_percent"] for r in rows}
+    assert {r["n_read"] for r in rows} == {3}
+    for reference in ("vehicle", "first_trips"):
+        assert rms["none", reference, "k_p"] < 2
+        assert rms["bending+contact", reference, "c_s"] > 10
+    assert re.search(r"\| bending\+contact +\| nominal +\| first_trips +\|", ended.stdout)
+    assert (tmp_path / "mismatch.md").read_text() in ended.stdout

@@ -1,0 +1,200 @@
+"""Wrong units, signs and swapped channels are found and named; right channels are let pass."""
+
+import itertools
+from functools import cache
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from trip_fixtures import AM96
+
+from suspnet.dynamics import VerticalVehicle
+from suspnet.dynamics.journey import steady_journey
+from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.features.transfer_estimate import segment_spectra
+from suspnet.features.welch import Welch
+from suspnet.trips.plausibility import check_channels
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.simulation.fleet import profile_length_m, simulate_trip
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))
+RATE_HZ, SECONDS = 100.0, 200.0
+RATIOS = {
+    "healthy": (1.0, 1.0, 1.0, 1.0, 1.0),
+    "softer": (0.6, 0.6, 0.6, 0.6, 1.3),
+    "stiffer": (1.5, 1.5, 1.5, 1.5, 0.8),
+    "mixed": (0.6, 1.5, 1.5, 0.6, 1.2),
+}
+WRONG_ORDERS = list(itertools.permutations(range(3)))[1:]
+G = 9.80665
+
+
+@cache
+def simulated(vehicle, state="healthy"):
+    """Return a generator and the signals of a short trip of it, as configured."""
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
+        config = compose("train", ["experiment=trips", f"vehicle={vehicle}"])
+    return signals_of(instantiate(config.generator), config.speed_m_per_s, config.track, state)
+
+
+def signals_of(generator, speed, track="german_low", state="healthy"):
+    system = generator.motion_system(torch.tensor(RATIOS[state], dtype=torch.float64))
+    journey = steady_journey(float(speed), SECONDS)
+    length_m = profile_length_m(system, journey)
+    profile = make_profile(track_spectrum(track), length_m, speed / RATE_HZ, seed=2)
+    return generator, torch.as_tensor(simulate_trip(system, profile, journey, RATE_HZ))
+
+
+def check(generator, signals, low_hz=0.0, high_hz=RATE_HZ / 4):
+    segments = segment_spectra(signals, RATE_HZ, Welch(), low_hz, high_hz)
+    spectra = segments.average(torch.ones(len(segments.values), dtype=torch.bool))
+    return check_channels(spectra, segments.frequencies_hz, generator, generator.vehicle)
+
+
+def scaled(signals, channel, factor):
+    factors = torch.ones(3, 1, dtype=torch.float64)
+    factors[CHANNELS.index(channel)] = factor
+    return signals * factors
+
+
+# limit: nothing is wrong
+
+
+@pytest.mark.parametrize("state", RATIOS)
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_right_channels_pass(vehicle, state):
+    assert check(*simulated(vehicle, state)) == ""
+
+
+@pytest.mark.parametrize("bogie", ["leading", "trailing"])
+@pytest.mark.parametrize("axle", ["leading", "trailing"])
+@pytest.mark.parametrize("frame_sensor", ["axle", "centre"])
+def test_right_channels_pass_wherever_the_sensors_are(bogie, axle, frame_sensor):
+    options = {"bogie": bogie, "axle": axle, "frame_sensor": frame_sensor}
+    for speed in (20.0, 50.0, 80.0):
+        generator = VerticalVehicle(AM96, speed_m_per_s=speed, **options)
+        assert check(*signals_of(generator, speed, state="mixed")) == ""
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("factor", [0.55, 1.8])
+def test_gain_that_degradation_or_a_sensor_explains_passes(channel, factor):
+    generator, signals = simulated("am96")
+    assert check(generator, scaled(signals, channel, factor)) == ""
+
+
+@pytest.mark.parametrize("factor", [G, 1 / G, -1.0, -G])
+def test_what_all_channels_have_in_common_does_not_matter(factor):
+    generator, signals = simulated("am96")
+    assert check(generator, factor * signals) == ""
+
+
+# reference: each mistake is found, for each vehicle
+
+
+@pytest.mark.parametrize("state", ["healthy", "mixed"])
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_every_wrong_order_is_found(vehicle, state):
+    generator, signals = simulated(vehicle, state)
+    for order in WRONG_ORDERS:
+        with pytest.raises(TripError, match="channels look swapped: the responses have the shape"):
+            check(generator, signals[list(order)])
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        ((0, 2, 1), "bogie is in the place of body, body is in the place of bogie;"),
+        ((1, 0, 2), "axle_box is in the place of bogie, bogie is in the place of axle_box;"),
+        (
+            (1, 2, 0),
+            "axle_box is in the place of body, bogie is in the place of axle_box, body is in the "
+            "place of bogie; check files and columns in the manifest",
+        ),
+        (
+            (2, 0, 1),
+            "axle_box is in the place of bogie, bogie is in the place of body, body is in the "
+            "place of axle_box; check files",
+        ),
+    ],
+)
+def test_message_says_which_channel_is_where(order, said):
+    """Signal order[i] was stored as channel i."""
+    generator, signals = simulated("am96", "mixed")
+    with pytest.raises(TripError, match=f"expected if {said}"):
+        check(generator, signals[list(order)])
+
+
+def test_order_shows_in_the_lower_half_of_the_band_too():
+    generator, signals = simulated("am96")
+    assert check(generator, signals, high_hz=4.0) == ""
+    for order in WRONG_ORDERS:
+        with pytest.raises(TripError, match="swapped"):
+            check(generator, signals[list(order)], high_hz=4.0)
+
+
+def test_order_is_found_even_if_units_and_signs_are_wrong_too():
+    generator, signals = simulated("am96")
+    with pytest.raises(TripError, match="swapped"):
+        check(generator, scaled(signals, "bogie", -G)[[0, 2, 1]])
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_wrong_unit_is_found_and_named(vehicle, channel):
+    generator, signals = simulated(vehicle, "mixed")
+    for factor in (G, 1 / G):
+        message = rf"^{channel}: the gain G_[ps] from .* \(m/s2 and g are mixed up\); check unit"
+        with pytest.raises(TripError, match=message):
+            check(generator, scaled(signals, channel, factor))
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_wrong_sign_is_found_and_named(vehicle, channel):
+    generator, signals = simulated(vehicle, "mixed")
+    message = rf"^{channel}: .* move against each other .* turn the sign of {channel} in the"
+    with pytest.raises(TripError, match=message):
+        check(generator, scaled(signals, channel, -1.0))
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "message"),
+    [
+        ("body", 1000.0, r"^body: the gain G_s from bogie to body .* is 1.*e\+03 .*mm/s2 or mg\?"),
+        ("axle_box", 1e-3, r"^axle_box: the gain G_p from axle_box to bogie .*mm/s2 or mg\?"),
+        ("body", 2.5, r"is 2\.[3-7]\d? times that expected; check unit and sensitivity"),
+        ("body", 0.4, r"is 0\.[34]\d* times that expected; check unit and sensitivity"),
+        ("axle_box", 2.5, r"^axle_box: the gain G_p from axle_box to bogie .* is 0\.[34]\d* times"),
+        ("bogie", 40.0, r"^bogie: the gain G_p .* is [34]\d(\.\d)? times that expected; check"),
+    ],
+)
+def test_slip_is_guessed_only_where_it_fits(channel, factor, message):
+    generator, signals = simulated("am96")
+    with pytest.raises(TripError, match=message):
+        check(generator, scaled(signals, channel, factor))
+
+
+# failure: what cannot be checked is said
+
+
+def test_incoherent_channel_is_said_not_to_be_checked():
+    generator, signals = simulated("am96")
+    noise = torch.randn(signals.shape[1], generator=torch.Generator().manual_seed(1))
+    noisy = signals.clone()
+    noisy[2] += 1.5 * signals[2].std() * noise
+    message = "units and signs not checked: too little coherence at low frequency"
+    assert check(generator, noisy) == message
+    assert check(generator, scaled(noisy, "bogie", -G)) == message
+    with pytest.raises(TripError, match="swapped"):
+        check(generator, noisy[[1, 0, 2]])
+
+
+def test_recording_without_low_frequencies_is_said_not_to_be_checked():
+    generator, signals = simulated("am96")
+    assert check(generator, scaled(signals, "body", G), low_hz=0.58) == (
+        "units and signs not checked: too little coherence at low frequency"
+    )

@@ -1,0 +1,299 @@
+"""The report is one file that stands alone, shows every trip and escapes what it is given."""
+
+import base64
+import re
+from dataclasses import replace
+from html import unescape
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
+
+from suspnet.trips import figures, health_figure, report
+from suspnet.trips.trend import trend
+
+HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
+VOID = {"meta", "br", "img"}
+
+
+class Page(HTMLParser):
+    """A page's tags, attributes and text; a tag that is not closed is an error."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.words, self._open = [], [], []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    def named(self, name):
+        return [attributes for tag, attributes in self.tags if tag == name]
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+def trends_of(results):
+    mileage = [r.mileage_km for r in results]
+    return [
+        trend(name, mileage, [r.estimates.get(name, np.nan) for r in results]) for name in OUTPUTS
+    ]
+
+
+def small_figure():
+    figure = Figure(figsize=(2, 2))
+    figure.subplots().plot([1, 2])
+    return figure
+
+
+def write(path, results, drawn=None, details=None, title="Suspension report", level=0.9):
+    drawn = {"trend": small_figure()} if drawn is None else drawn
+    details = {"model": "msvr"} if details is None else details
+    trends = trends_of(results)
+    report.write_report(path, title, results, OUTPUTS, drawn, trends, details, level)
+    text = path.read_text(encoding="utf-8")
+    return text, Page(text)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return a report with all figures: its text, page and trips."""
+    results = fleet()
+    drawn = {
+        "quality": figures.quality(results),
+        "signals": figures.trip_signals(results[-1]),
+        "extra_figure": small_figure(),
+        "responses": figures.trip_responses(results),
+        "trend": health_figure.health_trend(results, OUTPUTS),
+    }
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    return *write(path, results[::-1], drawn, {"model": "msvr", "date": "2024-11-03"}), results
+
+
+def test_every_trip_and_reason_appears_in_the_order_of_the_mileage(whole):
+    _, page, results = whole
+    places = [page.text.index(f" {r.trip} ") for r in results]
+    assert places == sorted(places)
+    for result in results:
+        assert result.reason in page.text
+    missing = [a for a in page.named("tr") if a.get("class") == "missing"]
+    assert len(missing) == sum(r.status != "ok" for r in results) == 2
+    assert page.text.count("no estimate: only") == 2
+
+
+def test_headline_and_verdicts_appear(whole):
+    _, page, results = whole
+    words = page.text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "AM96 217" in words
+    assert "bogie 1, left" in words
+    assert "10 000 to 300 000 km" in words
+    assert "30, of which 28 with an estimate" in words
+    assert "2 of 4 parameters stand out:" in words
+    for one in trends_of(results):
+        assert one.verdict in words
+    assert words.count("▲ falls") == 2
+
+
+def test_numbers_are_percent_of_healthy_and_km_per_hour(whole):
+    text, _, results = whole
+    cells = re.findall(r'<td class="n">([^<]*)</td>', text)
+    assert f"{100 * results[0].estimates['k_p']:.1f}" in cells
+    assert "252" in cells
+    assert "300\N{NO-BREAK SPACE}000" in cells
+
+
+def test_nothing_is_loaded_from_elsewhere(whole):
+    text, page, _ = whole
+    without_images = re.sub(r"base64,[^\"]*", "", text)
+    assert not re.search(r"//|@import|url\(", without_images)
+    names = {name for name, _ in page.tags}
+    assert not names & {"script", "link", "iframe", "object", "base", "form", "a"}
+    for image in page.named("img"):
+        assert image["src"].startswith(("data:image/svg+xml;base64,", "data:image/png;base64,"))
+
+
+def test_inlined_figures_refer_to_nothing_outside(whole):
+    _, page, _ = whole
+    sources = [image["src"].partition(",")[2] for image in page.named("img")]
+    contents = [base64.b64decode(source, validate=True) for source in sources]
+    assert len(contents) == 5
+    for content in contents:
+        assert content.startswith((b"<?xml", b"\x89PNG"))
+        if content.startswith(b"<?xml"):
+            links = re.findall(rb'(?:href|src)="([^"]*)"', content)
+            assert all(link.startswith((b"#", b"data:")) for link in links)
+            assert b"<script" not in content
+
+
+def test_known_figures_come_first_and_all_have_texts(whole):
+    _, page, _ = whole
+    texts = [image["alt"] for image in page.named("img")]
+    headings = [heading for heading, _ in report.CAPTIONS.values()] + ["Extra figure"]
+    assert [text.partition(".")[0] for text in texts] == headings
+    assert page.text.count("How to read this:") == len(report.CAPTIONS)
+
+
+def test_page_is_accessible(whole):
+    _, page, _ = whole
+    assert page.named("html") == [{"lang": "en"}]
+    assert all("scope" in header for header in page.named("th"))
+    assert len(page.named("caption")) == len(page.named("table")) == 2
+    assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in page.named(
+        "meta"
+    )
+    ids = [a["id"] for _, a in page.tags if "id" in a]
+    assert len(ids) == len(set(ids))
+    assert all(a["aria-labelledby"] in ids for _, a in page.tags if "aria-labelledby" in a)
+
+
+def test_hostile_names_are_escaped(tmp_path):
+    quality = replace(trip().quality, faults=HOSTILE, warnings=HOSTILE)
+    fields = {"trip": HOSTILE, "vehicle": HOSTILE, "suspension": HOSTILE, "start": HOSTILE}
+    results = [
+        trip(0, quality=quality, flags=HOSTILE, **fields),
+        trip(1, missing=True, **(fields | {"reason": HOSTILE})),
+    ]
+    drawn = {HOSTILE: small_figure(), "signals": figures.trip_signals(results[0])}
+    text, page = write(tmp_path / "r.html", results, drawn, {HOSTILE: HOSTILE}, HOSTILE)
+    assert page.named("script") == []
+    assert "<script" not in text.lower()
+    assert unescape(text).count("alert('x')") > 10
+    assert "{{ 7 * 7 }}" in page.text
+    assert "49" not in page.named("img")[0]["alt"]
+
+
+@pytest.mark.parametrize(
+    ("results", "sentence"),
+    [
+        ([trip()], "too few trips with an estimate to tell"),
+        ([trip(i, missing=True) for i in range(3)], "too few trips with an estimate to tell"),
+        ([], "too few trips with an estimate to tell"),
+        ([trip(i) for i in range(12)], "Nothing stands out: no parameter changed"),
+        (
+            [trip(i) if i > 4 else trip(i, estimates={"k_p": 1.0}) for i in range(12)],
+            "some parameters have too few trips to tell",
+        ),
+    ],
+)
+def test_finding_fits_what_is_known(tmp_path, results, sentence):
+    _, page = write(tmp_path / "r.html", results)
+    assert sentence in page.text
+    assert "nan" not in page.text.lower().split()
+
+
+def test_unknown_numbers_are_dashes(tmp_path):
+    failed = trip(missing=True, status="error", quality=type(trip().quality)(), start="")
+    text, page = write(tmp_path / "r.html", [replace(failed, mileage_km=np.nan)])
+    assert "error: only 0 averages" in page.text
+    assert "Mileage unknown" in page.text
+    assert '<td class="n">\N{EN DASH}</td>' in text
+
+
+def measured(n=12, **options):
+    return [replace(trip(i, **options), half_widths=HALF_WIDTHS) for i in range(n)]
+
+
+def test_estimates_have_their_half_widths_in_small_print(tmp_path):
+    results = measured()
+    text, _ = write(tmp_path / "r.html", results)
+    cells = re.findall(r'<td class="n">([^<]*)<small> ± ([^<]*)</small></td>', text)
+    assert len(cells) == len(results) * len(OUTPUTS)
+    for result, row in zip(results, np.reshape(cells, (-1, len(OUTPUTS), 2)), strict=True):
+        for name, (value, half) in zip(OUTPUTS, row, strict=True):
+            low, high = result.interval(name)
+            assert float(value) == pytest.approx(100 * result.estimates[name], abs=0.051)
+            assert float(half) == pytest.approx(50 * (high - low), abs=0.051)
+
+
+@pytest.mark.parametrize(
+    ("half", "shown"), [(0.3, "30.5"), (0.003, "0.3"), (0.0003, "0.03"), (0.00003, "0.003")]
+)
+def test_estimates_have_as_many_digits_as_their_half_widths(tmp_path, half, shown):
+    result = trip(estimates=dict.fromkeys(OUTPUTS, 1.0), half_widths=dict.fromkeys(OUTPUTS, half))
+    text, _ = write(tmp_path / "r.html", [result])
+    digits = len(shown.partition(".")[2])
+    assert f"{100:.{digits}f}<small> ± {shown}</small>" in text
+
+
+def test_flagged_trips_are_told_with_their_reasons(tmp_path):
+    results = measured()
+    results[3] = flagged(results[3], k_p=0.27)
+    results[7] = flagged(results[7])
+    text, page = write(tmp_path / "r.html", results)
+    assert "2 of 12 trips are flagged: what they show was not trained for; see" in page.text
+    assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
+    assert page.named("div")[0]["class"] == "result note"
+    assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
+    assert page.text.count(f"⚑ {FLAG}") == 2
+    row = text[text.index("trip_003") : text.index("trip_004")]
+    assert "27.0</td>" in row  # without an interval
+    assert "±" not in row
+    assert "violet ones are flagged" in page.text
+    assert "A hollow circle is a flagged trip" in page.text
+
+
+@pytest.mark.parametrize(
+    ("n", "sentence"),
+    [
+        (1, "1 of 6 trips is flagged: what it shows was not trained for; see the table."),
+        (6, "All 6 trips are flagged: what they show was not trained for, so that none of these"),
+    ],
+)
+def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
+    results = [flagged(r) if i < n else r for i, r in enumerate(measured(6))]
+    _, page = write(tmp_path / "r.html", [*results, trip(7, missing=True)])
+    assert sentence in page.text
+
+
+def test_page_speaks_of_intervals_and_flags_only_where_there_are_some(tmp_path):
+    _, plain = write(tmp_path / "a.html", fleet(12, ()))
+    _, known = write(tmp_path / "b.html", measured(), level=0.95)
+    for words in ("95 % interval", "on 95 of 100 trips", "± half of their 95 % interval"):
+        assert words not in plain.text
+        assert words in known.text
+    assert "Interval, ±" not in plain.text
+    for page in (plain, known):
+        assert "flagged:" not in page.text
+        assert "violet" not in page.text
+        assert "hollow circle" not in page.text
+
+
+@pytest.mark.parametrize("half", [np.nan, np.inf])
+def test_unknown_half_widths_are_left_out(tmp_path, half):
+    results = [trip(half_widths=dict.fromkeys(OUTPUTS, half))]
+    text, page = write(tmp_path / "r.html", results)
+    assert "<small>" not in text
+    assert not {"nan", "inf"} & set(page.text.lower().split())
+
+
+def test_large_figures_are_embedded_as_png(tmp_path):
+    figure = Figure()
+    figure.subplots().scatter(*np.random.default_rng(0).normal(size=(2, 6000)))
+    _, page = write(tmp_path / "r.html", [trip()], {"large": figure})
+    assert page.named("img")[0]["src"].startswith("data:image/png;base64,")
+
+
+def test_same_results_give_the_same_file(tmp_path):
+    first, _ = write(tmp_path / "a.html", [trip()], {"trend": small_figure()})
+    second, _ = write(tmp_path / "b.html", [trip()], {"trend": small_figure()})
+    assert first == second
+
+
+def test_a_folder_that_is_a_file_is_reported(tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(OSError, match="taken"):
+        write(tmp_path / "taken" / "report.html", [trip()])

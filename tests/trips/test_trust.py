@@ -1,0 +1,351 @@
+"""Intervals of single trips follow their noise and hold the truth; what is odd is flagged."""
+
+import warnings
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+from trip_fixtures import OUTPUTS, model_at
+
+from suspnet.data.wishart import moving_average_with, sample_spectra
+from suspnet.dynamics import PARAMETERS
+from suspnet.theory.information import output_bounds
+from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.uncertainty.conformal import Conformal
+from suspnet.trips import trust
+from suspnet.trips.trust import ONE_SIGMA, trusted
+from suspnet.uncertainty.intervals import Intervals
+
+pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
+
+LEVEL = 0.9
+WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}
+ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
+
+
+@pytest.fixture(scope="module")
+def model():
+    """Sensors so noisy that noise is about half of the error at the averages of the training."""
+    return model_at(n_train=1500, snr_db=20.0, n_calibrate=200)
+
+
+def refined(model, widened=1.0):
+    """Return the model with refined estimates whose errors are `widened` times their deviations."""
+    scores = stats.halfnorm.ppf((np.arange(1000) + 0.5) / 1000) * widened
+    intervals = Intervals(Conformal(np.tile(scores[:, None], len(OUTPUTS))), True, None)
+    return replace(model, refined=True, intervals=intervals)
+
+
+def ratios_of(changes):
+    return torch.tensor([[changes.get(name, 1.0) for name in PARAMETERS]], dtype=torch.float64)
+
+
+def in_range(n, seed):
+    """Return ratios (n, 5) spread over the range trained for."""
+    low, high = [0.5] * 4 + [0.8], [1.6] * 4 + [1.3]
+    return torch.as_tensor(np.random.default_rng(seed).uniform(low, high, (n, 5)))
+
+
+def expected(model, ratios, share=1.0, generator=None):
+    """Return the mean spectra of vehicles' trips with `share` of the averages of the training."""
+    mean = model.settings.observer(generator or model.generator).expected(ratios)
+    return CrossSpectra(mean.auto, mean.cross, mean.n_averages * share)
+
+
+def drawn(mean, model, seed=0):
+    """Return what one trip of each vehicle measures."""
+    taps = moving_average_with(model.settings.welch.correlation().numpy())
+    return sample_spectra(mean, taps, torch.Generator().manual_seed(seed))
+
+
+def row(spectra, i=0):
+    return CrossSpectra(spectra.auto[i], spectra.cross[i], spectra.n_averages)
+
+
+def inputs_of(model, spectra):
+    responses = spectra.responses(model.settings.method)[None].numpy()
+    return model.relative_features(responses, model.settings.frequencies_hz().numpy())
+
+
+def read(model, spectra, level=LEVEL):
+    return trusted(model, spectra, inputs_of(model, spectra), level)
+
+
+def half_widths(model, share, changes=WORN):
+    """Return the half widths of a trip whose spectra are as expected."""
+    return read(model, row(expected(model, ratios_of(changes), share))).half_widths
+
+
+def held(model, share, n, seed=7):
+    """Return which truths lie in their interval, (n, n_outputs), and how many trips are flagged."""
+    ratios = in_range(n, seed)
+    spectra = drawn(expected(model, ratios, share), model, seed)
+    found = [read(model, row(spectra, i)) for i in range(n)]
+    errors = np.log(np.stack([one.values for one in found]) / ratios.numpy()[:, ORDER])
+    inside = np.abs(errors) <= np.stack([one.half_widths for one in found])
+    return inside, sum(bool(one.flags) for one in found)
+
+
+# reference
+
+
+def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, monkeypatch):
+    spectra = row(expected(model, ratios_of(WORN)))
+    monkeypatch.setattr(trust, "_ratios", lambda *_: ratios_of(WORN))  # what is estimated is true
+    inputs = inputs_of(model, spectra)
+    found = trusted(model, spectra, inputs, LEVEL)
+    predicted = model.predict(inputs)
+    np.testing.assert_array_equal(found.values, predicted[0])
+    difficulty = model.intervals.difficulty.predict(model.with_estimates(inputs, predicted))
+    limits = model.intervals.limits(predicted, difficulty, LEVEL)
+    np.testing.assert_allclose(found.half_widths, np.log(limits[1] / predicted)[0])
+    assert (found.half_widths > 0.005).all()
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 3.0])
+@pytest.mark.parametrize("expected_noise", [0.5, 2.0])
+def test_noise_of_the_training_is_replaced(model, monkeypatch, noise, expected_noise):
+    """Noise in units of s_0; more of it than of the whole error cannot be taken away."""
+    spectra = row(expected(model, ratios_of(WORN)))
+    inputs = inputs_of(model, spectra)
+    predicted = model.predict(inputs)
+    factors = {p: model.intervals.conformal.factors(p) for p in (LEVEL, ONE_SIGMA)}
+    known = model.with_estimates(inputs, predicted)
+    s_0 = model.intervals.difficulty.predict(known)[0] * factors[ONE_SIGMA]
+    noises = iter([expected_noise * s_0, noise * s_0])
+    monkeypatch.setattr(trust, "_noise", lambda *_: next(noises))
+    lasting = max(1 - expected_noise**2, 0)
+    s = s_0 * np.sqrt(lasting + noise**2)
+    expected_half = s * factors[LEVEL] / factors[ONE_SIGMA]
+    np.testing.assert_allclose(trusted(model, spectra, inputs, LEVEL).half_widths, expected_half)
+
+
+def test_noise_is_the_spread_of_estimates_from_other_draws(model):
+    mean = expected(model, ratios_of(WORN), share=0.5)
+    many = CrossSpectra(
+        mean.auto.expand(2000, -1, -1), mean.cross.expand(2000, -1, -1), mean.n_averages
+    )
+    estimates = np.log(
+        model.predict(
+            model.relative_features(
+                drawn(many, model, seed=5).responses("IV").numpy(),
+                model.settings.frequencies_hz().numpy(),
+            )
+        )
+    )
+    found = trust._noise(model, model.settings.observer(model.generator), row(mean))
+    low, high = np.quantile(estimates, stats.norm.cdf([-1, 1]), axis=0)
+    # three times 0.96 / sqrt(64), the scatter of the spread of 64 draws
+    np.testing.assert_allclose(found, (high - low) / 2, rtol=0.36)
+    assert np.mean(found / ((high - low) / 2)) == pytest.approx(1, abs=0.25)
+
+
+def test_refined_interval_is_that_of_the_information(model):
+    """Where the calibration confirms the deviations of Gauss-Newton, they are the interval."""
+    observer = model.settings.observer(model.generator)
+    ratios = ratios_of(WORN)
+    bounds = output_bounds(model.task, observer, ratios.numpy())[0] / ratios.numpy()[0, ORDER]
+    found = half_widths(refined(model), 1.0)
+    # measured covariances are averaged over five bins, and widened by n / (n - 2)
+    np.testing.assert_allclose(found, stats.norm.ppf(0.95) * bounds, rtol=0.06)
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0, 4.0])
+def test_error_of_the_generator_does_not_average_out(model, share):
+    """Calibrated errors six times the deviations are not noise."""
+    observer = model.settings.observer(model.generator)
+    ratios = ratios_of(WORN)
+    bounds = output_bounds(model.task, observer, ratios.numpy())[0] / ratios.numpy()[0, ORDER]
+    deviations = half_widths(refined(model), share) / stats.norm.ppf(0.95)
+    s = np.sqrt((6**2 - 1) * bounds**2 + deviations**2)
+    found = half_widths(refined(model, widened=6.0), share)
+    # the start of the search, where the noise is looked up, is a little off
+    np.testing.assert_allclose(found, stats.norm.ppf(0.95) * s, rtol=0.05)
+
+
+def test_smoothing_agrees_with_a_loop():
+    rng = np.random.default_rng(0)
+    covariance = rng.normal(size=(2, 2, 9)) + 1j * rng.normal(size=(2, 2, 9))
+    found = trust._smoothed(torch.as_tensor(covariance)).numpy()
+    for bin_ in range(9):
+        near = [covariance[..., min(max(k, 0), 8)] for k in range(bin_ - 2, bin_ + 3)]
+        np.testing.assert_allclose(found[..., bin_], sum(near) / 5)
+
+
+def test_independent_bins_are_those_of_the_variance_of_their_mean():
+    rho = torch.tensor([1.0, 4 / 9, 1 / 36], dtype=torch.float64)
+    matrix = sum(
+        r * (np.eye(5, k=k) + np.eye(5, k=-k)) / (2 if k == 0 else 1)
+        for k, r in enumerate(rho.numpy())
+    )
+    assert trust._independent(rho) == pytest.approx(1 / (matrix.sum() / 25))
+    assert trust._independent(torch.tensor([1.0])) == 5
+
+
+# limit
+
+
+def test_interval_goes_with_the_root_of_the_averages_where_noise_dominates(model):
+    short, long = (half_widths(refined(model), share) for share in (0.5, 2.0))
+    # at 13 averages n / (n - 2) adds 2.6 %
+    np.testing.assert_allclose(short / long, 2, rtol=0.06)
+    observer = model.settings.observer(model.generator)
+    mean = [row(expected(model, ratios_of(WORN), share)) for share in (0.5, 2.0)]
+    noise = [trust._noise(model, observer, spectra) for spectra in mean]
+    # the same random numbers; their spread is not quite linear in the noise
+    np.testing.assert_allclose(noise[0] / noise[1], 2, rtol=0.25)
+
+
+def test_noise_part_is_never_taken_out_of_the_interval(model):
+    observer = model.settings.observer(model.generator)
+    factors = [model.intervals.conformal.factors(p) for p in (LEVEL, ONE_SIGMA)]
+    for share in (0.4, 1.0, 10.0):
+        spectra = row(expected(model, ratios_of(WORN), share))
+        noise = trust._noise(model, observer, spectra)
+        assert (read(model, spectra).half_widths >= 0.999 * noise * factors[0] / factors[1]).all()
+
+
+def test_error_of_the_regression_stays_however_long_the_trip(model):
+    usual, long, longer = (half_widths(model, share) for share in (1, 1e3, 1e5))
+    np.testing.assert_allclose(longer, long, rtol=0.02)
+    assert (longer < 0.99 * usual).all()
+    assert (longer > 0.3 * usual).all()
+    assert (half_widths(refined(model), 1e5) < 0.01 * usual).all()
+
+
+# property
+
+
+def test_interval_widens_with_level_and_with_fewer_averages(model):
+    spectra = row(expected(model, ratios_of(WORN)))
+    narrow, wide = (read(model, spectra, level).half_widths for level in (0.5, 0.95))
+    assert (narrow < wide).all()
+    shares = [half_widths(model, share) for share in (0.4, 1.0, 3.0)]
+    assert all((a > b).all() for a, b in pairwise(shares))
+
+
+@pytest.mark.parametrize(("kind", "share"), [("as predicted", 4.0), ("refined", 0.4)])
+def test_intervals_hold_the_truth_at_other_averages(model, kind, share):
+    """20 trips: 90 % +- 6.7 % if outputs err together, and +- 3 % of the calibration."""
+    one = refined(model) if kind == "refined" else model
+    inside, n_flagged = held(one, share, 20)
+    assert inside.mean() == pytest.approx(LEVEL, abs=3 * 0.073)
+    assert n_flagged <= 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["as predicted", "refined"])
+@pytest.mark.parametrize("share", [0.25, 1.0, 4.0])
+def test_intervals_hold_the_truth_of_many(kind, share):
+    """300 trips: 90 % +- 1.7 %, and 1.3 % of the calibration with 500 scores."""
+    model = model_at(n_calibrate=1000)
+    one = refined(model) if kind == "refined" else model
+    inside, n_flagged = held(one, share, 300)
+    assert inside.mean() == pytest.approx(LEVEL, abs=3 * 0.022)
+    assert n_flagged <= 9
+
+
+@pytest.mark.parametrize("change", [{"k_p": 0.3}, {"c_s": 0.3}, {"k_s": 2.5}, {"M_s": 2.5}])
+def test_parameter_beyond_its_range_is_flagged_by_its_name(model, change):
+    spectra = row(drawn(expected(model, ratios_of(change)), model))
+    (name,) = change
+    flags = read(model, spectra).flags
+    assert f"{name} at about " in flags
+    assert "trained for" in flags
+    assert read(model, row(drawn(expected(model, ratios_of({})), model))).flags == ""
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2), (0, 2, 1)])
+def test_swapped_channels_are_flagged(model, order):
+    spectra = row(drawn(expected(model, ratios_of(WORN)), model))
+    cross = [spectra.between(order[x], order[y]) for x, y in ((0, 1), (0, 2), (1, 2))]
+    swapped = CrossSpectra(spectra.auto[list(order)], torch.stack(cross), spectra.n_averages)
+    assert read(model, swapped).flags
+
+
+def test_another_vehicle_is_flagged(model):
+    vehicle = replace(model.vehicle, bogie_gyration_m=1.5 * model.vehicle.bogie_gyration_m)
+    other = replace(model.generator, vehicle=vehicle)
+    spectra = row(drawn(expected(model, ratios_of(WORN), generator=other), model))
+    assert "the model cannot explain the curve" in read(model, spectra).flags
+
+
+@pytest.mark.parametrize(("share", "seen"), [(0.25, 1.5), (1.0, 2.0), (4.0, 2.0)])
+def test_misfit_is_that_of_trips_as_long_as_in_training(model, share, seen):
+    """With a misfit of 2 the generator's errors are 3 times the noise in mean square."""
+    found = trust._refined(
+        model,
+        model.settings.observer(model.generator),
+        row(expected(model, ratios_of({}))),
+        np.ones((1, len(OUTPUTS))),
+    )
+    odd = replace(found, misfit=np.array([2.0]))
+    expected_misfit = np.sqrt(1 + 3 * 0.25) if share == 0.25 else seen
+    assert trust._as_in_training(odd, share).misfit[0] == pytest.approx(expected_misfit)
+
+
+def test_error_of_estimates_without_logarithms_becomes_relative(model):
+    """Half widths of such a model are differences of ratios."""
+    spectra = row(expected(model, ratios_of({"k_p": 0.5, "c_p": 1.6})))
+    inputs = inputs_of(model, spectra)
+    predicted = model.predict(inputs)
+    relative = trust._difficulty(model, inputs, predicted)
+    plain = replace(model, intervals=replace(model.intervals, log=False))
+    np.testing.assert_allclose(trust._difficulty(plain, inputs, predicted), relative / predicted[0])
+
+
+def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):
+    """The spectra of a recording are on the CPU, wherever the model is."""
+    spectra = row(drawn(expected(model, ratios_of(WORN)), model))
+    inputs = inputs_of(model, spectra)
+    seen = []
+    original = type(model.settings).observer
+    monkeypatch.setattr(
+        type(model.settings),
+        "observer",
+        lambda settings, generator: seen.append(generator) or original(settings, generator),
+    )
+    moved = replace(model.generator)
+    object.__setattr__(moved, "device", "cuda")
+    trusted(replace(model, generator=moved), spectra, inputs, LEVEL)
+    assert [generator.device for generator in seen] == ["cpu"]
+
+
+# failure
+
+
+def test_model_without_calibration_has_neither_interval_nor_flags(model):
+    spectra = row(drawn(expected(model, ratios_of(WORN)), model))
+    plain = read(replace(model, intervals=None, scope=None), spectra)
+    taken_further = read(replace(model, intervals=None, scope=None, refined=True), spectra)
+    for one in (plain, taken_further):
+        assert np.isnan(one.half_widths).all()
+        assert one.flags == ""
+    np.testing.assert_array_equal(plain.values, read(model, spectra).values)
+    np.testing.assert_array_equal(taken_further.values, read(refined(model), spectra).values)
+    assert not np.array_equal(plain.values, taken_further.values)
+
+
+def test_draws_without_features_make_the_interval_infinite(model, monkeypatch):
+    spectra = row(expected(model, ratios_of(WORN)))
+    inputs = inputs_of(model, spectra)
+    missing = np.full((trust.N_DRAWS, inputs.shape[1]), np.nan)
+    missing[: trust.N_DRAWS // 2 - 1] = inputs
+    monkeypatch.setattr(type(model), "relative_features", lambda *_: missing)
+    assert (trusted(model, spectra, inputs, LEVEL).half_widths == np.inf).all()
+
+
+@pytest.mark.parametrize("widened", [1.0, 6.0])
+def test_what_a_curve_does_not_tell_has_an_infinite_interval(model, monkeypatch, widened):
+    spectra = row(expected(model, ratios_of(WORN)))
+    found = trust._refined(
+        model, model.settings.observer(model.generator), spectra, np.ones((1, len(OUTPUTS)))
+    )
+    blind = replace(found, deviations=np.full_like(found.deviations, np.inf))
+    monkeypatch.setattr(trust, "_refined", lambda *_: blind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (read(refined(model, widened), spectra).half_widths == np.inf).all()
