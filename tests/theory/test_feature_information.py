@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from suspnet.evaluation import feature_information as module
+from suspnet.theory import feature_information as module
 
 from suspnet.data import TEST, CurveSource
 from suspnet.data.curves import CurveObserver, CurveSettings

@@ -7,7 +7,7 @@ import pytest
 import reference
 import torch
 from scipy import optimize
-from suspnet.reliability import refine as module
+from suspnet.uncertainty import refine as module
 from vehicles import AM96
 
 from suspnet.data import TEST, CurveSettings
