@@ -32,7 +32,7 @@ from suspnet.storage import (
 from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import Scope
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 ESTIMATORS: dict[str, Any] = {
     "msvr": MSVR,
     "svr": SVR,
@@ -161,9 +161,9 @@ class TrainedModel:
         return self.input_scaling.apply(np.where(unusable, np.nan, inputs))
 
     def with_estimates(self, inputs: FloatArray, estimates: FloatArray) -> FloatArray:
-        """Return scaled inputs and scaled estimates side by side: what a difficulty depends on."""
+        """Return scaled inputs and estimates side by side: the inputs of a residual scale."""
         if self.output_scaling is None:
-            return estimates
+            return np.log(estimates)
         return np.column_stack([self.scaled(inputs), self.output_scaling.apply(estimates)])
 
 

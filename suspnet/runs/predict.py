@@ -22,13 +22,11 @@ from suspnet.learning import CurveFit
 from suspnet.model.checkpoint import TrainedModel
 from suspnet.runs.fit import Problem
 from suspnet.uncertainty.conformal import Conformal
-from suspnet.uncertainty.intervals import Difficulty, Intervals, residuals
+from suspnet.uncertainty.intervals import Intervals, residuals
 from suspnet.uncertainty.ood import Flags, Scope
 from suspnet.uncertainty.refine import Refined, refine
 
 FloatArray = NDArray[np.float64]
-CALIBRATING = 3
-"""One calibration curve in so many gives a score; the others teach the difficulty."""
 N_FITS = 2048
 """Refined calibration curves from which the usual misfit is learnt."""
 
@@ -45,7 +43,7 @@ class Outcome:
     seconds : float
     n_asked : int
         Curves asked for, those with a missing feature included.
-    difficulties : array of shape (n_curves, n_outputs), or None
+    scales : array of shape (n_curves, n_outputs), or None
         Of a calibrated model: see ``Intervals``.
     flags : Flags or None
         Of all `n_asked` curves, if they were asked for.
@@ -55,7 +53,7 @@ class Outcome:
     predicted: FloatArray
     seconds: float
     n_asked: int
-    difficulties: FloatArray | None = None
+    scales: FloatArray | None = None
     flags: Flags | None = None
 
 
@@ -81,21 +79,22 @@ def predict_stream(
     if model.refined and refined is not None:
         predicted = _identified(model, refined)[0]
     seconds = time.perf_counter() - start
-    difficulties = None
+    scales = None
     if model.intervals is not None:
-        difficulties = difficulty(model, data.inputs, predicted, refined)[data.valid]
+        scales = residual_scales(model, data.inputs, predicted, refined)[data.valid]
     found = None
     if flags and model.scope is not None and refined is not None:
         found = model.scope.flags(
             model.task, missing_words(model.task, data), model.scaled(data.inputs), refined
         )
-    return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), difficulties, found)
+    return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), scales, found)
 
 
 def calibrated(problem: Problem, model: TrainedModel) -> TrainedModel:
     """Return a model with intervals and scope, learnt from fresh curves like the training curves.
 
-    Half of them teach the difficulty, unless the refined estimates know it; the rest calibrate.
+    Half of them teach the residual scale and half give the scores; of refined estimates, whose
+    residual scale is known, all give scores.
     """
     if problem.settings.n_calibrate is None:
         return model
@@ -104,10 +103,7 @@ def calibrated(problem: Problem, model: TrainedModel) -> TrainedModel:
     predicted = _predicted(problem, model, data, CALIBRATE)
     n_fits = len(kept) if model.refined else min(N_FITS, len(kept))
     fitted = refine_stream(problem, data.first(n_fits), predicted[:n_fits], CALIBRATE)
-    inputs, log = (
-        model.scaled(data.inputs),
-        model.output_scaling is None or model.output_scaling.log,
-    )
+    inputs = model.scaled(data.inputs)
     if model.refined:
         estimates, deviations = _identified(model, fitted)
         wrong = residuals(estimates[kept], data.outputs[kept], log=True)
@@ -115,12 +111,11 @@ def calibrated(problem: Problem, model: TrainedModel) -> TrainedModel:
     else:
         log = model.output_scaling is None or model.output_scaling.log
         wrong = residuals(predicted[kept], data.outputs[kept], log)
-        half = len(wrong) // 2
         known = model.with_estimates(data.inputs[kept], predicted[kept])
-        learnt = Difficulty.learnt(known[:half], wrong[:half])
-        difficulties = learnt.predict(known[half:])
-        intervals = Intervals(Conformal.of(wrong[half:], difficulties), log, learnt)
-    training = model.scaled(problem.source.features(TRAIN).complete().inputs)
+        intervals = Intervals.learnt(known, wrong, log)
+    training = inputs[:0]  # a method that works on curves has no cloud of features
+    if model.input_scaling is not None:
+        training = model.scaled(problem.source.features(TRAIN).complete().inputs)
     scope = Scope.learnt(training, inputs[kept], fitted.misfit)
     return replace(model, intervals=intervals, scope=scope)
 
@@ -160,22 +155,22 @@ def flags_of(
     return model.scope.flags(task, missing, scaled, refined)
 
 
-def difficulty(
+def residual_scales(
     model: TrainedModel, inputs: FloatArray, predicted: FloatArray, refined: Refined | None
 ) -> FloatArray:
-    """Return the difficulty of curves for a calibrated model, (n_curves, n_outputs), [-].
+    """Return the residual scale of curves for a calibrated model, (n_curves, n_outputs), [-].
 
     NaN where a peak is missing and the model cannot do without.
     """
     intervals = model.intervals
     assert intervals is not None
-    if intervals.difficulty is None:
+    if intervals.residual_scale is None:
         assert refined is not None
         return refined.of(model.task.outputs)[1]
     known = model.with_estimates(inputs, predicted)
     complete = np.isfinite(known).all(axis=1)
     values = np.full((len(inputs), len(model.task.outputs)), np.nan)
-    values[complete] = intervals.difficulty.predict(known[complete])
+    values[complete] = intervals.residual_scale.predict(known[complete])
     return values
 
 

@@ -270,9 +270,9 @@ def _scores(problem: Problem, model: TrainedModel, outcome: Outcome) -> Metrics:
         "n_test": outcome.n_asked,
         "n_test_complete": len(data.inputs),
     }
-    if model.intervals is not None and outcome.difficulties is not None:
+    if model.intervals is not None and outcome.scales is not None:
         limits = [
-            model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL, joint)
+            model.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint)
             for joint in (False, True)
         ]
         metrics["intervals"] = interval_scores(data.outputs, limits[0], limits[1], task.outputs)

@@ -156,12 +156,12 @@ def _intervals(
     problem: Problem, model: TrainedModel, outcome: Outcome
 ) -> dict[str, dict[str, Any]]:
     """Return coverage, width and slices of conformal intervals, and of a GP's own."""
-    intervals, difficulties = model.intervals, outcome.difficulties
+    intervals, scales = model.intervals, outcome.scales
     assert intervals is not None
-    assert difficulties is not None
+    assert scales is not None
     kinds = {
         "conformal": tuple(
-            intervals.limits(outcome.predicted, difficulties, LEVEL, joint)
+            intervals.limits(outcome.predicted, scales, LEVEL, joint)
             for joint in (False, True)
         )
     }

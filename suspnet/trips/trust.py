@@ -88,17 +88,17 @@ def trusted(
     ratios = _ratios(model, predicted)
     if model.refined:
         values, noise = (part[0] for part in refined.of(model.task.outputs))
-        noise_0 = difficulty = noise
+        noise_0 = scale = noise
         if not (usual < CONFIRMED).all():
             bounds = output_bounds(model.task, observer, ratios.numpy())
-            noise_0 = difficulty = bounds[0] / ratios.numpy()[0, model.task.output_indices]
+            noise_0 = scale = bounds[0] / ratios.numpy()[0, model.task.output_indices]
     else:
         values = predicted[0]
         expected = observer.expected(ratios)
         mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
         noise_0, noise = (_noise(model, observer, drawn) for drawn in (mean, spectra))
-        difficulty = _difficulty(model, inputs, predicted)
-    spread = np.sqrt(_lasting(usual * difficulty, noise_0) + noise**2)
+        scale = _residual_scale(model, inputs, predicted)
+    spread = np.sqrt(_lasting(usual * scale, noise_0) + noise**2)
     return Trusted(values, factor / usual * spread, flags)
 
 
@@ -108,13 +108,13 @@ def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(s_0**2 - n_0**2, 0))
 
 
-def _difficulty(model: TrainedModel, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Return the difficulty of one curve's logarithms, (n_outputs,)."""
+def _residual_scale(model: TrainedModel, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Return the residual scale of one curve's logarithms, (n_outputs,)."""
     intervals = model.intervals
     assert intervals is not None
-    assert intervals.difficulty is not None
-    difficulty = intervals.difficulty.predict(model.with_estimates(inputs, predicted))[0]
-    return np.asarray(difficulty if intervals.log else difficulty / predicted[0])
+    assert intervals.residual_scale is not None
+    scale = intervals.residual_scale.predict(model.with_estimates(inputs, predicted))[0]
+    return np.asarray(scale if intervals.log else scale / predicted[0])
 
 
 def _refined(

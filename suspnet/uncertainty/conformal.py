@@ -1,6 +1,6 @@
-"""Split-conformal prediction intervals, normalised by how difficult each sample is.
+"""Split-conformal prediction intervals, normalised by the residual scale of each sample.
 
-With r the residual and d the difficulty of calibration sample i, output j::
+With r the residual and d the residual scale of calibration sample i, output j::
 
     s_ij = |r_ij| / d_ij,   half width of a new sample = d_j q_j,   q_j = s_(k)j,
     k = ceil((n + 1) level)
@@ -30,33 +30,33 @@ class Conformal:
     Attributes
     ----------
     scores : array of shape (n_calibration, n_outputs), [-]
-        Residuals over difficulties, >= 0.
+        Residuals over residual scales, >= 0.
     """
 
     scores: FloatArray
 
     @classmethod
-    def of(cls, residuals: FloatArray, difficulties: FloatArray) -> Self:
-        """Return the calibration by residuals and difficulties, each (n_calibration, n_outputs).
+    def of(cls, residuals: FloatArray, scales: FloatArray) -> Self:
+        """Return the calibration by residuals and residual scales, each (n_calibration, n_outputs).
 
         Raises
         ------
         ValueError
-            If there is no sample, a value is not finite or a difficulty is not positive.
+            If there is no sample, a value is not finite or a residual scale is not positive.
         """
-        if residuals.ndim != 2 or residuals.shape != difficulties.shape or not len(residuals):
+        if residuals.ndim != 2 or residuals.shape != scales.shape or not len(residuals):
             raise ValueError(
-                "residuals and difficulties must be of one shape (n_calibration, n_outputs), got "
-                f"{residuals.shape} and {difficulties.shape}"
+                "residuals and scales must be of one shape (n_calibration, n_outputs), got "
+                f"{residuals.shape} and {scales.shape}"
             )
-        if not (np.isfinite(residuals).all() and np.isfinite(difficulties).all()):
-            raise ValueError("residuals and difficulties must be finite")
-        if not (difficulties > 0).all():
-            raise ValueError("difficulties must be positive")
-        return cls(np.abs(residuals) / difficulties)
+        if not (np.isfinite(residuals).all() and np.isfinite(scales).all()):
+            raise ValueError("residuals and scales must be finite")
+        if not (scales > 0).all():
+            raise ValueError("scales must be positive")
+        return cls(np.abs(residuals) / scales)
 
     def factors(self, level: float) -> FloatArray:
-        """Return q, half widths over difficulties, shape (n_outputs,).
+        """Return q, half widths over residual scales, shape (n_outputs,).
 
         Infinite where so few samples cannot give so high a level.
 

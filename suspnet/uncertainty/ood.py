@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -62,7 +62,7 @@ class Scope:
     Attributes
     ----------
     reference : array of shape (n_reference, n_inputs), [-]
-        Scaled features of training curves.
+        Scaled features of training curves; none for a method that works on curves.
     distance_limit : float, [-]
         Largest distance of features like the training features from the reference.
     misfit_limit : float, [-]
@@ -79,17 +79,19 @@ class Scope:
         Parameters
         ----------
         training : array of shape (n_train, n_inputs)
-            Scaled inputs of the training curves.
+            Scaled inputs of the training curves; no rows for a method that works on curves.
         fresh : array of shape (n_fresh, n_inputs)
             Of other curves made in the same way.
         misfits : array of shape (n_fits,)
             Of refined estimates of such curves.
         """
-        scope = cls(training[:N_REFERENCE], math.inf, math.inf)
+        misfit_limit = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
+        scope = cls(training[:N_REFERENCE], math.inf, misfit_limit)
+        if not len(training):
+            return scope
         distances = np.sort(scope.distances(fresh))
         rank = min(math.ceil((len(distances) + 1) * (1 - FALSE_ALARMS)), len(distances))
-        spread = MISFIT_DEVIATIONS * float(misfits.std())
-        return cls(scope.reference, float(distances[rank - 1]), float(misfits.mean()) + spread)
+        return replace(scope, distance_limit=float(distances[rank - 1]))
 
     @cached_property
     def _neighbours(self) -> NearestNeighbors:
@@ -169,10 +171,15 @@ class Scope:
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
         """Return the scope whose `state` this is; KeyError, ValueError if it is not one."""
         reference, limits = arrays["reference"], arrays["limits"]
-        if reference.ndim != 2 or not len(reference) or not np.isfinite(reference).all():
-            raise ValueError("`reference` must be a table of finite numbers")
         if limits.shape != (2,) or np.isnan(limits).any():
             raise ValueError("`limits` must be two numbers")
+        unused = np.isinf(limits[0])
+        if (
+            reference.ndim != 2
+            or not (len(reference) or unused)
+            or not np.isfinite(reference).all()
+        ):
+            raise ValueError("`reference` must be a table of finite numbers")
         return cls(reference, float(limits[0]), float(limits[1]))
 
 

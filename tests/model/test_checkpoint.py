@@ -18,7 +18,7 @@ from suspnet.model.checkpoint import (
 )
 from suspnet.storage import content_hash, dump_arrays, read_arrays
 from suspnet.uncertainty.conformal import Conformal
-from suspnet.uncertainty.intervals import Difficulty, Intervals
+from suspnet.uncertainty.intervals import Intervals, ResidualScale
 from suspnet.uncertainty.ood import Scope
 
 GROUPS = {
@@ -58,12 +58,12 @@ def calibrated(learnt=True):
     """Return a refined model with intervals and a scope."""
     random = np.random.default_rng(2)
     known, wrong = random.standard_normal((120, 5)), 0.1 * random.standard_normal((120, 2))
-    difficulty = Difficulty.learnt(known, wrong) if learnt else None
-    sizes = difficulty.predict(known) if difficulty else np.ones_like(wrong)
+    residual_scale = ResidualScale.learnt(known, wrong) if learnt else None
+    sizes = residual_scale.predict(known) if residual_scale else np.ones_like(wrong)
     return replace(
         trained(LinearRegression()),
         refined=True,
-        intervals=Intervals(Conformal.of(wrong, sizes), True, difficulty),
+        intervals=Intervals(Conformal.of(wrong, sizes), True, residual_scale),
         scope=Scope.learnt(known[:, :3], known[:40, :3], 1 + 0.1 * random.random(30)),
     )
 
@@ -100,14 +100,14 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
     loaded = load_model(tmp_path)
     assert loaded.refined is True
     known, estimates = np.random.default_rng(3).standard_normal((40, 5)), np.full((40, 2), 1.2)
-    difficulties = np.ones((40, 2))
+    scales = np.ones((40, 2))
     if learnt:
-        difficulties = model.intervals.difficulty.predict(known)
-        found = loaded.intervals.difficulty.predict(known)
-        np.testing.assert_array_equal(found, difficulties)
+        scales = model.intervals.residual_scale.predict(known)
+        found = loaded.intervals.residual_scale.predict(known)
+        np.testing.assert_array_equal(found, scales)
     else:
-        assert loaded.intervals.difficulty is None
-    limits = [m.intervals.limits(estimates, difficulties, 0.9) for m in (model, loaded)]
+        assert loaded.intervals.residual_scale is None
+    limits = [m.intervals.limits(estimates, scales, 0.9) for m in (model, loaded)]
     np.testing.assert_array_equal(limits[0], limits[1])
     distances = [m.scope.distances(known[:, :3]) for m in (model, loaded)]
     np.testing.assert_array_equal(distances[0], distances[1])
@@ -174,7 +174,7 @@ def test_altered_description_is_rejected(saved):
         ("[]", "not a suspnet model"),
         ('{"a": 1}', "not a suspnet model"),
         ('{"schema_version": 99}', "schema version 99"),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 3; train again"),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 4; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):
@@ -189,7 +189,7 @@ def test_foreign_description_is_rejected(saved, content, message):
         ("intervals.scores", None, "not a suspnet model: KeyError"),
         ("intervals.scores", -np.ones((9, 2)), "do not fit together: `scores` must be a table"),
         ("intervals.size_mean", np.ones(3), "do not fit together: `scores` has 2 outputs"),
-        ("intervals.difficulty.coef", np.ones((3, 2)), "do not fit together: coef has shape"),
+        ("intervals.residual_scale.coef", np.ones((3, 2)), "do not fit together: coef has shape"),
         ("scope.limits", np.ones(3), "do not fit together: `limits` must be two numbers"),
         ("scope.reference", None, "not a suspnet model: KeyError"),
     ],

@@ -50,7 +50,7 @@ def outcome_of(name, refined=False, **changes):
 
 
 def assert_same(first, second):
-    for name in ("predicted", "difficulties", "n_asked"):
+    for name in ("predicted", "scales", "n_asked"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     np.testing.assert_array_equal(first.flags.found, second.flags.found)
     assert first.flags.reasons == second.flags.reasons
@@ -64,29 +64,29 @@ def assert_same(first, second):
 def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
     _, model, outcome = outcome_of(name, refined)
     assert outcome.n_asked == 200
-    assert outcome.predicted.shape == outcome.difficulties.shape == outcome.data.outputs.shape
+    assert outcome.predicted.shape == outcome.scales.shape == outcome.data.outputs.shape
     truth = outcome.data.outputs
     # 100 calibration and 200 test curves: 3 % and 2.1 %; three and a half of their root sum
-    low, high = model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL)
+    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL)
     within = (low <= truth) & (truth <= high)
     np.testing.assert_allclose(within.mean(axis=0), LEVEL, atol=0.13)
-    low, high = model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL, joint=True)
+    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint=True)
     both = ((low <= truth) & (truth <= high)).all(axis=1)
     assert both.mean() == pytest.approx(LEVEL, abs=0.13)
     assert both.mean() >= within.all(axis=1).mean()
     assert (high / low).max() < 2
 
 
-def test_scores_are_residuals_of_calibration_curves_over_their_difficulty():
+def test_scores_are_residuals_of_calibration_curves_over_their_residual_scale():
     problem, model, _ = outcome_of("linear")
     data = problem.source.features(CALIBRATE).complete()
     estimates = model.predict(data.inputs)
     known = np.hstack(
         [model.input_scaling.apply(data.inputs), model.output_scaling.apply(estimates)]
     )
-    every = np.abs(np.log(estimates / data.outputs)) / model.intervals.difficulty.predict(known)
+    every = np.abs(np.log(estimates / data.outputs)) / model.intervals.residual_scale.predict(known)
     scores = model.intervals.conformal.scores
-    assert 100 <= len(scores) < len(every)  # the others taught the difficulty
+    assert 100 <= len(scores) < len(every)  # the others taught the residual scale
     for score in scores:
         assert np.isclose(every, score, rtol=1e-9).all(axis=1).sum() == 1
 
@@ -101,7 +101,7 @@ def test_refined_estimates_are_fits_of_the_streams_curves():
         found = refine(task, CurveMisfit(source.observer, curves), plain.predicted[rows])
         ratios, deviations = found.of(task.outputs)
         np.testing.assert_array_equal(outcome.predicted[rows], ratios)
-        np.testing.assert_array_equal(outcome.difficulties[rows], deviations)
+        np.testing.assert_array_equal(outcome.scales[rows], deviations)
 
 
 @pytest.mark.parametrize("changes", [{}, {"mass_known": True}], ids=["unknown", "mass_known"])
@@ -134,7 +134,7 @@ def test_without_calibration_there_are_neither_intervals_nor_flags(name):
     _, model, outcome = outcome_of(name, n_calibrate=None)
     assert model.intervals is None
     assert model.scope is None
-    assert outcome.difficulties is None
+    assert outcome.scales is None
     assert outcome.flags is None
     error = outcome.predicted / outcome.data.outputs - 1
     assert np.abs(error).max() < 0.5
@@ -186,7 +186,7 @@ def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path)
     assert_same(found, outcome)
     for joint in (False, True):
         limits = [
-            one.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL, joint)
+            one.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint)
             for one in (model, loaded)
         ]
         np.testing.assert_array_equal(limits[0], limits[1])
@@ -198,9 +198,9 @@ def test_curves_that_lack_a_peak_are_flagged_and_have_no_estimate(refined):
     problem, _, outcome = outcome_of("linear", refined, low_hz=0.9)
     data = problem.source.features(TEST)
     assert 2 < (~data.valid).sum() < 60
-    assert len(outcome.predicted) == len(outcome.difficulties) == data.valid.sum()
+    assert len(outcome.predicted) == len(outcome.scales) == data.valid.sum()
     assert np.isfinite(outcome.predicted).all()
-    assert np.isfinite(outcome.difficulties).all()
+    assert np.isfinite(outcome.scales).all()
     assert outcome.n_asked == len(outcome.flags.reasons) == 200
     np.testing.assert_array_equal(outcome.flags.found[:, 0], ~data.valid)
     for row in np.flatnonzero(~data.valid):
@@ -232,7 +232,7 @@ def test_trips_have_intervals_and_flags_too():
     fitted = replace(fit(problem, LinearRegression(), None), refined=True)
     model = calibrated(problem, fitted)
     outcome = predict_stream(problem, model, TEST, flags=True)
-    low, high = model.intervals.limits(outcome.predicted, outcome.difficulties, LEVEL)
+    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL)
     truth = outcome.data.outputs
     # 48 trips of five outputs, 128 to calibrate: at least 4.3 % and 2.7 %; three of their root sum
     assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(LEVEL, abs=0.15)

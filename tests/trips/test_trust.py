@@ -99,8 +99,8 @@ def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, mo
     found = trusted(model, spectra, inputs, LEVEL)
     predicted = model.predict(inputs)
     np.testing.assert_array_equal(found.values, predicted[0])
-    difficulty = model.intervals.difficulty.predict(model.with_estimates(inputs, predicted))
-    limits = model.intervals.limits(predicted, difficulty, LEVEL)
+    scale = model.intervals.residual_scale.predict(model.with_estimates(inputs, predicted))
+    limits = model.intervals.limits(predicted, scale, LEVEL)
     np.testing.assert_allclose(found.half_widths, np.log(limits[1] / predicted)[0])
     assert (found.half_widths > 0.005).all()
 
@@ -114,7 +114,7 @@ def test_noise_of_the_training_is_replaced(model, monkeypatch, noise, expected_n
     predicted = model.predict(inputs)
     factors = {p: model.intervals.conformal.factors(p) for p in (LEVEL, ONE_SIGMA)}
     known = model.with_estimates(inputs, predicted)
-    s_0 = model.intervals.difficulty.predict(known)[0] * factors[ONE_SIGMA]
+    s_0 = model.intervals.residual_scale.predict(known)[0] * factors[ONE_SIGMA]
     noises = iter([expected_noise * s_0, noise * s_0])
     monkeypatch.setattr(trust, "_noise", lambda *_: next(noises))
     lasting = max(1 - expected_noise**2, 0)
@@ -292,9 +292,11 @@ def test_error_of_estimates_without_logarithms_becomes_relative(model):
     spectra = row(expected(model, ratios_of({"k_p": 0.5, "c_p": 1.6})))
     inputs = inputs_of(model, spectra)
     predicted = model.predict(inputs)
-    relative = trust._difficulty(model, inputs, predicted)
+    relative = trust._residual_scale(model, inputs, predicted)
     plain = replace(model, intervals=replace(model.intervals, log=False))
-    np.testing.assert_allclose(trust._difficulty(plain, inputs, predicted), relative / predicted[0])
+    np.testing.assert_allclose(
+        trust._residual_scale(plain, inputs, predicted), relative / predicted[0]
+    )
 
 
 def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):

@@ -53,24 +53,22 @@ def exact_rank(n, level):
 @pytest.mark.parametrize("level", LEVELS)
 def test_factor_is_the_kth_smallest_score(level):
     for n in (*range(1, 60), 99, 100, 999):
-        residuals, difficulties = heteroscedastic(n, seed=n)
-        found = Conformal.of(residuals, difficulties).factors(float(level))
+        residuals, scales = heteroscedastic(n, seed=n)
+        found = Conformal.of(residuals, scales).factors(float(level))
         k = exact_rank(n, level)
         for j in range(2):
-            scores = sorted(
-                abs(r) / d for r, d in zip(residuals[:, j], difficulties[:, j], strict=True)
-            )
+            scores = sorted(abs(r) / d for r, d in zip(residuals[:, j], scales[:, j], strict=True))
             assert found[j] == (scores[k - 1] if k <= n else math.inf)
 
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_joint_factor_is_that_of_the_largest_score_of_each_sample(level):
-    residuals, difficulties = heteroscedastic(150, seed=1, n_outputs=3)
+    residuals, scales = heteroscedastic(150, seed=1, n_outputs=3)
     largest = sorted(
         max(abs(r) / d for r, d in zip(*rows, strict=True))
-        for rows in zip(residuals.tolist(), difficulties.tolist(), strict=True)
+        for rows in zip(residuals.tolist(), scales.tolist(), strict=True)
     )
-    found = Conformal.of(residuals, difficulties).joint_factor(float(level))
+    found = Conformal.of(residuals, scales).joint_factor(float(level))
     assert found == largest[exact_rank(150, level) - 1]
 
 
@@ -79,11 +77,11 @@ def test_joint_factor_is_that_of_the_largest_score_of_each_sample(level):
 def test_half_widths_are_those_of_crepes(n, level):
     # crepes rounds (1 - level) (n + 1) down, one too low where it is whole: here it never is
     crepes = pytest.importorskip("crepes")
-    residuals, difficulties = heteroscedastic(n, seed=2)
+    residuals, scales = heteroscedastic(n, seed=2)
     new = np.array([0.3, 1.0, 4.0])
-    found = Conformal.of(residuals, difficulties).factors(level)
+    found = Conformal.of(residuals, scales).factors(level)
     for j in range(2):
-        other = crepes.ConformalRegressor().fit(residuals[:, j], sigmas=difficulties[:, j])
+        other = crepes.ConformalRegressor().fit(residuals[:, j], sigmas=scales[:, j])
         limits = other.predict_int(np.zeros(3), sigmas=new, confidence=level)
         np.testing.assert_allclose(limits[:, 1], new * found[j], rtol=1e-14)
         np.testing.assert_allclose(limits[:, 0], -new * found[j], rtol=1e-14)
@@ -94,15 +92,15 @@ def test_half_widths_are_those_of_crepes(n, level):
 def test_half_widths_are_those_of_mapie(n, level):
     regression = pytest.importorskip("mapie.regression")
     scores = pytest.importorskip("mapie.conformity_scores")
-    residuals, difficulties = heteroscedastic(n, seed=3, n_outputs=1)
+    residuals, scales = heteroscedastic(n, seed=3, n_outputs=1)
     normalised = scores.ResidualNormalisedScore(Column(1), prefit=True, sym=True)
     other = regression.SplitConformalRegressor(
         Column(0), confidence_level=level, conformity_score=normalised, prefit=True
     )
-    other.conformalize(np.column_stack([np.zeros(n), difficulties]), residuals[:, 0])
+    other.conformalize(np.column_stack([np.zeros(n), scales]), residuals[:, 0])
     new = np.array([0.3, 1.0, 4.0])
     _, limits = other.predict_interval(np.column_stack([np.zeros(3), new]))
-    half = new * Conformal.of(residuals, difficulties).factors(level)
+    half = new * Conformal.of(residuals, scales).factors(level)
     np.testing.assert_allclose(limits[:, :, 0], np.column_stack([-half, half]), rtol=1e-14)
 
 
@@ -181,22 +179,22 @@ def test_order_and_sign_of_the_residuals_do_not_matter(scores, level, seed):
     assert one.joint_factor(level) == other.joint_factor(level)
 
 
-def test_difficulties_twice_as_large_halve_the_factors():
-    residuals, difficulties = heteroscedastic(60, seed=5)
-    once = Conformal.of(residuals, difficulties).factors(0.8)
+def test_residual_scales_twice_as_large_halve_the_factors():
+    residuals, scales = heteroscedastic(60, seed=5)
+    once = Conformal.of(residuals, scales).factors(0.8)
     assert once.min() > 0.5
-    doubled = Conformal.of(residuals, 2 * difficulties).factors(0.8)
+    doubled = Conformal.of(residuals, 2 * scales).factors(0.8)
     np.testing.assert_allclose(doubled, once / 2, rtol=1e-15)
 
 
 def test_arguments_stay_untouched():
-    residuals, difficulties = heteroscedastic(30, seed=6)
-    before = residuals.copy(), difficulties.copy()
-    conformal = Conformal.of(residuals, difficulties)
+    residuals, scales = heteroscedastic(30, seed=6)
+    before = residuals.copy(), scales.copy()
+    conformal = Conformal.of(residuals, scales)
     scores = conformal.scores.copy()
     conformal.factors(0.9)
     conformal.joint_factor(0.9)
-    np.testing.assert_array_equal((residuals, difficulties), before)
+    np.testing.assert_array_equal((residuals, scales), before)
     np.testing.assert_array_equal(conformal.scores, scores)
 
 
@@ -204,21 +202,21 @@ def test_arguments_stay_untouched():
 
 
 @pytest.mark.parametrize(
-    ("residual", "difficulty", "message"),
+    ("residual", "scale", "message"),
     [
         (math.nan, 1.0, "must be finite"),
         (math.inf, 1.0, "must be finite"),
         (1.0, math.nan, "must be finite"),
         (1.0, math.inf, "must be finite"),
-        (1.0, 0.0, "difficulties must be positive"),
-        (1.0, -1.0, "difficulties must be positive"),
+        (1.0, 0.0, "scales must be positive"),
+        (1.0, -1.0, "scales must be positive"),
     ],
 )
-def test_values_without_a_score_are_rejected(residual, difficulty, message):
-    residuals, difficulties = np.ones((4, 2)), np.ones((4, 2))
-    residuals[2, 1], difficulties[2, 1] = residual, difficulty
+def test_values_without_a_score_are_rejected(residual, scale, message):
+    residuals, scales = np.ones((4, 2)), np.ones((4, 2))
+    residuals[2, 1], scales[2, 1] = residual, scale
     with pytest.raises(ValueError, match=message):
-        Conformal.of(residuals, difficulties)
+        Conformal.of(residuals, scales)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Intervals on a regression whose scatter is known: learnt difficulty, coverage, storage."""
+"""Intervals on a regression whose scatter is known: learnt residual scale, coverage, storage."""
 
 import math
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suspnet.uncertainty.conformal import Conformal
-from suspnet.uncertainty.intervals import SMALLEST_SHARE, Difficulty, Intervals, residuals
+from suspnet.uncertainty.intervals import SMALLEST_SHARE, Intervals, ResidualScale, residuals
 
 LEVEL = 0.9
 MEAN_LOG_NORMAL = -(np.euler_gamma + math.log(2)) / 2
@@ -28,7 +28,7 @@ def samples(n, seed):
 @pytest.fixture(scope="module")
 def learnt():
     inputs, wrong, _ = samples(3000, seed=0)
-    return Difficulty.learnt(inputs, wrong)
+    return ResidualScale.learnt(inputs, wrong)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def intervals(learnt):
 # reference
 
 
-def test_difficulty_is_the_mean_logarithm_of_the_residual(learnt):
+def test_residual_scale_is_the_mean_logarithm_of_the_residual(learnt):
     inputs, _, deviations = samples(4000, seed=2)
     found = np.log(learnt.predict(inputs))
     expected = np.log(deviations) + MEAN_LOG_NORMAL
@@ -51,11 +51,11 @@ def test_difficulty_is_the_mean_logarithm_of_the_residual(learnt):
     np.testing.assert_allclose((found - expected).mean(axis=0), 0.0, atol=0.06)
 
 
-def test_coverage_is_that_asked_for_at_every_difficulty(intervals):
+def test_coverage_is_that_asked_for_at_every_residual_scale(intervals):
     inputs, wrong, deviations = samples(10_000, seed=3)
     truth = np.ones_like(wrong)
     estimates = np.exp(wrong)
-    low, high = intervals.limits(estimates, intervals.difficulty.predict(inputs), LEVEL)
+    low, high = intervals.limits(estimates, intervals.residual_scale.predict(inputs), LEVEL)
     within = (low <= truth) & (truth <= high)
     plain = Conformal.of(samples(1500, seed=1)[1], np.ones((1500, 2))).factors(LEVEL)
     unnormalised = np.abs(wrong) <= plain
@@ -65,12 +65,12 @@ def test_coverage_is_that_asked_for_at_every_difficulty(intervals):
         assert within[:, j].mean() == pytest.approx(LEVEL, abs=0.034)
         assert unnormalised[:, j].mean() == pytest.approx(LEVEL, abs=0.034)
         by_slice = [within[rows, j].mean() for rows in slices]
-        # and what the difficulty is wrong by, up to 15 % at the rim of the samples: 5 % of them
+        # and what the residual scale is wrong by, up to 15 % at the rim of the samples: 5 % of them
         np.testing.assert_allclose(by_slice, LEVEL, atol=0.06)
         blind = [unnormalised[rows, j].mean() for rows in slices]
         assert blind[0] > 0.98
         assert blind[-1] < 0.8
-    box = intervals.limits(estimates, intervals.difficulty.predict(inputs), LEVEL, joint=True)
+    box = intervals.limits(estimates, intervals.residual_scale.predict(inputs), LEVEL, joint=True)
     both = ((box[0] <= truth) & (truth <= box[1])).all(axis=1)
     assert both.mean() == pytest.approx(LEVEL, abs=0.034)
     assert within.all(axis=1).mean() < 0.85
@@ -81,12 +81,12 @@ def test_coverage_is_that_asked_for_at_every_difficulty(intervals):
 def test_limits_are_the_estimate_and_its_half_width(log, joint):
     scores = np.arange(1.0, 20.0)[:, None] * [0.1, 0.2]
     intervals = Intervals(Conformal(scores), log, None)
-    estimates, difficulties = np.array([[1.2, 0.7], [0.5, 2.0]]), np.array([[0.1, 0.3], [1.0, 2.0]])
-    low, high = intervals.limits(estimates, difficulties, 0.5, joint)
+    estimates, scales = np.array([[1.2, 0.7], [0.5, 2.0]]), np.array([[0.1, 0.3], [1.0, 2.0]])
+    low, high = intervals.limits(estimates, scales, 0.5, joint)
     factors = [2.0, 2.0] if joint else [1.0, 2.0]  # the tenth of nineteen
     for i in range(2):
         for j in range(2):
-            half = difficulties[i, j] * factors[j]
+            half = scales[i, j] * factors[j]
             x = estimates[i, j]
             expected = (x / math.exp(half), x * math.exp(half)) if log else (x - half, x + half)
             assert (low[i, j], high[i, j]) == pytest.approx(expected, rel=1e-14)
@@ -123,7 +123,7 @@ def test_residuals_of_nothing_are_taken_as_a_share_of_the_median():
     wrong[::7] = 0.0
     raised = wrong.copy()
     raised[::7] = -SMALLEST_SHARE * np.median(np.abs(wrong), axis=0)
-    found, expected = (Difficulty.learnt(inputs, r).predict(inputs) for r in (wrong, raised))
+    found, expected = (ResidualScale.learnt(inputs, r).predict(inputs) for r in (wrong, raised))
     np.testing.assert_array_equal(found, expected)
     assert (found > 0).all()
 
@@ -134,41 +134,39 @@ def test_residuals_of_nothing_are_taken_as_a_share_of_the_median():
 @given(
     estimate=st.floats(0.3, 3.0),
     truth=st.floats(0.3, 3.0),
-    difficulty=st.floats(0.01, 2.0),
+    scale=st.floats(0.01, 2.0),
     log=st.booleans(),
 )
-def test_interval_holds_the_truth_where_the_score_is_within_the_factor(
-    estimate, truth, difficulty, log
-):
+def test_interval_holds_the_truth_where_the_score_is_within_the_factor(estimate, truth, scale, log):
     intervals = Intervals(Conformal(np.linspace(0.0, 2.0, 21)[:, None]), log, None)
-    tables = np.array([[estimate]]), np.array([[difficulty]])
+    tables = np.array([[estimate]]), np.array([[scale]])
     low, high = intervals.limits(*tables, 0.5)
-    score = abs(intervals.residuals(tables[0], np.array([[truth]]))[0, 0]) / difficulty
+    score = abs(intervals.residuals(tables[0], np.array([[truth]]))[0, 0]) / scale
     if abs(score - 1.0) > 1e-9:  # the eleventh of twenty-one is 1
         assert (low[0, 0] <= truth <= high[0, 0]) == (score < 1.0)
 
 
-def test_difficulty_grows_with_the_residuals_and_forgets_their_signs(learnt):
+def test_residual_scale_grows_with_the_residuals_and_forgets_their_signs(learnt):
     inputs, wrong, _ = samples(3000, seed=0)
     new = samples(50, seed=5)[0]
     signs = np.random.default_rng(0).choice([-1.0, 1.0], wrong.shape)
-    found = Difficulty.learnt(inputs, 3.0 * signs * wrong).predict(new)
+    found = ResidualScale.learnt(inputs, 3.0 * signs * wrong).predict(new)
     np.testing.assert_allclose(found, 3.0 * learnt.predict(new), rtol=1e-6)
 
 
 def test_one_output_and_one_row_keep_their_shape():
     inputs, wrong, _ = samples(200, seed=6)
-    learnt = Difficulty.learnt(inputs, wrong[:, :1])
+    learnt = ResidualScale.learnt(inputs, wrong[:, :1])
     assert learnt.predict(inputs[:1]).shape == (1, 1)
     intervals = Intervals(Conformal.of(wrong[:, :1], learnt.predict(inputs)), True, learnt)
     restored = Intervals.restored(intervals.state())
-    assert restored.difficulty.predict(inputs).shape == (200, 1)
+    assert restored.residual_scale.predict(inputs).shape == (200, 1)
 
 
 def test_arguments_stay_untouched(learnt):
     inputs, wrong, _ = samples(200, seed=7)
     before = inputs.copy(), wrong.copy()
-    Difficulty.learnt(inputs, wrong).predict(inputs)
+    ResidualScale.learnt(inputs, wrong).predict(inputs)
     np.testing.assert_array_equal(inputs, before[0])
     np.testing.assert_array_equal(wrong, before[1])
 
@@ -176,19 +174,19 @@ def test_arguments_stay_untouched(learnt):
 def test_restored_intervals_are_the_same_bit_for_bit(intervals):
     restored = Intervals.restored(intervals.state())
     inputs = samples(100, seed=8)[0]
-    difficulties = intervals.difficulty.predict(inputs)
-    np.testing.assert_array_equal(restored.difficulty.predict(inputs), difficulties)
+    scales = intervals.residual_scale.predict(inputs)
+    np.testing.assert_array_equal(restored.residual_scale.predict(inputs), scales)
     estimates = np.full((100, 2), 1.3)
     for joint in (True, False):
-        limits = [one.limits(estimates, difficulties, 0.8, joint) for one in (intervals, restored)]
+        limits = [one.limits(estimates, scales, 0.8, joint) for one in (intervals, restored)]
         np.testing.assert_array_equal(limits[0], limits[1])
 
 
 @pytest.mark.parametrize("log", [True, False])
-def test_intervals_without_a_learnt_difficulty_are_restored_too(log):
+def test_intervals_without_a_learnt_residual_scale_are_restored_too(log):
     intervals = Intervals(Conformal(np.arange(12.0).reshape(6, 2)), log, None)
     restored = Intervals.restored(intervals.state())
-    assert restored.difficulty is None
+    assert restored.residual_scale is None
     assert restored.log is log
     np.testing.assert_array_equal(restored.conformal.scores, intervals.conformal.scores)
 
@@ -203,16 +201,17 @@ def test_residuals_that_are_all_alike_are_rejected(value, message):
     inputs, wrong, _ = samples(100, seed=9)
     wrong[:, 1] = value
     with pytest.raises(ValueError, match=message):
-        Difficulty.learnt(inputs, wrong)
+        ResidualScale.learnt(inputs, wrong)
 
 
 @pytest.mark.parametrize(
-    "name", ["scores", "log", "size_mean", "size_scale", "difficulty.coef", "difficulty.intercept"]
+    "name",
+    ["scores", "log", "size_mean", "size_scale", "residual_scale.coef", "residual_scale.intercept"],
 )
 def test_missing_arrays_are_named(intervals, name):
     arrays = intervals.state()
     del arrays[name]
-    with pytest.raises((KeyError, ValueError), match=name.removeprefix("difficulty.")):
+    with pytest.raises((KeyError, ValueError), match=name.removeprefix("residual_scale.")):
         Intervals.restored(arrays)
 
 
@@ -224,12 +223,12 @@ def test_missing_arrays_are_named(intervals, name):
         ("scores", np.array([[1.0, -1.0]]), "`scores` must be a table"),
         ("scores", np.array([[1.0, math.nan]]), "`scores` must be a table"),
         ("scores", np.array([[1.0, math.inf]]), "`scores` must be a table"),
-        ("scores", np.ones((4, 3)), "has 3 outputs, the difficulty"),
+        ("scores", np.ones((4, 3)), "has 3 outputs, the residual scale"),
         ("log", np.ones(0), "`log` must be one number"),
-        ("size_mean", np.ones(3), "has 2 outputs, the difficulty"),
-        ("size_scale", np.ones((2, 1)), "has 2 outputs, the difficulty"),
-        ("difficulty.coef", np.ones((4, 2)), r"coef has shape \(4, 2\)"),
-        ("difficulty.intercept", np.ones(3), "coef has shape"),
+        ("size_mean", np.ones(3), "has 2 outputs, the residual scale"),
+        ("size_scale", np.ones((2, 1)), "has 2 outputs, the residual scale"),
+        ("residual_scale.coef", np.ones((4, 2)), r"coef has shape \(4, 2\)"),
+        ("residual_scale.intercept", np.ones(3), "coef has shape"),
     ],
 )
 def test_arrays_that_do_not_fit_are_rejected(intervals, name, array, message):
