@@ -8,14 +8,16 @@ import pyarrow.parquet as pq
 import yaml
 from vehicles import AM96
 
-from suspnet.data import TEST, Protocol
+from suspnet.data import Protocol
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
 from suspnet.learning import MSVR
+from suspnet.problem import TEST, Problem
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.runs.fit import Problem, fit
-from suspnet.runs.predict import calibrated, predict_stream
-from suspnet.runs.train import rms_percent
+from suspnet.runs.calibrate import calibrated
+from suspnet.runs.fit import fit
+from suspnet.runs.predict import predict_stream
+from suspnet.runs.scores import rms_percent
 from suspnet.simulation.fleet import Fleet, write_fleet
 from suspnet.simulation.scenarios import Scenario
 

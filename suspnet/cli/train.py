@@ -7,7 +7,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from suspnet.cli import program
-from suspnet.runs.fit import Problem
+from suspnet.problem import Problem
 from suspnet.runs.train import train
 
 

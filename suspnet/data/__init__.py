@@ -1,18 +1,23 @@
-"""Training data: protocols, noisy curves and estimates, their features and cache."""
+"""Training data: protocols, noisy curves and estimates, how far they lie from a model's."""
+
+from typing import Any
 
 from suspnet.data.curves import CurveSettings
 from suspnet.data.estimates import EstimateSettings
+from suspnet.data.feature_data import FeatureData
+from suspnet.data.observation import Observation, Observer
 from suspnet.data.protocols import Protocol, Task
-from suspnet.data.source import CALIBRATE, TEST, TRAIN, CurveSource, FeatureData
+
+OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}
+"""Settings of every observation by the name of their file in configs/data/."""
 
 __all__ = [
-    "CALIBRATE",
-    "TEST",
-    "TRAIN",
+    "OBSERVATIONS",
     "CurveSettings",
-    "CurveSource",
     "EstimateSettings",
     "FeatureData",
+    "Observation",
+    "Observer",
     "Protocol",
     "Task",
 ]

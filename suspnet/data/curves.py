@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from suspnet.data.misfit import CurveMisfit
 from suspnet.data.noise import add_noise
+from suspnet.data.observation import check_counts
 from suspnet.dynamics import ResponseGenerator, Vehicle
-from suspnet.dynamics.generator import sample_unmeasured
-
-LEAST_CALIBRATION = 100
-"""Fewer curves cannot tell a 90 % interval from another."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class CurveSettings:
     n_train, n_test : int or "all"
         Curves for training and testing; "all" is the whole grid of the protocol.
     n_calibrate : int, optional
-        Fresh curves from which intervals and limits are learnt; None gives the model neither.
+        Fresh curves from which intervals and thresholds are learnt; None gives the model neither.
     snr_db : float, [dB]
         Signal-to-noise ratio of each curve.
     low_hz, high_hz, step_hz : float, [Hz]
@@ -39,6 +39,8 @@ class CurveSettings:
         If a setting has the wrong type or is out of range.
     """
 
+    kind: ClassVar[str] = "curves"
+
     n_train: int | str = 20_000
     n_test: int | str = 4_000
     n_calibrate: int | None = 30_000
@@ -49,9 +51,7 @@ class CurveSettings:
     cache_dir: str | None = ".cache/suspnet"
 
     def __post_init__(self) -> None:
-        for name in ("n_train", "n_test"):
-            check_count(name, getattr(self, name))
-        check_calibration(self.n_calibrate)
+        check_counts(self)
         for name in ("snr_db", "low_hz", "high_hz", "step_hz"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -76,6 +76,14 @@ class CurveSettings:
         """Return the frequency bins, shape (n_freq,), [Hz]."""
         n_bins = math.floor((self.high_hz - self.low_hz) / self.step_hz + 1e-9) + 1
         return self.low_hz + self.step_hz * torch.arange(n_bins, dtype=torch.float64)
+
+    def words(self) -> str:
+        """Return in words what is observed, with which noise."""
+        return (
+            f"Magnitudes of the responses, {self.low_hz:.3g} to {self.high_hz:.3g} Hz, with white "
+            f"noise of {self.snr_db:g} dB, {100 * 10 ** (-self.snr_db / 20):.2g} % of each curve's "
+            "rms."
+        )
 
 
 @dataclass(frozen=True)
@@ -102,25 +110,9 @@ class CurveObserver:
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
         """Return the same with noise; what the generator holds uncertain is drawn too."""
-        rows = sample_unmeasured(self.generator, ratios, seed)
+        rows = self.generator.sample_unmeasured(ratios, seed)
         return add_noise(self.noise_free(rows), self.settings.snr_db, seed)
 
-
-def check_calibration(n_calibrate: object) -> None:
-    """Raise TypeError or ValueError unless it is None or a whole number >= 100."""
-    if n_calibrate is None:
-        return
-    if isinstance(n_calibrate, bool) or not isinstance(n_calibrate, int):
-        raise TypeError(f"`data.n_calibrate` must be a whole number or null, got {n_calibrate!r}")
-    if n_calibrate < LEAST_CALIBRATION:
-        raise ValueError(f"`data.n_calibrate` must be >= {LEAST_CALIBRATION}, got {n_calibrate}")
-
-
-def check_count(name: str, value: int | str) -> None:
-    """Raise TypeError or ValueError unless `value` is a whole number >= 1 or "all"."""
-    if value == "all":
-        return
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"`data.{name}` must be a whole number or 'all', got {value!r}")
-    if value < 1:
-        raise ValueError(f"`data.{name}` must be >= 1, got {value}")
+    def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
+        """Return the misfit of observed magnitudes; their own rms tells the noise, not `near`."""
+        return CurveMisfit(self, curves, tuple(used))

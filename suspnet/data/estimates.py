@@ -11,16 +11,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.data.curves import check_calibration, check_count
+from suspnet.data.misfit import EstimateMisfit
+from suspnet.data.observation import check_counts
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
-from suspnet.dynamics.generator import sample_unmeasured
 from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.features.cross_spectra import METHODS, CrossSpectra, Method
 from suspnet.features.welch import Welch
@@ -42,7 +43,7 @@ class EstimateSettings:
     n_train, n_test : int or "all"
         Curves for training and testing.
     n_calibrate : int, optional
-        Fresh curves from which intervals and limits are learnt; None gives the model neither.
+        Fresh curves from which intervals and thresholds are learnt; None gives the model neither.
     speed_m_per_s : float, [m/s]
     track : str
         A name of ``suspnet.dynamics.track.TRACKS``.
@@ -69,6 +70,8 @@ class EstimateSettings:
         If a setting has the wrong type or is out of range.
     """
 
+    kind: ClassVar[str] = "trips"
+
     n_train: int | str = 20_000
     n_test: int | str = 4_000
     n_calibrate: int | None = 30_000
@@ -87,9 +90,7 @@ class EstimateSettings:
     cache_dir: str | None = ".cache/suspnet"
 
     def __post_init__(self) -> None:
-        for name in ("n_train", "n_test"):
-            check_count(name, getattr(self, name))
-        check_calibration(self.n_calibrate)
+        check_counts(self)
         numbers = ("speed_m_per_s", "snr_db", "minutes")
         limits = {"speed_m_per_s": (0.1, 200), "snr_db": (-20, 200), "minutes": (0, 1e5)}
         for name in (*numbers, "low_hz", "high_hz"):
@@ -158,6 +159,16 @@ class EstimateSettings:
         """Return the source of estimates of a generator's vehicles."""
         return EstimateObserver(self, generator)
 
+    def words(self) -> str:
+        """Return in words what is observed, with which noise."""
+        band = "" if self.low_hz is None else f", {self.low_hz:.3g} to {self.high_hz:.3g} Hz"
+        bias = "" if self.method == "IV" else f" The bias of {self.method} in noise is known."
+        return (
+            f"Trips of {self.minutes:g} minutes at {self.speed_m_per_s:g} m/s, track "
+            f"{self.track}{band}. White noise of each sensor: {self.snr_db:g} dB over its whole "
+            f"band. All three sensors are used, whichever curves the protocol names.{bias}"
+        )
+
 
 class EstimateObserver:
     """Estimates of G_p and G_s, as trips of a generator's vehicles would give them.
@@ -213,7 +224,7 @@ class EstimateObserver:
         complex tensor of shape (n_vehicles, 2, n_freq), [-]
         """
         unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
-        rows = sample_unmeasured(self.generator, ratios, int(unmeasured >> np.uint64(1)))
+        rows = self.generator.sample_unmeasured(ratios, int(unmeasured >> np.uint64(1)))
         expected = self.expected(rows)
         source = torch.Generator(expected.auto.device).manual_seed(int(noise >> np.uint64(1)))
         return self._drawn(expected, source)
@@ -238,6 +249,13 @@ class EstimateObserver:
 
     def _drawn(self, mean: CrossSpectra, source: torch.Generator) -> Tensor:
         return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
+
+    def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:
+        """Return the misfit of estimates (n, 2, n_freq), their covariance that of vehicles `near`.
+
+        Both responses are looked at, whatever is `used`.
+        """
+        return EstimateMisfit(self, curves, self.covariance(near.to(curves.device)))
 
     def covariance(self, ratios: Tensor) -> Tensor:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""

@@ -10,11 +10,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+from torch import Tensor, stack
 
-from suspnet.data.curves import CurveObserver
-from suspnet.data.estimates import EstimateObserver
+from suspnet.data.noise import noise_rms
+from suspnet.data.observation import Observer
 
 
 @dataclass(frozen=True)
@@ -23,13 +22,14 @@ class CurveMisfit:
 
     Attributes
     ----------
-    observer : CurveObserver
+    observer : Observer
+        With `settings.snr_db`.
     observed : tensor of shape (n_rows, 2, n_freq), [-]
     used : sequence of int
         Which of G_p and G_s may be looked at.
     """
 
-    observer: CurveObserver
+    observer: Observer
     observed: Tensor
     used: Sequence[int] = (0, 1)
     expected: float = 1.0
@@ -38,8 +38,7 @@ class CurveMisfit:
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
         observed = self.observed[rows][:, list(self.used)]
-        rms = observed.square().mean(dim=2, keepdim=True).sqrt()
-        rms = rms * 10 ** (-self.observer.settings.snr_db / 20)
+        rms = noise_rms(observed, self.observer.settings.snr_db)
         expected = self.observer.noise_free(ratios)[:, list(self.used)]
         return ((observed - expected) / rms).flatten(1)
 
@@ -49,24 +48,25 @@ class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
 
     With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
-    expected logarithms and r the correlation of neighbouring bins (see `estimate_information`), the
-    residuals are real and imaginary part of L^-1 u sqrt(2 / r).
+    expected logarithms and r the correlation of neighbouring bins (see
+    ``Welch.correlated_bins``), the residuals are real and imaginary part of L^-1 u sqrt(2 / r).
 
     Attributes
     ----------
-    observer : EstimateObserver
+    observer : Observer
+        With `settings.welch`.
     observed : complex tensor of shape (n_rows, 2, n_freq), [-]
     covariance : complex tensor of shape (n_rows, 2, 2, n_freq), [-]
     """
 
-    observer: EstimateObserver
+    observer: Observer
     observed: Tensor
     covariance: Tensor
 
     @property
     def expected(self) -> float:
         """Mean square of a residual if the model is true: 1 / r."""
-        return 1 / self._correlation
+        return 1 / self._correlated
 
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the estimates `rows`.
@@ -80,13 +80,10 @@ class EstimateMisfit:
         second = (sigma[:, 1, 1].real - mixed.abs().square()).sqrt()
         white_p = difference[:, 0] / first
         white_s = (difference[:, 1] - mixed * white_p) / second
-        white = torch.stack([white_p.real, white_p.imag, white_s.real, white_s.imag], dim=1)
-        return white.flatten(1) * math.sqrt(2 / self._correlation)
+        parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
+        return stack(parts, dim=1).flatten(1) * math.sqrt(2 / self._correlated)
 
     @property
-    def _correlation(self) -> float:
-        correlation = self.observer.settings.welch.correlation()
-        return float(2 * correlation.sum() - correlation[0])
-
-
-Misfit = CurveMisfit | EstimateMisfit
+    def _correlated(self) -> float:
+        correlated: float = self.observer.settings.welch.correlated_bins
+        return correlated

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from suspnet.dynamics.vehicle import PARAMETERS
-from suspnet.features import CurveFeatures, PeakFeatures
+from suspnet.features import CurveFeatures, FeatureSet, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
 FloatArray = NDArray[np.float64]
@@ -31,7 +32,7 @@ class Task:
         Parameters that are asked for.
     responses : tuple of str
         From ``RESPONSES``: the curves that may be used.
-    extractor : PeakFeatures or CurveFeatures
+    extractor : FeatureSet
     sampling : {"grid", "sobol"}
     lower, upper : float
         Range of the suspension's ratios, [-].
@@ -50,7 +51,7 @@ class Task:
     varied: tuple[str, ...]
     outputs: tuple[str, ...]
     responses: tuple[str, ...]
-    extractor: PeakFeatures | CurveFeatures
+    extractor: FeatureSet
     sampling: Literal["grid", "sobol"]
     lower: float
     upper: float
@@ -76,6 +77,18 @@ class Task:
         """Varied parameters that have to be estimated along with the outputs."""
         known = ("M_s",) if self.mass_known else ()
         return tuple(name for name in self.varied if name not in known)
+
+    @property
+    def used_responses(self) -> list[int]:
+        """Which of ``RESPONSES`` may be used, as indices."""
+        return [RESPONSES.index(name) for name in self.responses]
+
+    def describe(self) -> dict[str, Any]:
+        """Return the task as JSON-able values, without what its feature set has learnt."""
+        extractor = self.extractor.blank()
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(self, extractor=extractor))))
+        plain["extractor"]["kind"] = extractor.kind
+        return plain
 
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
@@ -252,7 +265,7 @@ class Protocol:
             log_ratios=self.log_ratios,
         )
 
-    def _extractor(self, entry: Mapping[str, Sequence[str]]) -> PeakFeatures | CurveFeatures:
+    def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
         if self.feature_set == "curve":
             if set(entry["responses"]) != set(RESPONSES):
                 raise ValueError(

@@ -1,11 +1,17 @@
 """Module 1 of the paper: vehicle dynamics and frequency responses."""
 
+from typing import Any
+
 from suspnet.dynamics.generator import ResponseGenerator
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle, best_generator
 
+GENERATORS: dict[str, Any] = {"quarter_car": QuarterCar, "vertical_vehicle": VerticalVehicle}
+"""Every generator by the name of its file in configs/generator/."""
+
 __all__ = [
+    "GENERATORS",
     "PARAMETERS",
     "QuarterCar",
     "ResponseGenerator",

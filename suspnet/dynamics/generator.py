@@ -3,15 +3,45 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from suspnet.dynamics.motion import LinearSystem
+from suspnet.dynamics.vehicle import Vehicle
+
 
 @runtime_checkable
 class ResponseGenerator(Protocol):
-    """Frequency responses of degraded vehicles: axle box to bogie (G_p), bogie to body (G_s)."""
+    """Frequency responses of degraded vehicles: axle box to bogie (G_p), bogie to body (G_s).
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The healthy vehicle.
+    device : str
+        Torch device of the tensors that come back.
+    speed_m_per_s : float or None, [m/s]
+        The speed that the responses belong to; None if they do not depend on it.
+    further_places : tuple of str
+        Names of places for sensors besides axle box, bogie and body: one on the frame, one on the
+        body, and the second axle box; or none.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def vehicle(self) -> Vehicle: ...  # noqa: D102
+
+    @property
+    def device(self) -> str: ...  # noqa: D102
+
+    @property
+    def speed_m_per_s(self) -> float | None: ...  # noqa: D102
+
+    @property
+    def further_places(self) -> tuple[str, ...]: ...  # noqa: D102
 
     def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s.
@@ -32,11 +62,29 @@ class ResponseGenerator(Protocol):
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
         ...
 
+    def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return responses from the axle box to ``further_places``, (n_vehicles, n, n_freq)."""
+        ...
 
-def sample_unmeasured(generator: ResponseGenerator, ratios: Tensor, seed: int) -> Tensor:
-    """Return ratios with random columns for what a generator holds uncertain, or as they are."""
-    sample = getattr(generator, "sample_unmeasured", None)
-    return ratios if sample is None else sample(ratios, seed)
+    def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
+        """Return ratios with random columns for what is uncertain besides, or as they are."""
+        ...
+
+    def motion_system(self, ratios: Tensor) -> LinearSystem:
+        """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
+        ...
+
+    def of(self, vehicle: Vehicle) -> ResponseGenerator:
+        """Return the same kind of generator for another vehicle, or what its numbers allow."""
+        ...
+
+    def on(self, device: str) -> ResponseGenerator:
+        """Return the same generator on another device."""
+        ...
+
+    def assumptions(self) -> str:
+        """Return a sentence on what the generator takes for granted."""
+        ...
 
 
 def check_device(device: str) -> None:

@@ -11,7 +11,8 @@ The paper prints the last term of (1) as k_p w' and swaps the names of z_p and z
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -52,6 +53,11 @@ class QuarterCar:
 
     vehicle: Vehicle
     device: str = "cpu"
+
+    speed_m_per_s: ClassVar[None] = None
+    """The responses belong to any speed."""
+    further_places: ClassVar[tuple[str, ...]] = ()
+    """There is no place for a fourth sensor."""
 
     def __post_init__(self) -> None:
         check_device(self.device)
@@ -130,6 +136,30 @@ class QuarterCar:
         )
         # torch's rsqrt takes half the time of its sqrt
         return torch.stack([den_p.div_(num_p), den_s.div_(num_s)], dim=1).rsqrt_()
+
+    def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return an empty tensor of shape (n_vehicles, 0, n_freq): there are no further places."""
+        shape = (len(ratios), 0, len(frequencies_hz))
+        return torch.empty(shape, dtype=torch.complex128, device=self.device)
+
+    def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
+        """Return the ratios as they are: nothing besides is uncertain."""
+        return ratios
+
+    def of(self, vehicle: Vehicle) -> QuarterCar:
+        """Return the quarter car of another vehicle."""
+        return replace(self, vehicle=vehicle)
+
+    def on(self, device: str) -> QuarterCar:
+        """Return the same generator on another device."""
+        return replace(self, device=device)
+
+    def assumptions(self) -> str:
+        """Return a sentence on what the generator takes for granted."""
+        return (
+            "The quarter car has three places for sensors; generator=vertical_vehicle, where the "
+            "geometry is known, has more."
+        )
 
     def natural_modes(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies [Hz], ascending, and mode shapes of the undamped vehicle.

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.dynamics.generator import (
+    ResponseGenerator,
     check_choice,
     check_device,
     check_range,
@@ -180,6 +181,56 @@ class VerticalVehicle:
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
         return torch.stack(self.responses(ratios, frequencies_hz), dim=1).abs()
 
+    @property
+    def further_places(self) -> tuple[str, ...]:
+        """Names of places for further sensors: on the frame, on the body, the other axle box."""
+        elsewhere = self._elsewhere
+        frame = {"centre": "frame centre", "axle": "frame above the axle"}[elsewhere.frame_sensor]
+        bogie = "other" if elsewhere.body_sensor_m else "measured"
+        return frame, f"body above the {bogie} bogie", "second axle box"
+
+    def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return the responses from the axle box to ``further_places``, (n_vehicles, 3, n_freq).
+
+        The track reaches the second axle box a wheelbase later, or earlier if it leads.
+        """
+        frame, to_body = self._elsewhere.responses(ratios, frequencies_hz)
+        half_wheelbase_m = self.vehicle.half_wheelbase_m
+        assert half_wheelbase_m is not None
+        delay_s = 2 * half_wheelbase_m / self.speed_m_per_s
+        behind = 1.0 if self.axle == "leading" else -1.0
+        delay = torch.exp(-2j * math.pi * behind * delay_s * frequencies_hz.to(frame.device))
+        return torch.stack([frame, frame * to_body, delay.expand_as(frame)], dim=1)
+
+    @property
+    def _elsewhere(self) -> VerticalVehicle:
+        """The generator with its frame and body sensor at the further places."""
+        half_pivot_m = self.vehicle.half_pivot_distance_m
+        assert half_pivot_m is not None
+        other_m = -2 * half_pivot_m if self.bogie == "leading" else 2 * half_pivot_m
+        body_sensor_m = 0.0 if math.isclose(self.body_sensor_m, other_m) else other_m
+        frame_sensor: Literal["axle", "centre"] = (
+            "centre" if self.frame_sensor == "axle" else "axle"
+        )
+        return replace(self, frame_sensor=frame_sensor, body_sensor_m=body_sensor_m)
+
+    def of(self, vehicle: Vehicle) -> ResponseGenerator:
+        """Return the richest model of another vehicle that its numbers allow, set up like this."""
+        if all(getattr(vehicle, name) is None for name in GEOMETRY):
+            return QuarterCar(vehicle, self.device)
+        return replace(self, vehicle=vehicle)
+
+    def on(self, device: str) -> VerticalVehicle:
+        """Return the same generator on another device."""
+        return replace(self, device=device)
+
+    def assumptions(self) -> str:
+        """Return a sentence on what the generator takes for granted."""
+        return (
+            "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
+            "exactly."
+        )
+
     def motion_system(self, ratios: Tensor) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.
 
@@ -252,9 +303,7 @@ class VerticalVehicle:
         return [*own, *(apart * wheel for wheel in own)]
 
 
-def best_generator(
-    vehicle: Vehicle, device: str = "cpu", **settings: Any
-) -> QuarterCar | VerticalVehicle:
+def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> ResponseGenerator:
     """Return the richest model that a vehicle's numbers allow.
 
     Parameters

@@ -123,6 +123,15 @@ class CurveFeatures:
             raise ValueError("how many components there are is only known once they are fitted")
         return tuple(f"component_{i + 1}" for i in range(count))
 
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the basis has been learnt."""
+        return self.basis is not None
+
+    def blank(self) -> CurveFeatures:
+        """Return the feature set without its basis."""
+        return replace(self, basis=None)
+
     def fitted(
         self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
     ) -> CurveFeatures:
@@ -185,7 +194,7 @@ class CurveFeatures:
             If the basis is not fitted or the bins are others, or it needs phases and there are
             none.
         """
-        basis = self._fitted()
+        basis = self._learnt()
         inside = self._inside(frequencies_hz)
         bins = frequencies_hz[inside]
         if bins.shape != basis.frequencies_hz.shape or not torch.allclose(
@@ -219,7 +228,7 @@ class CurveFeatures:
 
     def state(self) -> dict[str, FloatArray]:
         """Return the basis as real arrays, for storage; only that of magnitudes has a floor."""
-        basis = self._fitted()
+        basis = self._learnt()
         arrays = {f.name: getattr(basis, f.name) for f in fields(basis)}
         if basis.floor is None:
             del arrays["floor"]
@@ -257,7 +266,7 @@ class CurveFeatures:
             tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
         return replace(self, basis=CurveBasis(**tensors))
 
-    def _fitted(self) -> CurveBasis:
+    def _learnt(self) -> CurveBasis:
         if self.basis is None:
             raise ValueError("the feature set `curve` is not fitted to training curves yet")
         return self.basis

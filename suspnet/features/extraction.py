@@ -55,7 +55,15 @@ class FeatureTable:
 
 
 class FeatureSet(Protocol):
-    """What turns curves into the inputs of a regression."""
+    """What turns curves into the inputs of a regression.
+
+    Attributes
+    ----------
+    kind : str
+        Names the feature set in protocols and model files.
+    positive : bool
+        Whether features are positive, so that their logarithms may be taken.
+    """
 
     kind: ClassVar[str]
     positive: ClassVar[bool]
@@ -68,6 +76,27 @@ class FeatureSet(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Name of each feature."""
+        ...
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether all has been learnt that there is to learn from training curves."""
+        ...
+
+    def fitted(self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor) -> Self:
+        """Return the feature set with what it learns from training curves.
+
+        Parameters
+        ----------
+        clean, noisy : tensors of shape (n_curves, 2, n_freq), [-]
+            The same curves without and with noise.
+        healthy : tensor of shape (2, n_freq), [-]
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+        """
+        ...
+
+    def blank(self) -> Self:
+        """Return the feature set without what it has learnt."""
         ...
 
     def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
@@ -156,6 +185,19 @@ class PeakFeatures:
             for peak, reason in zip(self.peaks, reasons, strict=True)
             if reason
         )
+
+    is_fitted: ClassVar[bool] = True
+    """It learns nothing from training curves."""
+
+    def fitted(
+        self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
+    ) -> PeakFeatures:
+        """Return the same: it learns nothing from training curves."""
+        return self
+
+    def blank(self) -> PeakFeatures:
+        """Return the same: it learns nothing from training curves."""
+        return self
 
     def state(self) -> dict[str, FloatArray]:
         """Return nothing: it learns no arrays."""

@@ -77,6 +77,15 @@ class Welch:
         transform = np.fft.fft(get_window(self.window, 256)) / 256
         return _symmetric(np.abs(transform) ** 2)
 
+    @property
+    def correlated_bins(self) -> float:
+        """How many neighbouring bins tell as much as one: r = rho_0 + 2 (rho_1 + rho_2 + ...).
+
+        rho is the `correlation`; Hann: 1.94.
+        """
+        rho = self.correlation()
+        return float(2 * rho.sum() - rho[0])
+
     def correlation(self) -> Tensor:
         """Return the correlation of averaged spectra between a bin and its next ones, from lag 0.
 

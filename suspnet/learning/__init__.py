@@ -1,12 +1,29 @@
 """Module 3 of the paper: regression. Knows nothing of trains."""
 
+from typing import Any
+
 from suspnet.learning.baselines import SVR, LinearRegression
 from suspnet.learning.least_squares import CurveFit, levenberg_marquardt
 from suspnet.learning.msvr import MSVR
 from suspnet.learning.mvgpr import MVGPR
 from suspnet.learning.scaling import Scaling
 
+METHODS: dict[str, Any] = {
+    "msvr": MSVR,
+    "svr": SVR,
+    "mvgpr": MVGPR,
+    "linear": LinearRegression,
+    "curve_fit": CurveFit,
+}
+"""Every method by the name of its file in configs/model/.
+
+Besides scikit-learn's interface each has `state` and `restore`, and says of itself:
+`works_on_curves` (it fits curves, not features), `distributable` (torchrun may spread its fit over
+processes) and `gives_deviations` (``predict(X, return_std=True)`` gives standard deviations too).
+"""
+
 __all__ = [
+    "METHODS",
     "MSVR",
     "MVGPR",
     "SVR",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -55,6 +55,10 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
     TypeError, ValueError
         From `fit`, if a parameter or the data is out of range.
     """
+
+    works_on_curves: ClassVar[bool] = False
+    distributable: ClassVar[bool] = False
+    gives_deviations: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -156,6 +160,10 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
     """Ordinary least squares with an intercept (scikit-learn's), the paper's MV-LR."""
 
     coef_: FloatArray
+
+    works_on_curves: ClassVar[bool] = False
+    distributable: ClassVar[bool] = False
+    gives_deviations: ClassVar[bool] = False
 
     def __init__(self) -> None:
         super().__init__()

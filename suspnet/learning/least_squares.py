@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -130,6 +131,10 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     TypeError, ValueError
         If a parameter is out of range.
     """
+
+    works_on_curves: ClassVar[bool] = True
+    distributable: ClassVar[bool] = False
+    gives_deviations: ClassVar[bool] = False
 
     def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
         check_number("n_starts", n_starts, low=1, whole=True)

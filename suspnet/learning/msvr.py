@@ -6,7 +6,7 @@ import functools
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
@@ -116,6 +116,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     >>> model.converged_, bool(np.abs(model.predict(X) - Y).mean() < 0.01)
     (True, True)
     """
+
+    works_on_curves: ClassVar[bool] = False
+    distributable: ClassVar[bool] = True
+    gives_deviations: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
@@ -106,6 +106,10 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     """
 
     _kept_factor: Tensor | None
+
+    works_on_curves: ClassVar[bool] = False
+    distributable: ClassVar[bool] = False
+    gives_deviations: ClassVar[bool] = True
 
     def __init__(
         self,

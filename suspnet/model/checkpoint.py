@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from numpy.typing import ArrayLike, NDArray
 
 import suspnet
-from suspnet.data.curves import CurveSettings
-from suspnet.data.estimates import EstimateSettings
-from suspnet.data.protocols import Task
-from suspnet.data.source import describe_task
-from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
-from suspnet.features import CurveFeatures, PeakFeatures
-from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
+from suspnet.data import OBSERVATIONS, Task
+from suspnet.dynamics import GENERATORS, Vehicle
+from suspnet.features import FEATURE_SETS
+from suspnet.learning import METHODS, Scaling
+from suspnet.model.fitted import ModelFileError
+from suspnet.model.trained import TrainedModel
 from suspnet.storage import (
     DamagedFileError,
     content_hash,
@@ -29,142 +26,19 @@ from suspnet.storage import (
     write_atomically,
     write_json,
 )
+from suspnet.types import FloatArray
 from suspnet.uncertainty.intervals import Intervals
-from suspnet.uncertainty.ood import Scope
+from suspnet.uncertainty.ood import OODDetector
 
 SCHEMA_VERSION = 4
-ESTIMATORS: dict[str, Any] = {
-    "msvr": MSVR,
-    "svr": SVR,
-    "mvgpr": MVGPR,
-    "linear": LinearRegression,
-    "curve_fit": CurveFit,
-}
-"""Every method by the name of its file in configs/model/."""
-GENERATORS: dict[str, type] = {"quarter_car": QuarterCar, "vertical_vehicle": VerticalVehicle}
-SETTINGS: dict[str, type] = {"curves": CurveSettings, "trips": EstimateSettings}
-FEATURE_SETS: dict[str, Any] = {kind.kind: kind for kind in (PeakFeatures, CurveFeatures)}
-FEATURES, INTERVALS, SCOPE = "features.", "intervals.", "scope."
-"""Begin the names of the arrays that belong to the feature set, the intervals and the scope."""
+FEATURES, INTERVALS, OOD = "features.", "intervals.", "ood."
+"""Begin the names of the arrays of the feature set, of the intervals and of the OOD detector."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
     "healthy_features": "position and width in Hz, height dimensionless",
     "vehicle": "kg, N/m, N s/m",
 }
-FloatArray = NDArray[np.float64]
-
-
-class ModelFileError(ValueError):
-    """A model file is damaged, foreign or of another kind than needed."""
-
-
-@dataclass(frozen=True)
-class TrainedModel:
-    """A fitted method with all that is needed to use it.
-
-    Attributes
-    ----------
-    name : str
-        A key of ``ESTIMATORS``.
-    estimator : object
-        The fitted method; works on scaled inputs and outputs.
-    task : Task
-        Its feature set with what that has learnt.
-    generator : ResponseGenerator
-        What the training curves were made with.
-    settings : CurveSettings or EstimateSettings
-        How the training curves were observed.
-    healthy_features : array of shape (n_features,)
-        Features of the healthy vehicle, which the inputs are relative to.
-    input_scaling, output_scaling : Scaling or None
-        None for methods that fit curves directly.
-    refined : bool
-        Whether its estimates are taken further by `refine`.
-    intervals : Intervals or None
-    scope : Scope or None
-        None, both, where the model was not calibrated.
-    training : dict
-        How the training went.
-    """
-
-    name: str
-    estimator: Any
-    task: Task
-    generator: QuarterCar | VerticalVehicle
-    settings: CurveSettings | EstimateSettings
-    healthy_features: FloatArray
-    input_scaling: Scaling | None = None
-    output_scaling: Scaling | None = None
-    refined: bool = False
-    intervals: Intervals | None = None
-    scope: Scope | None = None
-    training: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The healthy vehicle."""
-        return self.generator.vehicle
-
-    def relative_features(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
-        """Return the features of measured curves, relative to the healthy vehicle's.
-
-        Parameters
-        ----------
-        curves : array of shape (n_curves, 2, n_freq), [-]
-            G_p and G_s, complex; for the feature set `peaks` their magnitudes suffice.
-        frequencies_hz : array of shape (n_freq,), [Hz]
-            Evenly spaced; the spacing of `settings` is what the model was trained on.
-
-        Returns
-        -------
-        array of shape (n_curves, n_features), [-]
-            NaN where a peak is missing.
-        """
-        values = np.asarray(curves)
-        values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
-        bins = torch.as_tensor(np.asarray(frequencies_hz, dtype=np.float64))
-        table = self.task.extractor.extract(torch.as_tensor(values), bins)
-        return self.task.extractor.relative(table.values.numpy(), self.healthy_features)
-
-    def predict(self, inputs: ArrayLike) -> FloatArray:
-        """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
-
-        Parameters
-        ----------
-        inputs : array of shape (n_curves, n_inputs), [-]
-            Features relative to the healthy vehicle's, named as ``task.inputs``.
-
-        Raises
-        ------
-        ValueError
-            If the inputs do not fit the model, or it fits curves and has no inputs.
-        """
-        if self.input_scaling is None or self.output_scaling is None:
-            raise ValueError(f"{self.name} works on curves, not on features")
-        inputs = np.asarray(inputs, dtype=np.float64)
-        if inputs.ndim != 2 or inputs.shape[1] != len(self.task.inputs):
-            raise ValueError(
-                f"`inputs` must have shape (n_curves, {len(self.task.inputs)}) with columns "
-                f"{self.task.inputs}, got {inputs.shape}"
-            )
-        if not np.isfinite(inputs).all() or (self.input_scaling.log and not (inputs > 0).all()):
-            raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
-        scaled = self.estimator.predict(self.input_scaling.apply(inputs))
-        return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
-
-    def scaled(self, inputs: FloatArray) -> FloatArray:
-        """Return scaled inputs (n_curves, n_inputs); what is missing stays NaN."""
-        if self.input_scaling is None:
-            return np.full_like(inputs, np.nan)
-        unusable = ~np.isfinite(inputs) | (self.input_scaling.log & ~(inputs > 0))
-        return self.input_scaling.apply(np.where(unusable, np.nan, inputs))
-
-    def with_estimates(self, inputs: FloatArray, estimates: FloatArray) -> FloatArray:
-        """Return scaled inputs and estimates side by side: the inputs of a residual scale."""
-        if self.output_scaling is None:
-            return np.log(estimates)
-        return np.column_stack([self.scaled(inputs), self.output_scaling.apply(estimates)])
 
 
 def save_model(folder: Path, model: TrainedModel) -> None:
@@ -189,8 +63,8 @@ def save_model(folder: Path, model: TrainedModel) -> None:
         "units": UNITS,
         "healthy_features": model.healthy_features.tolist(),
         "generator": _tagged(model.generator, GENERATORS),
-        "task": describe_task(model.task),
-        "settings": _tagged(model.settings, SETTINGS),
+        "task": model.task.describe(),
+        "settings": _tagged(model.settings, OBSERVATIONS),
         "refined": model.refined,
         "training": model.training,
         "arrays_sha256": hashlib.sha256(content).hexdigest(),
@@ -201,8 +75,8 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     write_json(folder / "model.json", description)
 
 
-def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | Scope]]:
-    pairs = ((INTERVALS, model.intervals), (SCOPE, model.scope))
+def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector]]:
+    pairs = ((INTERVALS, model.intervals), (OOD, model.ood))
     return [(prefix, part) for prefix, part in pairs if part is not None]
 
 
@@ -249,17 +123,17 @@ def _check_description(path: Path, content: Any) -> None:
     claimed = content.pop("description_sha256", None)
     if claimed != content_hash(content):
         raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
-    if content["model"] not in ESTIMATORS:
+    if content["model"] not in METHODS:
         raise ModelFileError(f"{path}: unknown model {content['model']!r}")
 
 
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
-    estimator_type = ESTIMATORS[content["model"]]
+    estimator_type = METHODS[content["model"]]
     arguments = dict(content["parameters"])
     if "device" in arguments:
         arguments["device"] = device
     estimator = estimator_type(**arguments)
-    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, SCOPE)}
+    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, OOD)}
     learnt = parts[FEATURES]
     task = _with_tuples(content["task"])
     extractor = _with_tuples(task["extractor"])
@@ -270,7 +144,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         if learnt:
             feature_set = feature_set.restored(learnt)
         intervals = Intervals.restored(parts[INTERVALS]) if parts[INTERVALS] else None
-        scope = Scope.restored(parts[SCOPE]) if parts[SCOPE] else None
+        ood = OODDetector.restored(parts[OOD]) if parts[OOD] else None
     except ValueError as error:
         raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
     generator = dict(content["generator"])
@@ -280,13 +154,13 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         estimator=estimator,
         task=Task(**task | {"extractor": feature_set}),
         generator=_untagged(generator, GENERATORS),
-        settings=_untagged(content["settings"], SETTINGS),
+        settings=_untagged(content["settings"], OBSERVATIONS),
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
         refined=content["refined"],
         intervals=intervals,
-        scope=scope,
+        ood=ood,
         training=content["training"],
     )
 

@@ -1,4 +1,4 @@
-"""Fit a method to a problem and predict with it: data, scaling, tuning, progress."""
+"""Fit a method to a problem: data, scaling, tuning, progress."""
 
 from __future__ import annotations
 
@@ -6,92 +6,45 @@ import logging
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, is_dataclass, replace
-from functools import cached_property
+from dataclasses import asdict, is_dataclass, replace
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
-from suspnet.data import TRAIN, CurveSettings, CurveSource, FeatureData, Task
-from suspnet.data.estimates import EstimateSettings
-from suspnet.data.source import quiet
-from suspnet.dynamics import QuarterCar, Vehicle, VerticalVehicle
-from suspnet.learning import MSVR, CurveFit, Scaling, ranks
+from suspnet.data import FeatureData, Task
+from suspnet.data.parallel import quiet
+from suspnet.learning import METHODS, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
-from suspnet.model.checkpoint import ESTIMATORS, TrainedModel, parameters
+from suspnet.model.checkpoint import parameters
+from suspnet.model.trained import TrainedModel
+from suspnet.problem import TRAIN, Problem
 from suspnet.runs.tensorboard import RunLog
+from suspnet.types import FloatArray
 
 log = logging.getLogger(__name__)
-FloatArray = NDArray[np.float64]
 TOO_MANY_LOST = 0.02
 """Fraction of curves without all of their peaks above which a user should be warned."""
 
 
-@dataclass(frozen=True)
-class Problem:
-    """What is to be learnt, and with which means.
-
-    Parameters
-    ----------
-    generator : QuarterCar or VerticalVehicle
-        The source of frequency responses.
-    task : Task
-    settings : CurveSettings or EstimateSettings
-        Where the band is left to the vehicle, it is bound to the generator's.
-    seed : int
-    threads : int
-        Blocks of curves made at the same time, and threads of torch.
-    progress : bool
-    """
-
-    generator: QuarterCar | VerticalVehicle
-    task: Task
-    settings: CurveSettings | EstimateSettings
-    seed: int = 0
-    threads: int = 1
-    progress: bool = True
-
-    def __post_init__(self) -> None:
-        for name, low in (("seed", 0), ("threads", 1)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise ValueError(f"`{name}` must be a whole number >= {low}, got {value!r}")
-        object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The healthy vehicle."""
-        return self.generator.vehicle
-
-    @cached_property
-    def source(self) -> CurveSource:
-        """The source of noisy curves and features."""
-        return CurveSource(
-            self.generator, self.task, self.settings, self.seed, self.threads, self.progress
-        )
-
-
 def method_name(estimator: Any) -> str:
-    """Return the name of a method in ``ESTIMATORS``.
+    """Return the name of a method in ``METHODS``.
 
     Raises
     ------
     TypeError
         If it is none of them.
     """
-    for name, kind in ESTIMATORS.items():
+    for name, kind in METHODS.items():
         if type(estimator) is kind:
             return name
-    raise TypeError(f"`model` must be one of {sorted(ESTIMATORS)}, got {type(estimator).__name__}")
+    raise TypeError(f"`model` must be one of {sorted(METHODS)}, got {type(estimator).__name__}")
 
 
 def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
     """Return the cross-validated RMSE of every setting of a search, on the training curves."""
     name = method_name(estimator)
-    data = problem.source.features(TRAIN).complete()
+    data = problem.features(TRAIN).complete()
     inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
     with tqdm(total=n_settings, desc=f"search {name}", disable=quiet(problem.progress)) as bar:
@@ -121,9 +74,8 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     ValueError
         If the method cannot be spread over processes.
     """
-    source = problem.source
     name = method_name(estimator)
-    if ranks.together() and not isinstance(estimator, MSVR):
+    if ranks.together() and not estimator.distributable:
         raise ValueError(
             f"model={name} cannot be spread over processes, only msvr: start it with python, not "
             "with torchrun"
@@ -131,17 +83,17 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     model = TrainedModel(
         name,
         estimator,
-        replace(problem.task, extractor=source.extractor),
+        replace(problem.task, extractor=problem.extractor),
         problem.generator,
         replace(problem.settings, cache_dir=None),
-        source.healthy_features(),
+        problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
-    if not isinstance(estimator, CurveFit):
+    if not estimator.works_on_curves:
         part = None
         if ranks.together():
-            part = ranks.share(source.n_batches(len(source.ratios(TRAIN))))
-        data = source.features(TRAIN, part)
+            part = ranks.share(problem.n_batches(len(problem.ratios(TRAIN))))
+        data = problem.features(TRAIN, part)
         kept = data.subset(data.valid)
         n_made, n_kept = (_count(rows) for rows in (data.inputs, kept.inputs))
         if not n_kept:

@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from suspnet.data import TEST, CurveSource
-from suspnet.model.checkpoint import TrainedModel, load_model
+from suspnet.model import TrainedModel, load_model
+from suspnet.problem import TEST, Problem
 from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.runs.tables import records_csv
 from suspnet.runs.tensorboard import RunLog
@@ -81,11 +81,11 @@ def features_ratio(model: TrainedModel, known: dict[str, dict[str, float]]) -> d
     `known` holds what was found before for the same features, and is added to.
     """
     settings = replace(model.settings, n_test=N_VEHICLES)
-    source = CurveSource(model.generator, model.task, settings, model.training["seed"])
+    problem = Problem(model.generator, model.task, settings, model.training["seed"])
     learnt = hashlib.sha256(dump_arrays(model.task.extractor.state())).hexdigest()
-    key = content_hash(source.describe(TEST) | {"learnt": learnt})
+    key = content_hash(problem.describe(TEST) | {"learnt": learnt})
     if key not in known:
-        known[key] = feature_loss(model.task, source.observer, source.ratios(TEST))
+        known[key] = feature_loss(model.task, problem.observer, problem.ratios(TEST))
     return known[key]
 
 

@@ -7,8 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from suspnet.data import TEST, CurveSettings, EstimateSettings, Protocol, Task
-from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.data import CurveSettings, Observation, Protocol, Task
+from suspnet.dynamics import ResponseGenerator
+from suspnet.problem import TEST
 from suspnet.runs.tables import records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
@@ -19,14 +20,12 @@ from suspnet.theory.information import scale_ambiguity_limit
 from suspnet.theory.options import options
 
 log = logging.getLogger(__name__)
-Generator = QuarterCar | VerticalVehicle
-Settings = CurveSettings | EstimateSettings
 
 
 def write_identifiability(
-    generator: Generator,
+    generator: ResponseGenerator,
     protocol: Protocol,
-    settings: Settings,
+    settings: Observation,
     folder: Path,
     *,
     group: str | None,
@@ -37,9 +36,9 @@ def write_identifiability(
 
     Parameters
     ----------
-    generator : QuarterCar or VerticalVehicle
+    generator : ResponseGenerator
     protocol : Protocol
-    settings : CurveSettings or EstimateSettings
+    settings : Observation
     folder : Path
     group : str or None
         One group of the protocol; None is every group.
@@ -91,15 +90,15 @@ def write_identifiability(
 
 
 def identify(
-    generator: Generator, task: Task, settings: Settings, n_vehicles: int, seed: int
+    generator: ResponseGenerator, task: Task, settings: Observation, n_vehicles: int, seed: int
 ) -> Findings:
     """Return what can be identified in one group.
 
     Parameters
     ----------
-    generator : QuarterCar or VerticalVehicle
+    generator : ResponseGenerator
     task : Task
-    settings : CurveSettings or EstimateSettings
+    settings : Observation
         Bound to the generator's vehicle.
     n_vehicles : int
     seed : int
@@ -108,7 +107,7 @@ def identify(
     choices = options(task, settings.observer(generator), ratios)
     now = next((option for option in choices if option.kind == "estimate"), choices[0])
     guess = None
-    curves = isinstance(settings, CurveSettings) and task.sampling == "grid"
+    curves = settings.kind == CurveSettings.kind and task.sampling == "grid"
     if curves and task.responses == ("G_s",) and "M_s" in task.unknown:
         guess = scale_ambiguity_limit(task, ratios[1:])["k_s"]["mape_percent"]
     return Findings(
@@ -122,38 +121,14 @@ def identify(
 
 
 def _setting(
-    generator: Generator, settings: Settings, task: Task, n_vehicles: int, seed: int
+    generator: ResponseGenerator, settings: Observation, task: Task, n_vehicles: int, seed: int
 ) -> str:
     """Return in words what the bounds are of and what they take for granted."""
-    band = f"{settings.low_hz:.3g} to {settings.high_hz:.3g} Hz"
-    if isinstance(settings, CurveSettings):
-        precision = 100 * 10 ** (-settings.snr_db / 20)
-        measured = (
-            f"Magnitudes of the responses, {band}, with white noise of {settings.snr_db:g} dB, "
-            f"{precision:.2g} % of each curve's rms."
-        )
-    else:
-        measured = (
-            f"Trips of {settings.minutes:g} minutes at {settings.speed_m_per_s:g} m/s, track "
-            f"{settings.track}, {band}. White noise of each sensor: {settings.snr_db:g} dB over "
-            "its whole band. All three sensors are used, whichever curves the protocol names."
-        )
-        if settings.method != "IV":
-            measured += f" The bias of {settings.method} in noise is taken as known."
-    if isinstance(generator, VerticalVehicle):
-        model = (
-            "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
-            "exactly."
-        )
-    else:
-        model = (
-            "The quarter car has three places for sensors; generator=vertical_vehicle, where the "
-            "geometry is known, has more."
-        )
     limits = ", ".join(f"{word} up to {limit:g} %" for limit, word in VERDICTS)
     return (
-        f"{measured} {model} {n_vehicles} vehicles, seed {seed}, parameters {_range(task)} of "
-        "healthy.\n\nCramer-Rao bounds, one standard deviation: no unbiased estimator has less. "
+        f"{settings.words()} {generator.assumptions()} {n_vehicles} vehicles, seed {seed}, "
+        f"parameters {_range(task)} of healthy.\n\nCramer-Rao bounds, one standard "
+        "deviation: no unbiased estimator has less. "
         f"Identified {limits}, by the bound that 19 of 20 vehicles stay below."
     )
 

@@ -22,18 +22,18 @@ from tabulate import tabulate
 from torch import Tensor
 from tqdm import tqdm
 
-from suspnet.data import TEST, Task
-from suspnet.data.source import BLOCK, quiet
-from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
-from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.learning import MVGPR
-from suspnet.model.checkpoint import TrainedModel, load_model
-from suspnet.runs.fit import Problem
+from suspnet.data import Task
+from suspnet.data.parallel import quiet
+from suspnet.dynamics import PARAMETERS, Vehicle
+from suspnet.model import TrainedModel, load_model
+from suspnet.model.curves import MASS, estimate_curves
+from suspnet.problem import BLOCK, TEST, Problem
+from suspnet.runs.evaluate import find_runs
 from suspnet.runs.metrics import covers, interval_scores
-from suspnet.runs.predict import Outcome, flags_of, predict_stream
+from suspnet.runs.predict import Outcome, predict_stream
+from suspnet.runs.scores import LEVEL, label
 from suspnet.runs.tables import MODEL_TITLES, records_csv
 from suspnet.runs.tensorboard import RunLog
-from suspnet.runs.train import LEVEL, find_runs, label
 from suspnet.storage import write_atomically, write_json
 from suspnet.studies import figures
 from suspnet.uncertainty.ood import KINDS
@@ -108,7 +108,7 @@ def write_reliability(
     found = []
     for path in find_runs(Path(run)):
         model = load_model(path, device)
-        if model.intervals is None or model.scope is None:
+        if model.intervals is None or model.ood is None:
             raise ValueError(
                 f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
             )
@@ -137,15 +137,17 @@ def measure(
     assert outcome.flags is not None
     flags = {IN_RANGE: _shares(outcome.flags.found)}
     sets = dict(_odd_sets(problem, others, n_odd))
-    observer = problem.source.observer
+    observer = problem.observer
     with tqdm(total=len(sets) * n_odd, desc="out of range", disable=quiet(problem.progress)) as bar:
         for name, (ratios, curves) in sets.items():
-            known = ratios[:, PARAMETERS.index("M_s")] if problem.task.mass_known else None
+            known = ratios[:, MASS] if problem.task.mass_known else None
             found = []
             for start in range(0, n_odd, BLOCK):
                 rows = slice(start, start + BLOCK)
                 mass = None if known is None else known[rows]
-                found.append(flags_of(model, observer, curves[rows], mass).found)
+                found.append(
+                    estimate_curves(model, observer, curves[rows], LEVEL, mass).flags.found
+                )
                 bar.update(len(found[-1]))
             flags[name] = _shares(np.concatenate(found))
     title = f"{MODEL_TITLES[label(model)]}, {model.task.protocol}/{model.task.group}"
@@ -161,11 +163,10 @@ def _intervals(
     assert scales is not None
     kinds = {
         "conformal": tuple(
-            intervals.limits(outcome.predicted, scales, LEVEL, joint)
-            for joint in (False, True)
+            intervals.limits(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
         )
     }
-    if isinstance(model.estimator, MVGPR) and not model.refined:
+    if model.estimator.gives_deviations and not model.refined:
         n_outputs = len(problem.task.outputs)
         kinds["GP's own"] = tuple(
             _gp_limits(model, outcome.data.inputs, level)
@@ -213,7 +214,7 @@ def _odd_sets(
     problem: Problem, others: Mapping[str, Vehicle], n_odd: int
 ) -> Iterator[tuple[str, tuple[FloatArray, Tensor]]]:
     """Yield ratios and noisy curves of vehicles and recordings a model was not trained for."""
-    task, observer = problem.task, problem.source.observer
+    task, observer = problem.task, problem.observer
     ratios = task.sample(n_odd, problem.seed, TEST)
     for column, name in enumerate(PARAMETERS):
         for value in (LOW, HIGH):
@@ -231,16 +232,8 @@ def _odd_sets(
         yield words, (ratios, torch.stack(swapped, dim=1))
     for name, vehicle in others.items():
         if name != problem.vehicle.name:
-            generator = _generator(problem.generator, vehicle)
-            observer = problem.settings.observer(generator)
+            observer = problem.settings.observer(problem.generator.of(vehicle))
             yield f"vehicle {name}", (ratios, observer.observe(torch.as_tensor(ratios), 1))
-
-
-def _generator(own: QuarterCar | VerticalVehicle, vehicle: Vehicle) -> QuarterCar | VerticalVehicle:
-    """Return the model's own kind of generator for another vehicle, or what its numbers allow."""
-    if all(getattr(vehicle, name) is None for name in GEOMETRY):
-        return QuarterCar(vehicle, own.device)
-    return replace(own, vehicle=vehicle)
 
 
 def _shares(found: NDArray[np.bool_]) -> dict[str, float]:

@@ -15,8 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.data.curves import CurveObserver
-from suspnet.data.estimates import EstimateObserver
+from suspnet.data.observation import Observer
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.extraction import FeatureSet
@@ -30,7 +29,6 @@ LEAST_FOUND = 0.5
 """Fraction of a vehicle's noisy curves that must have every feature."""
 ROWS = 1024
 """Curves made at once."""
-Observer = CurveObserver | EstimateObserver
 FloatArray = NDArray[np.float64]
 
 
@@ -52,7 +50,7 @@ def feature_information(
 
     Parameters
     ----------
-    observer : CurveObserver or EstimateObserver
+    observer : Observer
     extractor : FeatureSet
         Fitted, if it learns from curves.
     ratios : array of shape (n_vehicles, 5), [-]
@@ -100,7 +98,7 @@ def feature_loss(
     ----------
     task : Task
         Its feature set fitted.
-    observer : CurveObserver or EstimateObserver
+    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
 
     Raises

@@ -1,12 +1,13 @@
 """What can be known at best: Cramer-Rao bounds, and the limit where the mass cannot be told apart.
 
-The noise is that of `suspnet.data.noise`: independent over bins, of known rms. An unbiased
-estimator of theta has at least the covariance I^-1 with I = J^T J / rms^2, J the derivative of the
-curves; a Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
+An unbiased estimator of theta has at least the covariance I^-1, I the Fisher information: J^T J,
+J the derivative of the curves in units of their noise (`suspnet.data.misfit`). A Gaussian error has
+MAPE = sqrt(2 / pi) times its relative standard deviation.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -16,11 +17,9 @@ from numpy.typing import NDArray
 from scipy.special import erfcx
 from torch import Tensor
 
-from suspnet.data.curves import CurveObserver
-from suspnet.data.estimates import EstimateObserver
-from suspnet.data.noise import noise_rms
+from suspnet.data.observation import Observer
 from suspnet.data.protocols import RESPONSES, Task
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.dynamics import PARAMETERS
 
 ROWS = 256
 NODES = 24
@@ -31,25 +30,26 @@ FloatArray = NDArray[np.float64]
 
 
 def fisher_information(
-    generator: ResponseGenerator,
+    observer: Observer,
     ratios: FloatArray,
-    frequencies_hz: Tensor,
-    snr_db: float,
     parameters: Sequence[str] = PARAMETERS,
     responses: Sequence[str] = RESPONSES,
 ) -> FloatArray:
     """Return the information of noisy curves on some parameters, the others being known.
 
-    I = sum over curves of J^T J / rms^2, J by forward-mode differentiation.
+    I = J^T J, J the derivative of the observer's misfit by forward-mode differentiation. Of
+    magnitudes with white noise that is sum over curves of J^T J / rms^2, J the derivative of the
+    curves. Of transfer functions estimated from a trip, with J the derivative of
+    (log G_p, log G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
+
+        I = 2 / r sum over bins of Re(J^H Sigma^-1 J)
 
     Parameters
     ----------
-    generator : ResponseGenerator
+    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-    snr_db : float, [dB]
     parameters, responses : sequences of str
-        From ``PARAMETERS`` and ``RESPONSES``.
+        From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
 
     Returns
     -------
@@ -60,16 +60,14 @@ def fisher_information(
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
     for rows in torch.as_tensor(ratios).split(ROWS):
-        curves = generator.magnitudes(rows, frequencies_hz)[:, used]
-        rms = noise_rms(curves, snr_db)
-        derivatives = []
+        misfit = observer.misfit(observer.noise_free(rows), rows, used)
+        every = torch.arange(len(rows))
+        derivatives: list[Tensor] = []
         for column in columns:
             tangent = torch.zeros_like(rows)
             tangent[:, column] = 1
-            pair = torch.func.jvp(
-                lambda r: generator.magnitudes(r, frequencies_hz)[:, used], (rows,), (tangent,)
-            )
-            derivatives.append((pair[1] / rms).flatten(1))
+            pair = torch.func.jvp(functools.partial(misfit, rows=every), (rows,), (tangent,))
+            derivatives.append(pair[1])
         jacobian = torch.stack(derivatives, dim=1)
         blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
     return np.concatenate(blocks)
@@ -133,50 +131,7 @@ def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str,
     }
 
 
-def estimate_information(
-    observer: EstimateObserver, ratios: FloatArray, parameters: Sequence[str]
-) -> FloatArray:
-    """Return the information on some parameters of transfer functions estimated from a trip.
-
-    With J the derivative of (log G_p, log G_s) and Sigma the covariance of their estimate::
-
-        I = 2 / r sum over bins of Re(J^H Sigma^-1 J),   r = rho_0 + 2 (rho_1 + rho_2 + ...)
-
-    where rho is the correlation of neighbouring bins, which says how many of them are independent.
-
-    Parameters
-    ----------
-    observer : EstimateObserver
-    ratios : array of shape (n_vehicles, 5), [-]
-    parameters : sequence of str
-        From ``PARAMETERS``; the others are known.
-
-    Returns
-    -------
-    array of shape (n_vehicles, n_parameters, n_parameters)
-    """
-    columns = [PARAMETERS.index(name) for name in parameters]
-    correlation = observer.settings.welch.correlation()
-    per_bin = 2 / float(2 * correlation.sum() - correlation[0])
-    blocks = []
-    for rows in torch.as_tensor(ratios).split(ROWS):
-        covariance = observer.covariance(rows).movedim(-1, 1)  # (n, n_freq, 2, 2)
-        derivatives = []
-        for column in columns:
-            tangent = torch.zeros_like(rows)
-            tangent[:, column] = 1
-            pair = torch.func.jvp(lambda r: observer.noise_free(r).log(), (rows,), (tangent,))
-            derivatives.append(pair[1])
-        jacobian = torch.stack(derivatives, dim=-1).movedim(1, 2)  # (n, n_freq, 2, n_parameters)
-        weighted = torch.linalg.solve(covariance, jacobian)
-        information = per_bin * (jacobian.mH @ weighted).real.sum(dim=1)
-        blocks.append(information.cpu().numpy())
-    return np.concatenate(blocks)
-
-
-def output_bounds(
-    task: Task, observer: CurveObserver | EstimateObserver, ratios: FloatArray
-) -> FloatArray:
+def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
     """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
 
     All that varies and is not measured has to be estimated along, from the task's own curves.
@@ -184,20 +139,10 @@ def output_bounds(
     Parameters
     ----------
     task : Task
-    observer : CurveObserver or EstimateObserver
+    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     """
-    if isinstance(observer, EstimateObserver):
-        information = estimate_information(observer, ratios, task.unknown)
-    else:
-        information = fisher_information(
-            observer.generator,
-            ratios,
-            observer.frequencies_hz,
-            observer.settings.snr_db,
-            task.unknown,
-            task.responses,
-        )
+    information = fisher_information(observer, ratios, task.unknown, task.responses)
     return cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
 
 

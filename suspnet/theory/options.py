@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
-from suspnet.data.curves import CurveObserver
-from suspnet.data.estimates import EstimateObserver
+from suspnet.data.curves import CurveObserver, CurveSettings
+from suspnet.data.estimates import EstimateObserver, EstimateSettings
+from suspnet.data.observation import Observer
 from suspnet.data.protocols import RESPONSES, Task
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.theory.information import cramer_rao, estimate_information, fisher_information
-from suspnet.theory.sensor_information import (
-    THREE_SENSORS,
-    FromAxleBox,
-    Places,
-    recording_information,
-)
+from suspnet.dynamics import PARAMETERS
+from suspnet.theory.information import cramer_rao, fisher_information
+from suspnet.theory.sensor_information import THREE_SENSORS, places, recording_information
 
 MASS = "M_s"
 SECOND_SET = "a second set of sensors"
@@ -66,9 +63,15 @@ class Option:
         return np.asarray(100 * cramer_rao(self.information) / ratios[:, columns])
 
 
-def options(
-    task: Task, observer: CurveObserver | EstimateObserver, ratios: FloatArray
-) -> list[Option]:
+class _FurtherCurves(CurveObserver):
+    """The responses from the axle box to a generator's further places on frame and body."""
+
+    def noise_free(self, ratios: Tensor) -> Tensor:
+        """Return their magnitudes, shape (n_vehicles, 2, n_freq), [-]."""
+        return self.generator.further_responses(ratios, self.frequencies_hz)[:, :2].abs()
+
+
+def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     """Return what could be measured for a task; the first is what is measured now.
 
     Of curves: one of them, both, and further ones of the same signal-to-noise ratio. Of trips: the
@@ -78,13 +81,10 @@ def options(
     Parameters
     ----------
     task : Task
-    observer : CurveObserver or EstimateObserver
+    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     """
-    if isinstance(observer, EstimateObserver):
-        now, *others = _from_recordings(task, observer, ratios)
-    else:
-        now, *others = _from_curves(task, observer, ratios)
+    now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
         unmeasured = replace(now, title="car-body mass not measured", kind="less")
         return [*(option.knowing(MASS) for option in (now, *others)), unmeasured]
@@ -95,14 +95,13 @@ def options(
 def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> list[Option]:
     """Return the options of section III-B, all of ``task.varied`` unknown."""
 
-    def information(source: ResponseGenerator, response: str) -> FloatArray:
-        bins, snr_db = observer.frequencies_hz, observer.settings.snr_db
-        return fisher_information(source, ratios, bins, snr_db, task.varied, (response,))
+    def information(source: CurveObserver, response: str) -> FloatArray:
+        return fisher_information(source, ratios, task.varied, (response,))
 
     def option(title: str, kind: Kind, total: FloatArray) -> Option:
         return Option(title, kind, task.varied, total)
 
-    primary, secondary = (information(observer.generator, name) for name in RESPONSES)
+    primary, secondary = (information(observer, name) for name in RESPONSES)
     curves = {
         ("G_p",): ("only G_p", primary),
         ("G_s",): ("only G_s", secondary),
@@ -114,12 +113,10 @@ def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> lis
     for responses, (title, total) in curves.items():
         if responses != measured:
             found.append(option(title, _against(responses, measured), total))
-    places = Places(observer.generator)
-    if places.elsewhere is not None:
-        source = FromAxleBox(places.elsewhere)
-        # the second axle box moves as much as the first: its curve is 1 whatever the parameters
-        for place, name in zip(places.further, RESPONSES, strict=False):
-            found.append(option(f"+ {place}", "more", now + information(source, name)))
+    further = _FurtherCurves(observer.settings, observer.generator)
+    # the second axle box moves as much as the first: its curve is 1 whatever the parameters
+    for place, name in zip(observer.generator.further_places, RESPONSES, strict=False):
+        found.append(option(f"+ {place}", "more", now + information(further, name)))
     return [*found, option(f"+ {SECOND_SET}", "more", 2 * now)]
 
 
@@ -131,7 +128,7 @@ def _against(responses: Sequence[str], measured: Sequence[str]) -> Kind:
 
 def _from_recordings(task: Task, observer: EstimateObserver, ratios: FloatArray) -> list[Option]:
     """Return the options of a trip, all of ``task.varied`` unknown."""
-    names = Places(observer.generator).names
+    names = places(observer.generator)
     one = np.eye(len(names))
     three = one[: len(THREE_SENSORS)].sum(axis=0)
     choices = {"three sensors": three}
@@ -145,6 +142,13 @@ def _from_recordings(task: Task, observer: EstimateObserver, ratios: FloatArray)
         Option(title, kinds[np.sign(count.sum() - three.sum())], task.varied, information)
         for (title, count), information in zip(choices.items(), found, strict=True)
     ]
-    estimate = estimate_information(observer, ratios, task.varied)
+    estimate = fisher_information(observer, ratios, task.varied)
     title = f"three sensors, {observer.settings.method} estimate"
     return [*recorded, Option(title, "estimate", task.varied, estimate)]
+
+
+_OPTIONS: dict[str, Callable[..., list[Option]]] = {
+    CurveSettings.kind: _from_curves,
+    EstimateSettings.kind: _from_recordings,
+}
+"""What could be measured, by the kind of the observation."""

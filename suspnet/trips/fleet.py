@@ -16,12 +16,14 @@ from joblib import Parallel, delayed, parallel_config
 from tqdm import tqdm
 
 import suspnet
-from suspnet.model.checkpoint import ModelFileError, TrainedModel
-from suspnet.data.source import quiet
+from suspnet.model import ModelFileError, TrainedModel
+from suspnet.model.recording import TripSettings
+from suspnet.model.spectra import trip_observer
+from suspnet.data.parallel import quiet
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.records import TripResult, first_trips, relative_to_first
 from suspnet.trips.trend import LEAST_PERCENT, Trend, flagged_trend
-from suspnet.trips.trip import TripSettings, estimate_settings, evaluate_trip, model_speed
+from suspnet.trips.trip import evaluate_trip
 from suspnet.recordings.manifest import find_manifests
 
 try:
@@ -88,7 +90,7 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
         in vehicle or outputs or share a speed.
     """
     for model in models:
-        estimate_settings(model)
+        trip_observer(model)
         if model.task.mass_known:
             raise ModelFileError("models with protocol.mass_known=true cannot read trips")
     first = models[0]
@@ -97,7 +99,7 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
             raise ModelFileError(
                 "the models of one run must share vehicle and outputs; give the folder of one run"
             )
-    speeds = [model_speed(model) for model in models]
+    speeds = [model.generator.speed_m_per_s for model in models]
     if len(set(speeds)) < len(speeds):
         raise ModelFileError(
             f"two models are for the same speed ({', '.join(map(_speed_words, speeds))}); give the "
@@ -220,7 +222,7 @@ def _details(
     results: list[TripResult],
 ) -> dict[str, str]:
     first = models[0]
-    trained = estimate_settings(first)
+    trained = trip_observer(first).settings
     reference = "the vehicle's parameters"
     if settings.reference == "first_trips":
         reference = f"the median of the first {settings.n_reference} trips (k and c)"
@@ -233,7 +235,7 @@ def _details(
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",
-        "speeds": ", ".join(_speed_words(model_speed(m)) for m in models),
+        "speeds": ", ".join(_speed_words(m.generator.speed_m_per_s) for m in models),
         "transfer functions": f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
         "healthy is": reference,

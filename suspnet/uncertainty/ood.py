@@ -49,6 +49,11 @@ class Flags:
     found: NDArray[np.bool_]
     reasons: tuple[str, ...]
 
+    @classmethod
+    def none(cls, n_curves: int) -> Self:
+        """Return that nothing speaks against any of some estimates."""
+        return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
+
     @property
     def flagged(self) -> NDArray[np.bool_]:
         """Whether anything was found, shape (n_curves,)."""
@@ -56,25 +61,25 @@ class Flags:
 
 
 @dataclass(frozen=True)
-class Scope:
-    """The cloud of training features and the limits of distance and misfit.
+class OODDetector:
+    """An out-of-distribution detector: training features, thresholds of distance and misfit.
 
     Attributes
     ----------
     reference : array of shape (n_reference, n_inputs), [-]
         Scaled features of training curves; none for a method that works on curves.
-    distance_limit : float, [-]
+    distance_threshold : float, [-]
         Largest distance of features like the training features from the reference.
-    misfit_limit : float, [-]
+    misfit_threshold : float, [-]
     """
 
     reference: FloatArray
-    distance_limit: float
-    misfit_limit: float
+    distance_threshold: float
+    misfit_threshold: float
 
     @classmethod
     def learnt(cls, training: FloatArray, fresh: FloatArray, misfits: FloatArray) -> Self:
-        """Return the scope of a model.
+        """Return the detector of a model.
 
         Parameters
         ----------
@@ -85,13 +90,13 @@ class Scope:
         misfits : array of shape (n_fits,)
             Of refined estimates of such curves.
         """
-        misfit_limit = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
-        scope = cls(training[:N_REFERENCE], math.inf, misfit_limit)
+        misfit_threshold = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
+        detector = cls(training[:N_REFERENCE], math.inf, misfit_threshold)
         if not len(training):
-            return scope
-        distances = np.sort(scope.distances(fresh))
+            return detector
+        distances = np.sort(detector.distances(fresh))
         rank = min(math.ceil((len(distances) + 1) * (1 - FALSE_ALARMS)), len(distances))
-        return replace(scope, distance_limit=float(distances[rank - 1]))
+        return replace(detector, distance_threshold=float(distances[rank - 1]))
 
     @cached_property
     def _neighbours(self) -> NearestNeighbors:
@@ -124,11 +129,11 @@ class Scope:
         outside = np.stack(
             [_outside(task, name, refined) for name in refined.names], axis=1
         )  # (n_curves, n_unknown)
-        odd = ~(refined.misfit <= self.misfit_limit)
+        odd = ~(refined.misfit <= self.misfit_threshold)
         found = np.stack(
             [
                 np.array([bool(words) for words in missing]),
-                distances > self.distance_limit,
+                distances > self.distance_threshold,
                 outside.any(axis=1),
                 odd,
             ],
@@ -148,7 +153,7 @@ class Scope:
                 words.append(
                     f"the model cannot explain the curve: what is left of it is "
                     f"{refined.misfit[i]:.3g} times the noise, at most "
-                    f"{self.misfit_limit:.3g} is usual"
+                    f"{self.misfit_threshold:.3g} is usual"
                 )
             reasons.append("; ".join(words))
         return Flags(found, tuple(reasons))
@@ -158,29 +163,29 @@ class Scope:
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
         return (
-            f"the features lie {distance / self.distance_limit:.2g} times as far from the training "
-            f"curves' as any of these, {worst} most of all"
+            f"the features lie {distance / self.distance_threshold:.2g} times as far from the "
+            f"training curves' as any of these, {worst} most of all"
         )
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that make up the scope, for storage."""
-        limits = np.array([self.distance_limit, self.misfit_limit])
-        return {"reference": self.reference, "limits": limits}
+        """Return the arrays that make up the detector, for storage."""
+        thresholds = np.array([self.distance_threshold, self.misfit_threshold])
+        return {"reference": self.reference, "thresholds": thresholds}
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the scope whose `state` this is; KeyError, ValueError if it is not one."""
-        reference, limits = arrays["reference"], arrays["limits"]
-        if limits.shape != (2,) or np.isnan(limits).any():
-            raise ValueError("`limits` must be two numbers")
-        unused = np.isinf(limits[0])
+        """Return the detector whose `state` this is; KeyError, ValueError if it is not one."""
+        reference, thresholds = arrays["reference"], arrays["thresholds"]
+        if thresholds.shape != (2,) or np.isnan(thresholds).any():
+            raise ValueError("`thresholds` must be two numbers")
+        unused = np.isinf(thresholds[0])
         if (
             reference.ndim != 2
             or not (len(reference) or unused)
             or not np.isfinite(reference).all()
         ):
             raise ValueError("`reference` must be a table of finite numbers")
-        return cls(reference, float(limits[0]), float(limits[1]))
+        return cls(reference, float(thresholds[0]), float(thresholds[1]))
 
 
 def _outside(task: Task, name: str, refined: Refined) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.data.misfit import Misfit
+from suspnet.data.observation import Misfit
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
 from suspnet.learning.least_squares import levenberg_marquardt
@@ -90,7 +90,7 @@ def refine(
     Parameters
     ----------
     task : Task
-    misfit : CurveMisfit or EstimateMisfit
+    misfit : Misfit
         Of n_curves curves.
     estimates : array of shape (n_curves, n_outputs), [-]
         Where the search starts; a row with NaN starts from the healthy vehicle.

@@ -55,8 +55,8 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
     problem = Problem(
         instantiate(config.generator), task, settings, config.seed, joblib.cpu_count()
     )
-    train = problem.source.features(TRAIN).complete()
-    test = problem.source.features(TEST).complete()
+    train = problem.features(TRAIN).complete()
+    test = problem.features(TEST).complete()
     inputs, outputs = scalings(task, train)
     np.savez(
         path,

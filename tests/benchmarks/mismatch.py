@@ -28,11 +28,13 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from rich_trips import EFFECTS, SENSORS, drawn_ratios, write_rich_trips  # noqa: E402
 
-from suspnet.model.checkpoint import TrainedModel, load_model  # noqa: E402
+from suspnet.model import TrainedModel  # noqa: E402
+from suspnet.model.checkpoint import load_model  # noqa: E402
+from suspnet.model.recording import TripSettings  # noqa: E402
 from suspnet.recordings.manifest import find_manifests  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.trips.records import OK, TripResult, relative_to_first  # noqa: E402
-from suspnet.trips.trip import TripSettings, evaluate_trip  # noqa: E402
+from suspnet.trips.trip import evaluate_trip  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 SAMPLED = {

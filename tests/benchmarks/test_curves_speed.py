@@ -9,9 +9,9 @@ import torch
 from scipy.optimize import curve_fit
 from scipy.signal import find_peaks, savgol_filter
 
-from suspnet.data import TRAIN, CurveSettings, CurveSource, Protocol
-from suspnet.data.source import BLOCK
+from suspnet.data import CurveSettings, Protocol
 from suspnet.dynamics import QuarterCar, Vehicle
+from suspnet.problem import BLOCK, TRAIN, Problem
 
 PEAKS = ["secondary", "primary_lower", "primary_upper"]
 WHOLE_GRID = 364_816
@@ -22,7 +22,7 @@ def source(n_curves):
     am96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
     task = Protocol("multi_location", {"primary": GROUP}).task("primary")
     settings = CurveSettings(n_train=n_curves, cache_dir=None)
-    return CurveSource(QuarterCar(am96), task, settings, threads=torch.get_num_threads())
+    return Problem(QuarterCar(am96), task, settings, threads=torch.get_num_threads())
 
 
 def lorentzian(f, height, position, width):

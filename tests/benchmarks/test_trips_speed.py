@@ -19,8 +19,10 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
 from suspnet.learning import MSVR
 from suspnet.model.checkpoint import save_model
-from suspnet.runs.fit import Problem, fit
-from suspnet.trips.trip import TripSettings, evaluate_trip
+from suspnet.model.recording import TripSettings
+from suspnet.problem import Problem
+from suspnet.runs.fit import fit
+from suspnet.trips.trip import evaluate_trip
 
 MINUTES = 60.0
 RATES = {"axle_box": 5000, "bogie": 2000, "body": 2000}

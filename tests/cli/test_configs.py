@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from suspnet.cli.program import check_targets
 from suspnet.data import Protocol
 from suspnet.features import PeakFeatures
-from suspnet.model.checkpoint import ESTIMATORS
+from suspnet.learning import METHODS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 NAMES = {
@@ -41,7 +41,7 @@ def test_every_model_instantiates_under_every_protocol(name, protocol):
     groups = instantiate(config.protocol).groups
     for group in groups:
         config.group = group
-        assert type(instantiate(config.model)) is ESTIMATORS[name.removesuffix("_table5")]
+        assert type(instantiate(config.model)) is METHODS[name.removesuffix("_table5")]
 
 
 @pytest.mark.parametrize("name", NAMES["model"])
@@ -78,7 +78,7 @@ def test_every_ablation_composes_with_trusted_targets(name):
     config = composed("experiment=ablation", f"ablation={name}")
     check_targets(config)
     assert instantiate(config.protocol).task(config.group).outputs
-    assert type(instantiate(config.model)) is ESTIMATORS["msvr"]
+    assert type(instantiate(config.model)) is METHODS["msvr"]
     assert instantiate(config.data).n_calibrate is None
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from suspnet.data import CALIBRATE, TEST, TRAIN, CurveSettings, CurveSource, FeatureData
+from suspnet.data import CurveSettings, FeatureData
 from suspnet.data.noise import add_noise, noise_rms
-from suspnet.data.source import BLOCK, used_responses
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.components import FLOOR
+from suspnet.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.storage import dump_arrays, read_arrays
 
 SMALL = CurveSettings(n_train=300, n_test=40, n_calibrate=150, cache_dir=None)
@@ -24,7 +24,7 @@ def source(quarter_car, task):
     """Build a source without cache, with changes."""
 
     def build(settings=SMALL, problem=None, **changes):
-        return CurveSource(quarter_car, problem or task(), settings, **changes)
+        return Problem(quarter_car, problem or task(), settings, **changes)
 
     return build
 
@@ -235,9 +235,9 @@ def test_progress_bar_stays_out_of_log_files(source, capsys):
 
 
 def test_used_responses_are_indices_into_the_curves(task):
-    assert used_responses(task("paper", "primary")) == [0]
-    assert used_responses(task("paper", "secondary")) == [1]
-    assert used_responses(task()) == [0, 1]
+    assert task("paper", "primary").used_responses == [0]
+    assert task("paper", "secondary").used_responses == [1]
+    assert task().used_responses == [0, 1]
 
 
 # the cache
@@ -254,7 +254,7 @@ def test_second_call_reads_the_cache(source, cached, monkeypatch):
     def fail(*args):
         raise AssertionError("curves were made again")
 
-    monkeypatch.setattr(CurveSource, "curves", fail)
+    monkeypatch.setattr(Problem, "curves", fail)
     assert_same(source(cached, threads=2, progress=True).features(TEST), first)
 
 
@@ -296,7 +296,7 @@ def test_cache_name_changes_with_whatever_the_features_depend_on(
         source(cached, task(mass_known=True)),
         source(cached, task(features={"shape": "lorentzian", "smoothing_hz": 0.4})),
         source(cached, task(lower=0.6)),
-        CurveSource(QuarterCar(am96.degraded(k_p=1.001)), task(), cached),
+        Problem(QuarterCar(am96.degraded(k_p=1.001)), task(), cached),
     ]
     tables = []
     for number, variant in enumerate(variants, start=1):

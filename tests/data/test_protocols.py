@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.data import CALIBRATE, TEST, TRAIN, Protocol
+from suspnet.data import Protocol
 from suspnet.dynamics import PARAMETERS
+from suspnet.problem import CALIBRATE, TEST, TRAIN
 
 GROUP = {
     "outputs": ["k_p", "c_p"],

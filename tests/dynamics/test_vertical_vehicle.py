@@ -11,7 +11,6 @@ import trips_reference
 from scipy.linalg import eigh
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
-from suspnet.dynamics.generator import sample_unmeasured
 from suspnet.dynamics.vertical_vehicle import UNMEASURED
 
 GEOMETRY = {
@@ -349,7 +348,6 @@ def test_samples_are_those_of_their_seed():
     first = generator.sample_unmeasured(ratios, seed=4)
     assert torch.equal(first, generator.sample_unmeasured(ratios, seed=4))
     assert not torch.equal(first, generator.sample_unmeasured(ratios, seed=5))
-    assert torch.equal(first, sample_unmeasured(generator, ratios, 4))
 
 
 def test_same_keeps_the_other_bogie_equal():
@@ -374,7 +372,7 @@ def test_nothing_uncertain_gives_the_responses_of_five_columns():
         samples = generator.sample_unmeasured(FIVE, seed=0)
         assert torch.equal(stacked(generator, samples), stacked(generator, FIVE))
     quarter_car = QuarterCar(AM96)
-    assert sample_unmeasured(quarter_car, FIVE, 0) is FIVE
+    assert quarter_car.sample_unmeasured(FIVE, 0) is FIVE
 
 
 # failure

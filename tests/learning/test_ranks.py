@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 import torch.multiprocessing
+from cli_runner import SMALL, command, run_main
 from learning_reference import smooth_data
 from safetensors.numpy import load_file
-from test_cli import SMALL, command, run_main
 
-import train
+from suspnet.cli import train
 from suspnet.learning import MSVR, Scaling, ranks
 
 CASES = {

@@ -8,18 +8,13 @@ import torch
 
 from suspnet.data import CurveSettings, Protocol
 from suspnet.dynamics import QuarterCar, Vehicle
-from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
-from suspnet.model.checkpoint import (
-    ESTIMATORS,
-    ModelFileError,
-    TrainedModel,
-    load_model,
-    save_model,
-)
+from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
+from suspnet.model import ModelFileError, TrainedModel
+from suspnet.model.checkpoint import load_model, save_model
 from suspnet.storage import content_hash, dump_arrays, read_arrays
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals, ResidualScale
-from suspnet.uncertainty.ood import Scope
+from suspnet.uncertainty.ood import OODDetector
 
 GROUPS = {
     "primary": {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]}
@@ -41,7 +36,7 @@ def trained(estimator):
     scalings = Scaling.of(inputs), Scaling.of(outputs)
     if not isinstance(estimator, CurveFit):
         estimator.fit(scalings[0].apply(inputs), scalings[1].apply(outputs))
-    name = next(key for key, kind in ESTIMATORS.items() if type(estimator) is kind)
+    name = next(key for key, kind in METHODS.items() if type(estimator) is kind)
     return TrainedModel(
         name,
         estimator,
@@ -64,7 +59,7 @@ def calibrated(learnt=True):
         trained(LinearRegression()),
         refined=True,
         intervals=Intervals(Conformal.of(wrong, sizes), True, residual_scale),
-        scope=Scope.learnt(known[:, :3], known[:40, :3], 1 + 0.1 * random.random(30)),
+        ood=OODDetector.learnt(known[:, :3], known[:40, :3], 1 + 0.1 * random.random(30)),
     )
 
 
@@ -109,17 +104,17 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
         assert loaded.intervals.residual_scale is None
     limits = [m.intervals.limits(estimates, scales, 0.9) for m in (model, loaded)]
     np.testing.assert_array_equal(limits[0], limits[1])
-    distances = [m.scope.distances(known[:, :3]) for m in (model, loaded)]
+    distances = [m.ood.distances(known[:, :3]) for m in (model, loaded)]
     np.testing.assert_array_equal(distances[0], distances[1])
-    assert loaded.scope.distance_limit == model.scope.distance_limit
-    assert loaded.scope.misfit_limit == model.scope.misfit_limit
+    assert loaded.ood.distance_threshold == model.ood.distance_threshold
+    assert loaded.ood.misfit_threshold == model.ood.misfit_threshold
 
 
 def test_model_without_calibration_is_loaded_without(saved):
     loaded = load_model(saved)
     assert loaded.refined is False
     assert loaded.intervals is None
-    assert loaded.scope is None
+    assert loaded.ood is None
 
 
 def test_scaled_inputs_keep_what_is_missing():
@@ -190,8 +185,8 @@ def test_foreign_description_is_rejected(saved, content, message):
         ("intervals.scores", -np.ones((9, 2)), "do not fit together: `scores` must be a table"),
         ("intervals.size_mean", np.ones(3), "do not fit together: `scores` has 2 outputs"),
         ("intervals.residual_scale.coef", np.ones((3, 2)), "do not fit together: coef has shape"),
-        ("scope.limits", np.ones(3), "do not fit together: `limits` must be two numbers"),
-        ("scope.reference", None, "not a suspnet model: KeyError"),
+        ("ood.thresholds", np.ones(3), "do not fit together: `thresholds` must be two numbers"),
+        ("ood.reference", None, "not a suspnet model: KeyError"),
     ],
 )
 def test_calibration_that_does_not_fit_is_rejected(tmp_path, name, array, message):

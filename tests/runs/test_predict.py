@@ -10,15 +10,17 @@ from conftest import GROUPS
 from trip_fixtures import trips_protocol
 from vehicles import AM96
 
-from suspnet.data import CALIBRATE, TEST, TRAIN, CurveSettings, Protocol
+from suspnet.data import CurveSettings, Protocol
 from suspnet.data.estimates import EstimateSettings
 from suspnet.data.misfit import CurveMisfit
-from suspnet.data.source import BLOCK
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
 from suspnet.model.checkpoint import load_model, save_model
-from suspnet.runs.fit import Problem, fit
-from suspnet.runs.predict import calibrated, flags_of, predict_stream
+from suspnet.model.curves import estimate_curves
+from suspnet.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
+from suspnet.runs.calibrate import calibrated
+from suspnet.runs.fit import fit
+from suspnet.runs.predict import predict_stream
 from suspnet.theory.information import output_bounds
 from suspnet.uncertainty.refine import refine
 
@@ -79,7 +81,7 @@ def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
 
 def test_scores_are_residuals_of_calibration_curves_over_their_residual_scale():
     problem, model, _ = outcome_of("linear")
-    data = problem.source.features(CALIBRATE).complete()
+    data = problem.features(CALIBRATE).complete()
     estimates = model.predict(data.inputs)
     known = np.hstack(
         [model.input_scaling.apply(data.inputs), model.output_scaling.apply(estimates)]
@@ -94,7 +96,7 @@ def test_scores_are_residuals_of_calibration_curves_over_their_residual_scale():
 def test_refined_estimates_are_fits_of_the_streams_curves():
     problem, _, outcome = outcome_of("linear", refined=True)
     plain = outcome_of("linear")[2]
-    task, source = problem.task, problem.source
+    task, source = problem.task, problem
     for block in range(2):
         rows = slice(block * BLOCK, (block + 1) * BLOCK)
         curves = source.curves(outcome.data.ratios, TEST, block)
@@ -107,7 +109,7 @@ def test_refined_estimates_are_fits_of_the_streams_curves():
 @pytest.mark.parametrize("changes", [{}, {"mass_known": True}], ids=["unknown", "mass_known"])
 def test_refined_estimates_reach_the_bound(changes):
     problem, _, outcome = outcome_of("linear", refined=True, **changes)
-    bounds = output_bounds(problem.task, problem.source.observer, outcome.data.ratios)
+    bounds = output_bounds(problem.task, problem.observer, outcome.data.ratios)
     normalised = (outcome.predicted - outcome.data.outputs) / bounds
     # 200 curves: 5 %, four of those
     np.testing.assert_allclose(np.sqrt((normalised**2).mean(axis=0)), 1.0, atol=0.2)
@@ -115,11 +117,9 @@ def test_refined_estimates_reach_the_bound(changes):
 
 def test_flags_of_any_curves_are_those_of_the_stream():
     problem, model, outcome = outcome_of("linear")
-    curves = problem.source.curves(outcome.data.ratios, TEST, 0)
-    curves[3] = curves[3] * (
-        1 - 0.3 * torch.exp(-((problem.source.observer.frequencies_hz - 4) ** 2))
-    )
-    found = flags_of(model, problem.source.observer, curves)
+    curves = problem.curves(outcome.data.ratios, TEST, 0)
+    curves[3] = curves[3] * (1 - 0.3 * torch.exp(-((problem.observer.frequencies_hz - 4) ** 2)))
+    found = estimate_curves(model, problem.observer, curves, LEVEL).flags
     others = [row for row in range(BLOCK) if row != 3]
     np.testing.assert_array_equal(found.found[others], outcome.flags.found[others])
     assert found.found[3, 3]
@@ -133,7 +133,7 @@ def test_flags_of_any_curves_are_those_of_the_stream():
 def test_without_calibration_there_are_neither_intervals_nor_flags(name):
     _, model, outcome = outcome_of(name, n_calibrate=None)
     assert model.intervals is None
-    assert model.scope is None
+    assert model.ood is None
     assert outcome.scales is None
     assert outcome.flags is None
     error = outcome.predicted / outcome.data.outputs - 1
@@ -165,12 +165,12 @@ def test_another_seed_gives_other_numbers():
     _, model, _ = outcome_of("linear")
     _, other, _ = outcome_of("linear", seed=1)
     assert not np.isin(other.intervals.conformal.scores, model.intervals.conformal.scores).any()
-    assert model.scope.distance_limit != other.scope.distance_limit
+    assert model.ood.distance_threshold != other.ood.distance_threshold
 
 
 def test_calibration_curves_are_no_training_or_test_curves():
     problem, *_ = outcome_of("linear")
-    streams = [problem.source.ratios(stream) for stream in (TRAIN, TEST, CALIBRATE)]
+    streams = [problem.ratios(stream) for stream in (TRAIN, TEST, CALIBRATE)]
     assert [len(ratios) for ratios in streams] == [300, 200, 300]
     sets = [{tuple(row) for row in np.round(ratios, 6).tolist()} for ratios in streams]
     assert not sets[2] & (sets[0] | sets[1])
@@ -196,7 +196,7 @@ def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path)
 def test_curves_that_lack_a_peak_are_flagged_and_have_no_estimate(refined):
     # the band begins above the lower peak of some heavy vehicles
     problem, _, outcome = outcome_of("linear", refined, low_hz=0.9)
-    data = problem.source.features(TEST)
+    data = problem.features(TEST)
     assert 2 < (~data.valid).sum() < 60
     assert len(outcome.predicted) == len(outcome.scales) == data.valid.sum()
     assert np.isfinite(outcome.predicted).all()
@@ -220,9 +220,9 @@ def test_few_usual_curves_are_flagged_and_many_noisier_ones():
     problem, model, outcome = outcome_of("linear")
     assert outcome.flags.flagged.mean() < 0.03
     noisy = replace(problem, settings=replace(problem.settings, snr_db=20.0), seed=5)
-    observer = problem.source.observer
-    curves = noisy.source.curves(noisy.source.ratios(TEST)[:24], TEST, 0)
-    assert flags_of(model, observer, curves).found[:, 3].mean() > 0.9
+    observer = problem.observer
+    curves = noisy.curves(noisy.ratios(TEST)[:24], TEST, 0)
+    assert estimate_curves(model, observer, curves, LEVEL).flags.found[:, 3].mean() > 0.9
 
 
 def test_trips_have_intervals_and_flags_too():

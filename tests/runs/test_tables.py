@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from suspnet.model.checkpoint import ESTIMATORS
+from suspnet.learning import METHODS
 from suspnet.runs.tables import (
     MODEL_TITLES,
     PUBLISHED,
@@ -242,8 +242,8 @@ def test_scores_table_of_a_calibrated_model_has_its_intervals():
 
 def test_every_method_has_a_title_refined_or_not():
     assert MODEL_TITLES["msvr+refine"] == "MSVR refined"
-    assert {name.removesuffix("+refine") for name in MODEL_TITLES} == set(ESTIMATORS)
-    assert len(set(MODEL_TITLES.values())) == len(MODEL_TITLES) == 2 * len(ESTIMATORS)
+    assert {name.removesuffix("+refine") for name in MODEL_TITLES} == set(METHODS)
+    assert len(set(MODEL_TITLES.values())) == len(MODEL_TITLES) == 2 * len(METHODS)
     text = table6_markdown(
         table6_records([run("linear", ("k_p",)), run("linear+refine", ("k_p",))])
     )

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from cli_runner import ROOT, command, run_main
 from hydra import compose, initialize_config_dir
 from hydra.types import RunMode
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from omegaconf import OmegaConf
-from test_cli import ROOT, command, run_main
 
-import train
+from suspnet.cli import train
 from suspnet.runs.sweeps import Ablation
 from suspnet.runs.tables import records_csv
 from suspnet.studies import ablation as study

@@ -10,12 +10,15 @@ import torch
 from hydra.core.global_hydra import GlobalHydra
 from scipy.stats import norm
 
-from suspnet.data import TEST, CurveSettings
+from suspnet.data import CurveSettings
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
 from suspnet.learning import MSVR, MVGPR
 from suspnet.model.checkpoint import save_model
-from suspnet.runs.fit import Problem, fit
-from suspnet.runs.predict import calibrated, flags_of, predict_stream
+from suspnet.model.curves import estimate_curves
+from suspnet.problem import TEST, Problem
+from suspnet.runs.calibrate import calibrated
+from suspnet.runs.fit import fit
+from suspnet.runs.predict import predict_stream
 from suspnet.studies import figures
 from suspnet.studies.reliability import (
     IN_RANGE,
@@ -91,7 +94,7 @@ def test_slices_split_the_range_evenly(task):
 def test_swapped_channels_have_the_responses_of_the_swapped_order(fresh):
     sets = dict(_odd_sets(replace_snr(fresh), {}, 4))
     ratios, swapped = sets["axle box and body swapped"]
-    primary, secondary = fresh.source.noise_free(ratios).unbind(1)
+    primary, secondary = fresh.noise_free(ratios).unbind(1)
     body = primary * secondary  # axle box 1, bogie `primary`, body `body`
     torch.testing.assert_close(swapped[:, 0], primary / body, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(swapped[:, 1], 1 / primary, rtol=1e-3, atol=1e-3)
@@ -120,12 +123,12 @@ def test_another_vehicle_is_seen_through_the_model_s_own_kind_of_generator(fresh
     other = replace(AM96, name="longer", half_pivot_distance_m=12.0)
     sets = dict(_odd_sets(problem, {"longer": other, "ice3": ICE3}, 3))
     expected = VerticalVehicle(other).magnitudes(
-        torch.as_tensor(sets["vehicle longer"][0]), problem.source.observer.frequencies_hz
+        torch.as_tensor(sets["vehicle longer"][0]), problem.observer.frequencies_hz
     )
     rms = expected.square().mean(dim=2, keepdim=True).sqrt()
     assert float(((sets["vehicle longer"][1] - expected) / rms).abs().max()) < 0.12  # 34 dB: 2 %
     expected = QuarterCar(ICE3).magnitudes(
-        torch.as_tensor(sets["vehicle ice3"][0]), problem.source.observer.frequencies_hz
+        torch.as_tensor(sets["vehicle ice3"][0]), problem.observer.frequencies_hz
     )
     rms = expected.square().mean(dim=2, keepdim=True).sqrt()
     assert float(((sets["vehicle ice3"][1] - expected) / rms).abs().max()) < 0.12
@@ -133,9 +136,9 @@ def test_another_vehicle_is_seen_through_the_model_s_own_kind_of_generator(fresh
 
 def test_flags_of_curves_are_those_of_the_stream(trained, fresh):
     outcome = predict_stream(fresh, trained, TEST, flags=True)
-    ratios = fresh.source.ratios(TEST)
-    curves = fresh.source.curves(ratios, TEST, 0)
-    flags = flags_of(trained, fresh.source.observer, curves)
+    ratios = fresh.ratios(TEST)
+    curves = fresh.curves(ratios, TEST, 0)
+    flags = estimate_curves(trained, fresh.observer, curves, 0.9).flags
     np.testing.assert_array_equal(flags.found, outcome.flags.found[: len(curves)])
     assert flags.reasons == outcome.flags.reasons[: len(curves)]
 
@@ -143,7 +146,7 @@ def test_flags_of_curves_are_those_of_the_stream(trained, fresh):
 def test_gp_s_own_limits_by_hand(quarter_car, task):
     problem = Problem(quarter_car, task(), replace(SETTINGS, n_train=150), progress=False)
     model = fit(problem, MVGPR(n_optimize=60, n_restarts=0), None)
-    inputs = problem.source.features(TEST).complete().inputs[:7]
+    inputs = problem.features(TEST).complete().inputs[:7]
     low, high = _gp_limits(model, inputs, 0.9)
     scaled = model.input_scaling.apply(inputs)
     mean, deviation = model.estimator.predict(scaled, return_std=True)
@@ -187,7 +190,7 @@ def test_report_holds_every_number(trained, tmp_path):
 
 def test_model_without_calibration_and_its_own_seed_are_refused(trained, tmp_path):
     options = {"n_test": 10, "n_odd": 4, "threads": 1, "device": "cpu", "progress": False}
-    save_model(tmp_path / "bare", replace(trained, intervals=None, scope=None))
+    save_model(tmp_path / "bare", replace(trained, intervals=None, ood=None))
     with pytest.raises(ValueError, match=r"not calibrated: train it with data\.n_calibrate"):
         write_reliability(str(tmp_path / "bare"), {}, tmp_path / "out", seed=7, **options)
     save_model(tmp_path / "run", trained)

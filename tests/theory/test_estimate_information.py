@@ -9,7 +9,7 @@ from vehicles import AM96
 
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.theory.information import ROWS, cramer_rao, estimate_information
+from suspnet.theory.information import ROWS, cramer_rao, fisher_information
 
 SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, cache_dir=None).bound(AM96)
 QUARTER_CAR = SETTINGS.observer(QuarterCar(AM96))
@@ -46,7 +46,7 @@ def by_differences(observer, ratios, parameters, step=1e-5):
     "parameters", [PARAMETERS, ("k_p", "c_p"), ("M_s", "k_s")], ids=lambda names: "-".join(names)
 )
 def test_information_equals_finite_differences(observer, parameters):
-    found = estimate_information(observer, DEGRADED[None], parameters)[0]
+    found = fisher_information(observer, DEGRADED[None], parameters)[0]
     expected = by_differences(observer, DEGRADED, parameters)
     size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert size.min() > 1
@@ -84,7 +84,7 @@ def test_bound_is_reached_by_least_squares(method, parameters):
         estimates[:, columns] += change
     assert change.abs().max() < 1e-3 * estimates[:, columns].std(dim=0).max()
     found = estimates[:, columns].numpy()
-    least = cramer_rao(estimate_information(observer, DEGRADED[None], parameters))[0]
+    least = cramer_rao(fisher_information(observer, DEGRADED[None], parameters))[0]
     assert (least > 1e-5).all()
     # 400 draws give a standard deviation to 3.5 %
     np.testing.assert_allclose(found.std(axis=0, ddof=1) / least, 1.0, atol=0.15)
@@ -101,7 +101,7 @@ def test_hardly_any_noise_tells_the_parameters_from_each_other():
     for minutes in (10.0, 1000.0):
         settings = EstimateSettings(snr_db=120.0, minutes=minutes, cache_dir=None).bound(AM96)
         source = settings.observer(QuarterCar(AM96))
-        bounds.append(cramer_rao(estimate_information(source, DEGRADED[None], PARAMETERS))[0])
+        bounds.append(cramer_rao(fisher_information(source, DEGRADED[None], PARAMETERS))[0])
         assert np.isfinite(bounds[-1]).all()
     assert (bounds[1] < bounds[0]).all()
 
@@ -115,7 +115,7 @@ def test_information_grows_with_the_averages():
         settings = EstimateSettings(snr_db=30.0, minutes=minutes, cache_dir=None).bound(AM96)
         observer = settings.observer(QuarterCar(AM96))
         found.append(
-            estimate_information(observer, DEGRADED[None], ("k_p", "k_s")) / settings.n_averages
+            fisher_information(observer, DEGRADED[None], ("k_p", "k_s")) / settings.n_averages
         )
     # the covariance is the one of a single average, divided by their number
     np.testing.assert_allclose(found[1], found[0], rtol=1e-10)
@@ -123,15 +123,15 @@ def test_information_grows_with_the_averages():
 
 def test_information_is_symmetric_and_positive():
     for observer in (QUARTER_CAR, PITCHING):
-        information = estimate_information(observer, DEGRADED[None], PARAMETERS)[0]
+        information = fisher_information(observer, DEGRADED[None], PARAMETERS)[0]
         size = np.sqrt(np.outer(np.diag(information), np.diag(information)))
         np.testing.assert_allclose(information / size, information.T / size, rtol=0, atol=1e-9)
         assert np.linalg.eigvalsh(information / size).min() > 0
 
 
 def test_fewer_unknowns_are_known_better():
-    all_five = cramer_rao(estimate_information(QUARTER_CAR, DEGRADED[None], PARAMETERS))[0]
-    two = cramer_rao(estimate_information(QUARTER_CAR, DEGRADED[None], ("k_p", "c_p")))[0]
+    all_five = cramer_rao(fisher_information(QUARTER_CAR, DEGRADED[None], PARAMETERS))[0]
+    two = cramer_rao(fisher_information(QUARTER_CAR, DEGRADED[None], ("k_p", "c_p")))[0]
     assert (two <= all_five[:2]).all()
     assert (two < 0.99 * all_five[:2]).any()
 
@@ -140,16 +140,16 @@ def test_information_of_many_vehicles_equals_one_by_one():
     settings = EstimateSettings(minutes=10.0, low_hz=1.0, high_hz=2.0, cache_dir=None)
     observer = settings.observer(QuarterCar(AM96))
     ratios = np.random.default_rng(0).uniform(0.7, 1.4, (ROWS + 3, 5))
-    together = estimate_information(observer, ratios, ("k_s", "c_s"))
+    together = fisher_information(observer, ratios, ("k_s", "c_s"))
     assert together.shape == (ROWS + 3, 2, 2)
     for row in (0, ROWS - 1, ROWS, ROWS + 2):
-        alone = estimate_information(observer, ratios[row : row + 1], ("k_s", "c_s"))[0]
+        alone = fisher_information(observer, ratios[row : row + 1], ("k_s", "c_s"))[0]
         np.testing.assert_allclose(together[row], alone, rtol=1e-9)
 
 
 def test_order_of_parameters_is_that_of_the_rows():
-    first = estimate_information(QUARTER_CAR, DEGRADED[None], ("k_p", "M_s"))[0]
-    second = estimate_information(QUARTER_CAR, DEGRADED[None], ("M_s", "k_p"))[0]
+    first = fisher_information(QUARTER_CAR, DEGRADED[None], ("k_p", "M_s"))[0]
+    second = fisher_information(QUARTER_CAR, DEGRADED[None], ("M_s", "k_p"))[0]
     np.testing.assert_allclose(second, first[::-1, ::-1], rtol=1e-12)
     assert not math.isclose(first[0, 0], first[1, 1], rel_tol=0.1)
 
@@ -159,4 +159,4 @@ def test_order_of_parameters_is_that_of_the_rows():
 
 def test_ratios_that_are_not_positive_are_rejected():
     with pytest.raises(ValueError, match="`ratios` must be positive and finite"):
-        estimate_information(QUARTER_CAR, -DEGRADED[None], ("k_p",))
+        fisher_information(QUARTER_CAR, -DEGRADED[None], ("k_p",))

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from suspnet.theory import feature_information as module
 
-from suspnet.data import TEST, CurveSource
 from suspnet.data.curves import CurveObserver, CurveSettings
 from suspnet.dynamics import PARAMETERS
 from suspnet.features import PeakFeatures
 from suspnet.features.extraction import FeatureTable
+from suspnet.problem import TEST, Problem
+from suspnet.theory import feature_information as module
 from suspnet.theory.feature_information import feature_information, feature_loss
 from suspnet.theory.information import fisher_information
 
@@ -116,7 +116,7 @@ def test_loss_is_the_ratio_of_rms_relative_bounds(task, observer):
     found = feature_loss(problem, observer, ratios)
     information = feature_information(observer, problem.extractor, ratios, problem.unknown)
     assert problem.unknown == ("k_p", "c_p", "k_s", "c_s", "M_s")
-    curves = fisher_information(observer.generator, ratios, observer.frequencies_hz, 34.0)
+    curves = fisher_information(observer, ratios)
     for j, name in enumerate(problem.outputs):
         squares = [
             [
@@ -136,7 +136,7 @@ def test_every_bin_as_a_feature_has_the_information_of_the_curves(quarter_car):
     ratios = np.random.default_rng(6).uniform(0.8, 1.25, (60, 5))
     names = ("k_p", "c_p", "k_s")
     found = feature_information(coarse, extractor, ratios, names, n_draws=200)
-    expected = fisher_information(quarter_car, ratios, coarse.frequencies_hz, 34.0, names)
+    expected = fisher_information(coarse, ratios, names)
     # relative to what is right, the mean over vehicles is the unit matrix; 22 of 200 draws
     roots = np.linalg.cholesky(np.linalg.inv(expected))
     shape = roots.transpose(0, 2, 1) @ found @ roots
@@ -154,7 +154,7 @@ def test_features_lose_and_fewer_components_lose_more(task, quarter_car):
         {"feature_set": "curve", "curve": {"n_components": 12}},
     ):
         problem = task("multi_location", "primary", **changes)
-        source = CurveSource(quarter_car, problem, SETTINGS)
+        source = Problem(quarter_car, problem, SETTINGS)
         problem = replace(problem, extractor=source.extractor)
         losses.append(feature_loss(problem, source.observer, source.ratios(TEST)))
     peaks, six, twelve = losses

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,11 @@ from omegaconf import open_dict
 from trips_reference import pitching_numbers, pitching_transfer
 from vehicles import AM96
 
-import evaluate
+from suspnet.cli import evaluate
 from suspnet.cli.program import check_experiment
-from suspnet.data import TEST, CurveSettings, EstimateSettings
+from suspnet.data import CurveSettings, EstimateSettings
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.problem import TEST
 from suspnet.studies import figures
 from suspnet.studies.findings import group_markdown
 from suspnet.studies.identifiability import identify
@@ -35,12 +37,7 @@ from suspnet.theory.bounds import (
     with_healthy,
     worst,
 )
-from suspnet.theory.information import (
-    cramer_rao,
-    estimate_information,
-    fisher_information,
-    scale_ambiguity_limit,
-)
+from suspnet.theory.information import cramer_rao, fisher_information, scale_ambiguity_limit
 from suspnet.theory.options import Option, options
 from suspnet.theory.sensor_information import recording_information
 
@@ -233,8 +230,8 @@ def test_options_of_curves_are_their_parts(task, quarter_car):
     ]
 
     def fisher(parameters=PARAMETERS, responses=("G_p", "G_s"), snr_db=34.0):
-        bins = CURVES.frequencies_hz()
-        return fisher_information(quarter_car, RATIOS, bins, snr_db, parameters, responses)
+        source = replace(CURVES, snr_db=snr_db).observer(quarter_car)
+        return fisher_information(source, RATIOS, parameters, responses)
 
     for title, responses in (("only G_p", ("G_p",)), ("only G_s", ("G_s",))):
         np.testing.assert_allclose(found[title].information, fisher(responses=responses))
@@ -317,7 +314,7 @@ def test_options_of_trips_are_sensors_and_the_estimate(task):
         "three sensors, IV estimate": "estimate",
         "+ measured car-body mass": "more",
     }
-    estimate = estimate_information(observer, RATIOS, PARAMETERS)
+    estimate = fisher_information(observer, RATIOS, PARAMETERS)
     np.testing.assert_allclose(found["three sensors, IV estimate"].information, estimate)
     places = np.eye(6)
     counts = [[0, 1, 1, 0, 0, 0], *(places[:3].sum(axis=0) + places[3:])]
@@ -371,7 +368,7 @@ def test_list_in_words():
 def test_findings_give_absolute_bounds_of_the_healthy_vehicle(task, quarter_car):
     found = identify(quarter_car, task("joint", "all"), COARSE, 20, seed=0)
     bound = next(bound for bound in found.bounds_now if bound.parameter == "k_s")
-    information = fisher_information(quarter_car, HEALTHY[None], COARSE.frequencies_hz(), 34.0)
+    information = fisher_information(COARSE.observer(quarter_car), HEALTHY[None])
     least = 0.69e6 * cramer_rao(information)[0, PARAMETERS.index("k_s")]
     assert found.bound_at_healthy(bound) == pytest.approx(least, rel=1e-6)
     weakest = directions(information[0], PARAMETERS)[0]
@@ -431,7 +428,7 @@ def run(folder, *overrides):
     with open_dict(config):
         del config["hydra"]
     folder.mkdir(parents=True, exist_ok=True)
-    evaluate.main(config)
+    evaluate.compose(config)
     return json.loads((folder / "identifiability.json").read_text())
 
 

@@ -1,14 +1,16 @@
 """Bounds: Fisher information, Cramer-Rao, and the limit where the mass cannot be told apart."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import reference
 from scipy.optimize import least_squares
 
-from suspnet.data import TEST, CurveSettings
+from suspnet.data import CurveSettings
 from suspnet.dynamics import PARAMETERS
+from suspnet.problem import TEST
 from suspnet.theory.information import (
     best_possible,
     cramer_rao,
@@ -25,7 +27,7 @@ DEGRADED = np.array([0.8, 1.3, 1.2, 0.9, 1.1])
 
 
 def bound(quarter_car, ratios, **options):
-    return cramer_rao(fisher_information(quarter_car, ratios, FREQUENCIES, 34.0, **options))
+    return cramer_rao(fisher_information(OBSERVED.observer(quarter_car), ratios, **options))
 
 
 def continuous_population(task, n, seed):
@@ -50,9 +52,8 @@ def continuous_population(task, n, seed):
     ],
 )
 def test_fisher_information_equals_finite_differences(quarter_car, parameters, responses):
-    found = fisher_information(
-        quarter_car, DEGRADED[None], FREQUENCIES, 34.0, parameters, responses
-    )[0]
+    observer = OBSERVED.observer(quarter_car)
+    found = fisher_information(observer, DEGRADED[None], parameters, responses)[0]
     expected = reference.fisher_by_differences(
         quarter_car.vehicle,
         DEGRADED,
@@ -260,7 +261,8 @@ def test_bound_does_not_depend_on_the_scale_of_parameters():
 
 def test_bounds_fall_with_the_noise(quarter_car):
     information = [
-        fisher_information(quarter_car, DEGRADED[None], FREQUENCIES, snr) for snr in (34.0, 54.0)
+        fisher_information(replace(OBSERVED, snr_db=snr).observer(quarter_car), DEGRADED[None])
+        for snr in (34.0, 54.0)
     ]
     # 20 dB is a tenth of the noise
     np.testing.assert_allclose(
@@ -270,7 +272,7 @@ def test_bounds_fall_with_the_noise(quarter_car):
 
 def test_information_of_both_curves_is_the_sum_of_each(quarter_car):
     parts = [
-        fisher_information(quarter_car, DEGRADED[None], FREQUENCIES, 34.0, responses=responses)
+        fisher_information(OBSERVED.observer(quarter_car), DEGRADED[None], responses=responses)
         for responses in (("G_p",), ("G_s",), ("G_p", "G_s"))
     ]
     size = np.abs(parts[2]).max()
@@ -279,10 +281,10 @@ def test_information_of_both_curves_is_the_sum_of_each(quarter_car):
 
 def test_information_of_many_vehicles_equals_one_by_one(task, quarter_car):
     ratios = task("joint", "all").sample(260, seed=0, stream=TEST)  # more than one block
-    together = fisher_information(quarter_car, ratios, FREQUENCIES, 34.0)
+    together = fisher_information(OBSERVED.observer(quarter_car), ratios)
     assert together.shape == (260, 5, 5)
     for row in (0, 255, 256, 259):
-        alone = fisher_information(quarter_car, ratios[row : row + 1], FREQUENCIES, 34.0)[0]
+        alone = fisher_information(OBSERVED.observer(quarter_car), ratios[row : row + 1])[0]
         np.testing.assert_allclose(together[row], alone, rtol=1e-9)
 
 
@@ -370,13 +372,9 @@ def test_matrix_that_is_not_finite_has_no_bounds_and_harms_no_other():
 
 
 def test_parameter_without_any_information_has_no_bound(quarter_car):
-    frequencies_hz = CurveSettings().frequencies_hz()
-    information = fisher_information(
-        quarter_car, np.ones((1, 5)), frequencies_hz, 34.0, ("k_p", "k_s", "c_s"), ("G_s",)
-    )
-    seen = fisher_information(
-        quarter_car, np.ones((1, 5)), frequencies_hz, 34.0, ("k_s", "c_s"), ("G_s",)
-    )
+    observer = OBSERVED.observer(quarter_car)
+    information = fisher_information(observer, np.ones((1, 5)), ("k_p", "k_s", "c_s"), ("G_s",))
+    seen = fisher_information(observer, np.ones((1, 5)), ("k_s", "c_s"), ("G_s",))
     bounds = cramer_rao(information)[0]
     assert np.isinf(bounds[0])
     np.testing.assert_allclose(bounds[1:], cramer_rao(seen)[0], rtol=1e-9)

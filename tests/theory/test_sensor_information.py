@@ -1,6 +1,7 @@
 """Information in recordings: naive matrices, the likelihood's curvature, and the IV estimate."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,13 @@ from vehicles import AM96
 
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.theory.information import cramer_rao, estimate_information
-from suspnet.theory.sensor_information import ROWS, FromAxleBox, Places, recording_information
+from suspnet.theory.information import cramer_rao, fisher_information
+from suspnet.theory.sensor_information import (
+    ROWS,
+    place_responses,
+    places,
+    recording_information,
+)
 
 DEGRADED = np.array([0.8, 1.4, 1.2, 0.9, 1.1])
 SPEED = 70.0
@@ -173,10 +179,10 @@ def test_places_are_those_of_the_other_bogie_and_axle():
     bins = SETTINGS.frequencies_hz()
     ratios = torch.as_tensor(DEGRADED[None])
     leading = VerticalVehicle(AM96, other_bogie="same")
-    found = Places(leading).responses(ratios, bins)[0]
+    found = place_responses(leading, ratios, bins)[0]
     trailing = VerticalVehicle(AM96, other_bogie="same", bogie="trailing")
     pivots = torch.exp(-2j * math.pi * bins * 2 * AM96.half_pivot_distance_m / SPEED)
-    body = FromAxleBox(trailing).responses(ratios, bins)[1][0] * pivots
+    body = place_responses(trailing, ratios, bins)[0, 2] * pivots
     torch.testing.assert_close(found[4], body, rtol=1e-9, atol=1e-12)
     behind = VerticalVehicle(AM96, other_bogie="same", axle="trailing")
     frame = leading.responses(ratios, bins)[0][0], behind.responses(ratios, bins)[0][0]
@@ -191,9 +197,9 @@ def test_places_are_those_of_the_other_bogie_and_axle():
 def test_recordings_hold_at_least_what_their_iv_estimate_tells(generator, snr_db):
     source = EstimateSettings(snr_db=snr_db, cache_dir=None).bound(AM96).observer(generator)
     ratios = np.random.default_rng(1).uniform(0.6, 1.6, (6, 5))
-    count = np.arange(len(Places(generator).names)) < 3
+    count = np.arange(len(places(generator))) < 3
     recordings = recording_information(source, ratios, PARAMETERS, [count])[0]
-    estimates = estimate_information(source, ratios, PARAMETERS)
+    estimates = fisher_information(source, ratios, PARAMETERS)
     for whole, part in zip(recordings, estimates, strict=True):
         size = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
         assert np.linalg.eigvalsh(whole / size).min() > 0
@@ -206,9 +212,9 @@ def test_without_leakage_the_iv_estimate_loses_nothing(generator):
     """A boxcar window leaks nothing into other bins of the model, and they do not correlate."""
     source = EstimateSettings(window="boxcar", overlap=0.0, minutes=60.0, cache_dir=None)
     source = source.bound(AM96).observer(generator)
-    count = np.arange(len(Places(generator).names)) < 3
+    count = np.arange(len(places(generator))) < 3
     recordings = cramer_rao(recording_information(source, DEGRADED[None], PARAMETERS, [count])[0])
-    estimates = cramer_rao(estimate_information(source, DEGRADED[None], PARAMETERS))
+    estimates = cramer_rao(fisher_information(source, DEGRADED[None], PARAMETERS))
     assert (recordings > 1e-6).all()
     # what is left is of the order of the noise relative to the signal in a bin
     np.testing.assert_allclose(estimates / recordings, 1.0, atol=0.02)
@@ -316,24 +322,32 @@ def test_information_of_many_vehicles_equals_one_by_one():
     ],
 )
 def test_further_places_are_those_a_vehicle_does_not_have(changes, further):
-    places = Places(VerticalVehicle(AM96, **changes))
-    assert places.names == ("axle box", "bogie", "body", *further)
-    own, elsewhere = places.generator, places.elsewhere
-    assert own.frame_sensor != elsewhere.frame_sensor
-    assert abs(own.body_sensor_m - elsewhere.body_sensor_m) == 19.0
+    own = VerticalVehicle(AM96, **changes)
+    assert places(own) == ("axle box", "bogie", "body", *further)
+    elsewhere = replace(
+        own,
+        frame_sensor="axle" if own.frame_sensor == "centre" else "centre",
+        body_sensor_m={0.0: -19.0, -19.0: 0.0, 19.0: 0.0}[own.body_sensor_m],
+    )
+    bins, ratios = SETTINGS.frequencies_hz(), torch.as_tensor(DEGRADED[None])
+    found = own.further_responses(ratios, bins)
+    frame, to_body = elsewhere.responses(ratios, bins)
+    torch.testing.assert_close(found[:, 0], frame)
+    torch.testing.assert_close(found[:, 1], frame * to_body)
 
 
 def test_second_axle_box_leads_where_the_trailing_one_is_measured():
     bins, ratios = SETTINGS.frequencies_hz(), torch.ones(1, 5, dtype=torch.float64)
-    delayed = Places(VerticalVehicle(AM96)).responses(ratios, bins)[0, 5]
-    ahead = Places(VerticalVehicle(AM96, axle="trailing")).responses(ratios, bins)[0, 5]
+    delayed = place_responses(VerticalVehicle(AM96), ratios, bins)[0, 5]
+    ahead = place_responses(VerticalVehicle(AM96, axle="trailing"), ratios, bins)[0, 5]
     torch.testing.assert_close(ahead, delayed.conj(), rtol=1e-12, atol=1e-12)
     assert 0 < float(ahead[0].angle()) < 1
 
 
 def test_quarter_car_has_three_places():
-    assert Places(QUARTER_CAR).names == ("axle box", "bogie", "body")
-    assert Places(QUARTER_CAR).rates_hz((1.0, 2.0, 3.0)) == (1.0, 2.0, 3.0)
+    assert places(QUARTER_CAR) == ("axle box", "bogie", "body")
+    responses = place_responses(QUARTER_CAR, torch.ones(2, 5), SETTINGS.frequencies_hz())
+    assert responses.shape == (2, 3, len(SETTINGS.frequencies_hz()))
 
 
 # failure

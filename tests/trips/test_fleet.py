@@ -16,13 +16,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal, small_fleet
 from trip_records import fleet as made_up
 
-from suspnet.model.checkpoint import ModelFileError
+from suspnet.model import ModelFileError
 from suspnet.data import CurveSettings
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
 from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.trend import LEAST_PERCENT
-from suspnet.trips.trip import TripSettings, evaluate_trip
+from suspnet.trips.trip import evaluate_trip
+from suspnet.model.recording import TripSettings
 from suspnet.runs.tensorboard import RunLog
 
 TRIPS = TripSettings()
@@ -484,7 +485,7 @@ def test_model_without_calibration_gives_no_intervals(manifests, model, no_figur
     folder = tmp_path / "trips"
     folder.mkdir()
     changed(manifests[0], folder)
-    plain = replace(model, intervals=None, scope=None)
+    plain = replace(model, intervals=None, ood=None)
     (result,) = evaluate_fleet(folder, [plain], tmp_path / "out", SETTINGS, progress=False)
     assert result.status == "ok"
     assert np.isnan(result.interval("k_p")).all()

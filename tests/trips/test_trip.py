@@ -20,10 +20,13 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.welch import Welch
+from suspnet.model import recording
 from suspnet.trips import trip
+from suspnet.uncertainty.ood import Flags
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
-from suspnet.trips.trip import TripSettings, evaluate_trip
-from suspnet.trips.trust import trusted
+from suspnet.trips.trip import evaluate_trip
+from suspnet.model.recording import TripSettings
+from suspnet.model.spectra import estimate_spectra
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
 
@@ -272,9 +275,11 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
     given = dict(zip((70.0, 50.0), flags, strict=True))
 
     def marked(one, *arguments):
-        return replace(trusted(one, *arguments), flags=given[one.generator.speed_m_per_s])
+        words = given[one.generator.speed_m_per_s]
+        flags = Flags(np.array([[bool(words), False, False, False]]), (words,))
+        return replace(estimate_spectra(one, *arguments), flags=flags)
 
-    monkeypatch.setattr(trip, "trusted", marked)
+    monkeypatch.setattr(recording, "estimate_spectra", marked)
     path = two_speeds(200)
     assert evaluate_trip(path, [model_at(50.0), model], SETTINGS).flags == expected
     assert evaluated(path, model).flags == flags[0]
@@ -542,7 +547,7 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
         asked.append(generator.speed_m_per_s)
         return ""
 
-    monkeypatch.setattr(trip, "check_channels", spy)
+    monkeypatch.setattr(recording, "check_channels", spy)
     models = [model_at(50.0), model]
     for order in (models, models[::-1]):
         asked.clear()
@@ -552,7 +557,7 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
 
 
 def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monkeypatch):
-    monkeypatch.setattr(trip, "check_channels", lambda *_: pytest.fail("was checked"))
+    monkeypatch.setattr(recording, "check_channels", lambda *_: pytest.fail("was checked"))
     result = evaluated(manifests[0], model_at(50.0))
     assert result.status == NO_ESTIMATE
 

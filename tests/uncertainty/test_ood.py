@@ -7,9 +7,10 @@ import pytest
 import torch
 from vehicles import AM96
 
-from suspnet.data import TEST, CurveSettings
+from suspnet.data import CurveSettings
 from suspnet.data.misfit import CurveMisfit
 from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.problem import TEST
 from suspnet.uncertainty.ood import (
     EDGE_DEVIATIONS,
     FALSE_ALARMS,
@@ -18,7 +19,7 @@ from suspnet.uncertainty.ood import (
     N_NEIGHBOURS,
     N_REFERENCE,
     Flags,
-    Scope,
+    OODDetector,
 )
 from suspnet.uncertainty.refine import Refined, refine
 
@@ -43,7 +44,7 @@ def problem(task):
 @pytest.fixture(scope="module")
 def scope():
     rng = np.random.default_rng(2)
-    return Scope.learnt(cloud(500, 0), cloud(1000, 1), 1 + 0.02 * rng.standard_normal(1000))
+    return OODDetector.learnt(cloud(500, 0), cloud(1000, 1), 1 + 0.02 * rng.standard_normal(1000))
 
 
 def fitted(n=1, misfit=1.0, deviation=0.01, **ratios):
@@ -77,7 +78,7 @@ def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert FALSE_ALARMS == 1e-4
     monkeypatch.setattr("suspnet.uncertainty.ood.FALSE_ALARMS", 5e-4)  # fewer curves will do
     reference, fresh = cloud(100, 5, 2), cloud(6000, 6, 2)
-    found = Scope.learnt(reference, fresh, np.ones(10)).distance_limit
+    found = OODDetector.learnt(reference, fresh, np.ones(10)).distance_threshold
     distances = sorted(
         distance(point, reference) for point in fresh[np.argsort((fresh**2).sum(1))][-400:]
     )
@@ -87,20 +88,20 @@ def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
 
 def test_limit_of_the_distance_is_the_largest_where_fresh_curves_are_few():
     reference, fresh = cloud(50, 5, 2), cloud(100, 6, 2)
-    found = Scope.learnt(reference, fresh, np.ones(10)).distance_limit
+    found = OODDetector.learnt(reference, fresh, np.ones(10)).distance_threshold
     assert found == pytest.approx(max(distance(point, reference) for point in fresh), rel=1e-6)
 
 
 def test_limit_of_the_misfit_follows_mean_and_deviation():
     misfits = np.array([1.0, 1.02, 0.98, 1.04])
     deviation = math.sqrt((0.01**2 + 0.01**2 + 0.03**2 + 0.03**2) / 4)
-    found = Scope.learnt(cloud(20, 0), cloud(20, 1), misfits).misfit_limit
+    found = OODDetector.learnt(cloud(20, 0), cloud(20, 1), misfits).misfit_threshold
     assert found == pytest.approx(1.01 + MISFIT_DEVIATIONS * deviation, rel=1e-12)
 
 
 def test_reference_is_the_first_of_the_training_curves():
     training = cloud(N_REFERENCE + 10, 0, 2)
-    scope = Scope.learnt(training, cloud(50, 1, 2), np.ones(10))
+    scope = OODDetector.learnt(training, cloud(50, 1, 2), np.ones(10))
     np.testing.assert_array_equal(scope.reference, training[:N_REFERENCE])
 
 
@@ -138,7 +139,7 @@ def test_parameter_that_the_curve_does_not_tell_is_not_outside(scope, problem):
 
 def test_cloud_of_fewer_points_than_neighbours():
     reference = np.array([[0.0, 0.0], [2.0, 0.0]])
-    assert Scope(reference, 1.0, 1.0).distances(np.zeros((1, 2))).tolist() == [1.0]
+    assert OODDetector(reference, 1.0, 1.0).distances(np.zeros((1, 2))).tolist() == [1.0]
 
 
 def test_range_of_the_mass_is_its_own(scope, task):
@@ -179,7 +180,7 @@ def test_features_beyond_the_cloud_name_the_one_that_is(scope, problem, column, 
     inputs[1, column] = value
     found = flags(scope, problem, fitted(2), inputs)
     assert found.found.tolist() == [[False] * 4, [False, True, False, False]]
-    times = distance(inputs[1], scope.reference) / scope.distance_limit
+    times = distance(inputs[1], scope.reference) / scope.distance_threshold
     assert found.reasons[1] == (
         f"the features lie {times:.2g} times as far from the training curves' as any of these, "
         f"{problem.inputs[column]} most of all"
@@ -189,7 +190,7 @@ def test_features_beyond_the_cloud_name_the_one_that_is(scope, problem, column, 
 def test_feature_within_the_cloud_but_where_no_curve_is_counts_too(problem):
     """All training curves lie on a line; each feature by itself is quite usual."""
     line = np.linspace(-1, 1, 200)[:, None] * np.ones(9)
-    scope = Scope.learnt(line, line[::3] + 0.001, np.ones(10))
+    scope = OODDetector.learnt(line, line[::3] + 0.001, np.ones(10))
     off = np.array([[0.9, -0.9, *[0.0] * 7]])
     assert flags(scope, problem, inputs=off).found[0].tolist() == [False, True, False, False]
 
@@ -216,7 +217,7 @@ def test_each_curve_has_its_own_reasons(scope, problem):
 
 
 def test_curve_that_is_not_explained_is_said_with_numbers(problem):
-    scope = Scope(cloud(50, 0), 10.0, 1.25)
+    scope = OODDetector(cloud(50, 0), 10.0, 1.25)
     found = flags(scope, problem, fitted(misfit=3.4567))
     assert found.found[0].tolist() == [False, False, False, True]
     assert found.reasons[0] == (
@@ -262,7 +263,7 @@ def test_few_curves_like_the_training_curves_are_flagged(problem):
 
     inputs, usual = some(300, 0)
     nine = np.random.default_rng(0).standard_normal((5, 9))  # features that follow from the ratios
-    scope = Scope.learnt(cloud_of(problem, 4000, 3) @ nine, inputs @ nine, usual.misfit)
+    scope = OODDetector.learnt(cloud_of(problem, 4000, 3) @ nine, inputs @ nine, usual.misfit)
     inputs, others = some(300, 1)
     found = scope.flags(problem, [""] * 300, inputs @ nine, others)
     # about 5e-4 of each kind but for the few curves that the limits were learnt from: 1 / 300
@@ -276,11 +277,11 @@ def cloud_of(problem, n, seed):
 
 
 def test_restored_scope_gives_the_same_flags_bit_for_bit(scope, problem):
-    restored = Scope.restored(scope.state())
+    restored = OODDetector.restored(scope.state())
     points = cloud(30, 8)
     np.testing.assert_array_equal(restored.distances(points), scope.distances(points))
-    assert restored.distance_limit == scope.distance_limit
-    assert restored.misfit_limit == scope.misfit_limit
+    assert restored.distance_threshold == scope.distance_threshold
+    assert restored.misfit_threshold == scope.misfit_threshold
     refined = fitted(30, misfit=1.2, c_s=3.0)
     first, second = (flags(one, problem, refined, 2 * points) for one in (scope, restored))
     np.testing.assert_array_equal(first.found, second.found)
@@ -291,12 +292,12 @@ def test_restored_scope_gives_the_same_flags_bit_for_bit(scope, problem):
 # failure
 
 
-@pytest.mark.parametrize("name", ["reference", "limits"])
+@pytest.mark.parametrize("name", ["reference", "thresholds"])
 def test_missing_array_is_named(scope, name):
     arrays = scope.state()
     del arrays[name]
     with pytest.raises(KeyError, match=name):
-        Scope.restored(arrays)
+        OODDetector.restored(arrays)
 
 
 @pytest.mark.parametrize(
@@ -305,10 +306,10 @@ def test_missing_array_is_named(scope, name):
         ("reference", np.ones(4), "`reference` must be a table of finite numbers"),
         ("reference", np.ones((0, 9)), "`reference` must be a table of finite numbers"),
         ("reference", np.array([[1.0, math.nan]]), "`reference` must be a table of finite"),
-        ("limits", np.ones(3), "`limits` must be two numbers"),
-        ("limits", np.array([1.0, math.nan]), "`limits` must be two numbers"),
+        ("thresholds", np.ones(3), "`thresholds` must be two numbers"),
+        ("thresholds", np.array([1.0, math.nan]), "`thresholds` must be two numbers"),
     ],
 )
 def test_arrays_that_are_no_scope_are_rejected(scope, name, array, message):
     with pytest.raises(ValueError, match=message):
-        Scope.restored(scope.state() | {name: array})
+        OODDetector.restored(scope.state() | {name: array})

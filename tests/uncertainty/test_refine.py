@@ -7,14 +7,15 @@ import pytest
 import reference
 import torch
 from scipy import optimize
-from suspnet.uncertainty import refine as module
 from vehicles import AM96
 
-from suspnet.data import TEST, CurveSettings
+from suspnet.data import CurveSettings
 from suspnet.data.estimates import EstimateSettings
 from suspnet.data.misfit import CurveMisfit, EstimateMisfit
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.problem import TEST
 from suspnet.theory.information import output_bounds
+from suspnet.uncertainty import refine as module
 from suspnet.uncertainty.refine import BEYOND, Refined, refine
 
 SNR_DB = 34.0

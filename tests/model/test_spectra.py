@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,11 @@ from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS
-from suspnet.theory.information import output_bounds
 from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.model import spectra as trust
+from suspnet.model.spectra import ONE_SIGMA, estimate_spectra
+from suspnet.theory.information import output_bounds
 from suspnet.uncertainty.conformal import Conformal
-from suspnet.trips import trust
-from suspnet.trips.trust import ONE_SIGMA, trusted
 from suspnet.uncertainty.intervals import Intervals
 
 pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
@@ -71,7 +72,11 @@ def inputs_of(model, spectra):
 
 
 def read(model, spectra, level=LEVEL):
-    return trusted(model, spectra, inputs_of(model, spectra), level)
+    """Return values and half widths (n_outputs,) and the flags in words."""
+    found = estimate_spectra(model, spectra, level)
+    return SimpleNamespace(
+        values=found.values[0], half_widths=found.half_widths[0], flags=found.flags.reasons[0]
+    )
 
 
 def half_widths(model, share, changes=WORN):
@@ -94,9 +99,11 @@ def held(model, share, n, seed=7):
 
 def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, monkeypatch):
     spectra = row(expected(model, ratios_of(WORN)))
-    monkeypatch.setattr(trust, "_ratios", lambda *_: ratios_of(WORN))  # what is estimated is true
+    monkeypatch.setattr(
+        trust, "complete_ratios", lambda *_: ratios_of(WORN).numpy()
+    )  # what is estimated is true
     inputs = inputs_of(model, spectra)
-    found = trusted(model, spectra, inputs, LEVEL)
+    found = read(model, spectra)
     predicted = model.predict(inputs)
     np.testing.assert_array_equal(found.values, predicted[0])
     scale = model.intervals.residual_scale.predict(model.with_estimates(inputs, predicted))
@@ -120,7 +127,7 @@ def test_noise_of_the_training_is_replaced(model, monkeypatch, noise, expected_n
     lasting = max(1 - expected_noise**2, 0)
     s = s_0 * np.sqrt(lasting + noise**2)
     expected_half = s * factors[LEVEL] / factors[ONE_SIGMA]
-    np.testing.assert_allclose(trusted(model, spectra, inputs, LEVEL).half_widths, expected_half)
+    np.testing.assert_allclose(read(model, spectra).half_widths, expected_half)
 
 
 def test_noise_is_the_spread_of_estimates_from_other_draws(model):
@@ -302,7 +309,6 @@ def test_error_of_estimates_without_logarithms_becomes_relative(model):
 def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):
     """The spectra of a recording are on the CPU, wherever the model is."""
     spectra = row(drawn(expected(model, ratios_of(WORN)), model))
-    inputs = inputs_of(model, spectra)
     seen = []
     original = type(model.settings).observer
     monkeypatch.setattr(
@@ -312,7 +318,7 @@ def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):
     )
     moved = replace(model.generator)
     object.__setattr__(moved, "device", "cuda")
-    trusted(replace(model, generator=moved), spectra, inputs, LEVEL)
+    estimate_spectra(replace(model, generator=moved), spectra, LEVEL)
     assert [generator.device for generator in seen] == ["cpu"]
 
 
@@ -321,8 +327,8 @@ def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):
 
 def test_model_without_calibration_has_neither_interval_nor_flags(model):
     spectra = row(drawn(expected(model, ratios_of(WORN)), model))
-    plain = read(replace(model, intervals=None, scope=None), spectra)
-    taken_further = read(replace(model, intervals=None, scope=None, refined=True), spectra)
+    plain = read(replace(model, intervals=None, ood=None), spectra)
+    taken_further = read(replace(model, intervals=None, ood=None, refined=True), spectra)
     for one in (plain, taken_further):
         assert np.isnan(one.half_widths).all()
         assert one.flags == ""
@@ -337,7 +343,7 @@ def test_draws_without_features_make_the_interval_infinite(model, monkeypatch):
     missing = np.full((trust.N_DRAWS, inputs.shape[1]), np.nan)
     missing[: trust.N_DRAWS // 2 - 1] = inputs
     monkeypatch.setattr(type(model), "relative_features", lambda *_: missing)
-    assert (trusted(model, spectra, inputs, LEVEL).half_widths == np.inf).all()
+    assert (read(model, spectra).half_widths == np.inf).all()
 
 
 @pytest.mark.parametrize("widened", [1.0, 6.0])

@@ -1,30 +1,31 @@
-"""Training data from a vehicle alone: degraded vehicles -> noisy curves -> features."""
+"""What is to be learnt, and the training data that a vehicle alone gives for it.
+
+Degraded vehicles -> noisy curves -> features, block by block.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
 import suspnet
-from suspnet.data.curves import CurveObserver, CurveSettings
-from suspnet.data.estimates import EstimateObserver, EstimateSettings
-from suspnet.data.protocols import RESPONSES, Task
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.features import CurveFeatures, PeakFeatures
+from suspnet.checks import check_number
+from suspnet.data.feature_data import FeatureData
+from suspnet.data.observation import Observation, Observer
+from suspnet.data.parallel import pool_of, quiet
+from suspnet.data.protocols import Task
+from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
+from suspnet.features import FeatureSet
 from suspnet.storage import (
     DamagedFileError,
     content_hash,
@@ -32,6 +33,7 @@ from suspnet.storage import (
     read_arrays,
     write_atomically,
 )
+from suspnet.types import FloatArray
 
 LEARN_FROM = 4096
 """Training curves from which a feature set learns what it has to."""
@@ -44,94 +46,60 @@ TRAIN, TEST, CALIBRATE = 0, 1, 2
 """Streams of curves: to learn from, to score on, to calibrate intervals on."""
 _NAMES = ("training", "test", "calibration")
 log = logging.getLogger(__name__)
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class FeatureData:
-    """Inputs and outputs of a learning problem, one row a curve.
-
-    Attributes
-    ----------
-    inputs : array of shape (n_curves, n_inputs), [-]
-        Features relative to the healthy vehicle's (and the mass ratio where it is known); NaN
-        where a peak is missing.
-    outputs : array of shape (n_curves, n_outputs), [-]
-        Parameters relative to healthy.
-    ratios : array of shape (n_curves, 5), [-]
-        All parameters relative to healthy, in the order of ``PARAMETERS``.
-    reasons : array of shape (n_curves, n_peaks)
-        A ``PeakReason`` for each peak.
-    """
-
-    inputs: FloatArray
-    outputs: FloatArray
-    ratios: FloatArray
-    reasons: NDArray[np.int64]
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """True where every feature was found, shape (n_curves,)."""
-        return np.asarray(np.isfinite(self.inputs).all(axis=1))
-
-    def complete(self) -> FeatureData:
-        """Return the curves on which every feature was found.
-
-        Raises
-        ------
-        ValueError
-            If there is none.
-        """
-        kept = self.valid
-        if not kept.any():
-            raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
-        return self.subset(kept)
-
-    def first(self, n_curves: int) -> FeatureData:
-        """Return the first curves."""
-        return self.subset(np.arange(len(self.inputs)) < n_curves)
-
-    def subset(self, rows: NDArray[np.bool_]) -> FeatureData:
-        """Return the curves for which `rows` is true, perhaps none."""
-        return FeatureData(
-            self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
-        )
-
-
-@dataclass(frozen=True)
-class CurveSource:
-    """Noisy curves of a task's degraded vehicles, and their features.
+class Problem:
+    """A learning problem, and the source of its noisy curves and their features.
 
     Parameters
     ----------
     generator : ResponseGenerator
+        The source of frequency responses.
     task : Task
-    settings : CurveSettings
+    settings : Observation
+        How curves are observed; where the band is left to the vehicle, it is that of the
+        generator's.
     seed : int
         Chooses vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
     threads : int
-        Blocks made at the same time.
+        Blocks of curves made at the same time.
     progress : bool
         Show a progress bar.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If seed or threads is no whole number, or the vehicle leaves no band.
     """
 
     generator: ResponseGenerator
     task: Task
-    settings: CurveSettings | EstimateSettings
+    settings: Observation
     seed: int = 0
     threads: int = 1
     progress: bool = False
 
+    def __post_init__(self) -> None:
+        check_number("seed", self.seed, low=0, whole=True)
+        check_number("threads", self.threads, low=1, whole=True)
+        object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
+
     @cached_property
-    def observer(self) -> CurveObserver | EstimateObserver:
+    def observer(self) -> Observer:
         """The source of curves."""
         return self.settings.observer(self.generator)
 
     @cached_property
-    def extractor(self) -> PeakFeatures | CurveFeatures:
+    def extractor(self) -> FeatureSet:
         """The task's feature set; what it has not learnt yet, it learns from training curves."""
         extractor = self.task.extractor
-        if not isinstance(extractor, CurveFeatures) or extractor.basis is not None:
+        if extractor.is_fitted:
             return extractor
         ratios = self.ratios(TRAIN)[:LEARN_FROM]
         blocks = range(self.n_blocks(len(ratios)))
@@ -238,7 +206,7 @@ class CurveSource:
         name = f"{self.task.protocol}/{self.task.group} {_NAMES[stream]} curves"
         n_curves = len(ratios[asked])
         bar = tqdm(total=n_curves, desc=name, unit="curve", disable=quiet(self.progress))
-        with bar, single_threaded_torch(self.threads), pool_of(self.threads) as pool:
+        with bar, pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)
         mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
@@ -259,40 +227,20 @@ class CurveSource:
         for name in ("cache_dir", "n_train", "n_test", "n_calibrate"):
             del settings[name]
         description = {
-            "generator": [type(self.generator).__name__, asdict(self.generator)],  # type: ignore[call-overload]
-            "task": describe_task(self.task),
-            "settings": [type(self.settings).__name__, settings],
+            "generator": [type(self.generator).__name__, asdict(self.generator)],
+            "task": self.task.describe(),
+            "settings": [self.settings.kind, settings],
             "n_curves": self._wanted(stream),
             "seed": self.seed,
             "stream": stream,
             "version": suspnet.__version__,
             "code": _code_hash(),
         }
-        if isinstance(self.task.extractor, CurveFeatures):
+        if not self.task.extractor.is_fitted:
             wanted = self._wanted(TRAIN)
             description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
         plain: dict[str, Any] = json.loads(json.dumps(description))
         return plain
-
-
-def describe_task(task: Task) -> dict[str, Any]:
-    """Return a task as JSON-able values, without the arrays its feature set has learnt."""
-    extractor = task.extractor
-    if isinstance(extractor, CurveFeatures):
-        extractor = replace(extractor, basis=None)
-    plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(task, extractor=extractor))))
-    plain["extractor"]["kind"] = extractor.kind
-    return plain
-
-
-def quiet(progress: bool) -> bool | None:
-    """Return tqdm's `disable`: no bar if not wanted, nor where there is no terminal to draw on."""
-    return None if progress else True
-
-
-def used_responses(task: Task) -> list[int]:
-    """Return which of the two responses a task may use, as indices."""
-    return [RESPONSES.index(name) for name in task.responses]
 
 
 def _read_cache(path: Path) -> FeatureData | None:
@@ -307,28 +255,7 @@ def _read_cache(path: Path) -> FeatureData | None:
 
 def _code_hash() -> str:
     package = Path(suspnet.__file__).parent
-    files = sorted(
-        f for part in ("dynamics", "features", "data") for f in (package / part).glob("*.py")
-    )
+    files = [package / "problem.py"]
+    for part in ("dynamics", "features", "data"):
+        files += sorted((package / part).glob("*.py"))
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-
-
-@contextmanager
-def single_threaded_torch(workers: int) -> Iterator[None]:
-    """Let blocks, not operations, share the cores: the arrays of a block are too small to split."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1 if workers > 1 else before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-@contextmanager
-def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
-    """Yield a pool that drops what is still waiting when it is left by an error or Ctrl-C."""
-    pool = ThreadPoolExecutor(workers)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)

@@ -15,8 +15,8 @@ from suspnet.dynamics.journey import steady_journey
 from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.features.transfer_estimate import segment_spectra
 from suspnet.features.welch import Welch
-from suspnet.trips.plausibility import check_channels
 from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.plausibility import check_channels
 from suspnet.simulation.fleet import profile_length_m, simulate_trip
 
 CONFIGS = Path(__file__).parents[2] / "configs"

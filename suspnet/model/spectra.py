@@ -1,0 +1,197 @@
+"""How far one trip's estimate can be trusted: its interval, and what speaks against it.
+
+Intervals are calibrated on curves with the averages and the noise that a model was trained for, and
+a trip has its own. So the part of the error that noise makes is taken out and the trip's put in::
+
+    s^2 = max(s_0^2 - n_0^2, 0) + n^2,   half width = s q(level) / q(ONE_SIGMA)
+
+with s_0 the standard deviation that the calibration gives and q its quantiles, n_0 the noise part
+expected of such a vehicle in training, n that of the trip. What is left, s_0^2 - n_0^2, is the
+error of the regression itself and of what the generator holds uncertain. Of refined estimates n_0
+and n are the deviations of Gauss-Newton; of others the spread of estimates from drawn spectra.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from suspnet.data.estimates import EstimateObserver, EstimateSettings
+from suspnet.data.misfit import EstimateMisfit
+from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.model.curves import complete_ratios
+from suspnet.model.estimate import Estimate
+from suspnet.model.fitted import FittedMethod, ModelFileError
+from suspnet.theory.information import output_bounds
+from suspnet.uncertainty.ood import Flags
+from suspnet.uncertainty.refine import Refined, refine
+
+
+class MissingFeaturesError(ValueError):
+    """A trip lacks features that the regression needs; the message says which and why."""
+
+
+N_DRAWS = 64
+"""Draws of a trip's noise. Their spread is known to 0.96 / sqrt(64) = 12 %, but n and n_0 come from
+the same random numbers and err alike: half widths are known to 4 % at a quarter of the averages."""
+ONE_SIGMA = 0.6827
+CONFIRMED = 1.05
+"""Calibrations that widen the deviations of refined estimates by less find nothing but noise."""
+SMOOTHED_BINS = 5
+"""Neighbouring bins over which a trip's measured covariance is averaged."""
+FloatArray = NDArray[np.float64]
+
+
+def estimate_spectra(method: FittedMethod, spectra: CrossSpectra, level: float) -> Estimate:
+    """Return one trip's estimate with interval and flags, from its spectra.
+
+    Parameters
+    ----------
+    method : FittedMethod
+        Trained on estimates from trips.
+    spectra : CrossSpectra
+        Of the trip on the method's bins, (3, n_freq).
+    level : float
+        Probability of the interval.
+
+    Raises
+    ------
+    MissingFeaturesError
+        If the regression lacks a feature; the message says which and why.
+    """
+    observer = trip_observer(method)
+    inputs = _inputs(method, spectra, observer)
+    predicted = method.predict(inputs)
+    if method.intervals is None and not method.refined:
+        return _estimate(method, predicted[0], None, level)
+    refined = _refined(method, observer, spectra, predicted)
+    if method.intervals is None or method.ood is None:
+        return _estimate(method, refined.of(method.task.outputs)[0][0], None, level)
+    seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
+    flags = method.ood.flags(method.task, [""], method.scaled(inputs), seen)
+    factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
+    ratios = torch.as_tensor(complete_ratios(method.task, predicted))
+    if method.refined:
+        values, noise = (part[0] for part in refined.of(method.task.outputs))
+        noise_0 = scale = noise
+        if not (usual < CONFIRMED).all():
+            bounds = output_bounds(method.task, observer, ratios.numpy())
+            noise_0 = scale = bounds[0] / ratios.numpy()[0, method.task.output_indices]
+    else:
+        values = predicted[0]
+        expected = observer.expected(ratios)
+        mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
+        noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
+        scale = _residual_scale(method, inputs, predicted)
+    spread = np.sqrt(_lasting(usual * scale, noise_0) + noise**2)
+    return _estimate(method, values, factor / usual * spread, level, flags)
+
+
+def trip_observer(method: FittedMethod) -> EstimateObserver:
+    """Return what observes trips as in a method's training, on the CPU as the spectra are.
+
+    Raises
+    ------
+    ModelFileError
+        If the method was trained on other curves.
+    """
+    if not isinstance(method.settings, EstimateSettings):
+        raise ModelFileError(
+            f"the model of protocol {method.task.protocol!r} was trained on curves of section "
+            "III-B; trips need one of: python train.py experiment=trips"
+        )
+    return method.settings.observer(method.generator.on("cpu"))
+
+
+def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:
+    """Return the features of a trip, shape (1, n_inputs)."""
+    extractor = method.task.extractor
+    responses = spectra.responses(observer.settings.method)[None]
+    table = extractor.extract(responses, observer.frequencies_hz)
+    inputs = extractor.relative(table.values.numpy(), method.healthy_features)
+    if not np.isfinite(inputs).all():
+        raise MissingFeaturesError(extractor.missing(table.reasons[0].numpy()))
+    return inputs
+
+
+def _estimate(
+    method: FittedMethod,
+    values: FloatArray,
+    half_widths: FloatArray | None,
+    level: float,
+    flags: Flags | None = None,
+) -> Estimate:
+    """Return an estimate of one row whose interval is symmetric in logarithms."""
+    half = np.full(len(values), np.nan) if half_widths is None else half_widths
+    with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+        low, high = values * np.exp(-half), values * np.exp(half)
+    return Estimate(
+        method.task.outputs, values[None], low[None], high[None], level, flags or Flags.none(1)
+    )
+
+
+def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
+    """Return max(s_0^2 - n_0^2, 0), what no average takes away; 0 where both are infinite."""
+    s_0, n_0 = (np.nan_to_num(part, posinf=0.0) for part in (usual, noise_0))
+    return np.asarray(np.maximum(s_0**2 - n_0**2, 0))
+
+
+def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Return the residual scale of one curve's logarithms, (n_outputs,)."""
+    intervals = method.intervals
+    assert intervals is not None
+    assert intervals.residual_scale is not None
+    scale = intervals.residual_scale.predict(method.with_estimates(inputs, predicted))[0]
+    return np.asarray(scale if intervals.log else scale / predicted[0])
+
+
+def _refined(
+    method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
+) -> Refined:
+    estimator = observer.settings.method
+    covariance = _smoothed(spectra.covariance(estimator))
+    # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
+    n = spectra.n_averages * _independent(observer.settings.welch.correlation())
+    covariance = covariance * n / (n - 2)
+    misfit = EstimateMisfit(observer, spectra.responses(estimator)[None], covariance[None])
+    return refine(method.task, misfit, predicted)
+
+
+def _as_in_training(refined: Refined, share: float) -> Refined:
+    """Return estimates with the misfit that trips with `share` of the averages would have.
+
+    The mean square beyond 1 is that of the generator's own errors over that of the noise. It grows
+    with the averages, and its limit is known for those of the training only. Shorter trips keep
+    theirs: their misfit is noise.
+    """
+    beyond = (refined.misfit**2 - 1) * min(share, 1.0)
+    return replace(refined, misfit=np.sqrt(1 + beyond))
+
+
+def _smoothed(covariance: Tensor) -> Tensor:
+    """Return the moving average over bins of a covariance (2, 2, n_freq)."""
+    half = SMOOTHED_BINS // 2
+    ends = [covariance[..., :1].expand(2, 2, half), covariance[..., -1:].expand(2, 2, half)]
+    return torch.cat([ends[0], covariance, ends[1]], dim=-1).unfold(-1, SMOOTHED_BINS, 1).mean(-1)
+
+
+def _independent(correlation: Tensor) -> float:
+    """Return how many of the smoothed bins are independent, by their correlation from lag 0 on."""
+    lags = torch.arange(len(correlation))
+    pairs = (SMOOTHED_BINS - lags).clamp(min=0) * torch.where(lags == 0, 1, 2)
+    return SMOOTHED_BINS**2 / float(pairs.to(correlation) @ correlation)
+
+
+def _noise(method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra) -> FloatArray:
+    """Return the spread of the estimates' logarithms over draws of some spectra, (n_outputs,)."""
+    drawn = observer.observe_again(spectra, N_DRAWS, seed=0)
+    inputs = method.relative_features(drawn.numpy(), observer.frequencies_hz.numpy())
+    inputs = inputs[np.isfinite(inputs).all(axis=1)]
+    if len(inputs) < N_DRAWS // 2:
+        return np.full(len(method.task.outputs), np.inf)
+    low, high = np.quantile(method.predict(inputs), [0.1587, 0.8413], axis=0)
+    return np.asarray(np.log(high / low) / 2)

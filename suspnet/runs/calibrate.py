@@ -1,0 +1,53 @@
+"""Calibration: intervals and the out-of-distribution detector, learnt from fresh curves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+from suspnet.model.curves import identified
+from suspnet.model.fitted import FittedMethod
+from suspnet.problem import CALIBRATE, TRAIN, Problem
+from suspnet.runs.predict import refine_stream, regress_stream
+from suspnet.uncertainty.conformal import Conformal
+from suspnet.uncertainty.intervals import Intervals, residuals
+from suspnet.uncertainty.ood import OODDetector
+
+N_FITS = 2048
+"""Refined calibration curves from which the usual misfit is learnt."""
+Model = TypeVar("Model", bound=FittedMethod)
+
+
+def calibrated(problem: Problem, model: Model) -> Model:
+    """Return a model with intervals and OOD detector, learnt from curves like the training curves.
+
+    Half of them teach the residual scale and half give the scores; of refined estimates, whose
+    residual scale is known, all give scores. With ``settings.n_calibrate`` None the model comes
+    back as it is.
+
+    Raises
+    ------
+    ValueError
+        If the model refines, and the curves do not tell an output.
+    """
+    if problem.settings.n_calibrate is None:
+        return model
+    data = problem.features(CALIBRATE)
+    kept = data.valid
+    predicted = regress_stream(problem, model, data, CALIBRATE)
+    n_fits = len(kept) if model.refined else min(N_FITS, len(kept))
+    fitted = refine_stream(problem, data.first(n_fits), predicted[:n_fits], CALIBRATE)
+    inputs = model.scaled(data.inputs)
+    if model.refined:
+        estimates, deviations = identified(model.task, fitted)
+        wrong = residuals(estimates[kept], data.outputs[kept], log=True)
+        intervals = Intervals(Conformal.of(wrong, deviations[kept]), True, None)
+    else:
+        wrong = residuals(predicted[kept], data.outputs[kept], model.log)
+        known = model.with_estimates(data.inputs[kept], predicted[kept])
+        intervals = Intervals.learnt(known, wrong, model.log)
+    training = inputs[:0]  # a method that works on curves has no cloud of features
+    if model.input_scaling is not None:
+        training = model.scaled(problem.features(TRAIN).complete().inputs)
+    ood = OODDetector.learnt(training, inputs[kept], fitted.misfit)
+    return replace(model, intervals=intervals, ood=ood)

@@ -1,0 +1,109 @@
+"""Evaluate: score the model of a run folder on freshly generated curves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from suspnet.data import Protocol, Task
+from suspnet.model import ModelFileError, load_model
+from suspnet.problem import TEST, Problem
+from suspnet.runs.figures import draw_predictions
+from suspnet.runs.predict import predict_stream
+from suspnet.runs.scores import Metrics, headline, log_hyperparameters, report, scores
+from suspnet.runs.tensorboard import RunLog
+from suspnet.storage import write_json
+
+
+def evaluate(
+    folder: Path,
+    output: Path,
+    *,
+    seed: int,
+    n_test: int | str,
+    snr_db: float | None,
+    protocol: Protocol | None,
+    threads: int,
+    device: str,
+    progress: bool = True,
+) -> Metrics:
+    """Score the model of a run on freshly generated curves and write metrics and figures.
+
+    Parameters
+    ----------
+    folder : Path
+        The run.
+    output : Path
+        Where metrics.json and figures go.
+    seed : int
+        Of the fresh curves; another one than the run's.
+    n_test : int or "all"
+    snr_db : float, optional
+        The run's own if None.
+    protocol : Protocol, optional
+        The run's own if None; else one with the same features that varies the model's outputs.
+
+    Raises
+    ------
+    FileNotFoundError, ModelFileError
+        If there is no model, or it is damaged.
+    ValueError
+        If the protocol does not fit the model, or the seed is the run's own.
+    """
+    model = load_model(folder, device)
+    if seed == model.training["seed"]:
+        raise ValueError(
+            f"seed={seed} made the training curves of {folder}; fresh curves need another seed"
+        )
+    task = model.task if protocol is None else fitting_task(model.task, protocol)
+    settings = replace(model.settings, n_test=n_test)
+    if snr_db is not None:
+        settings = replace(settings, snr_db=snr_db)
+    problem = Problem(model.generator, task, settings, seed, threads, progress)
+    outcome = predict_stream(problem, model, TEST, flags=True)
+    metrics = {
+        **headline(problem, model),
+        **scores(problem, model, outcome),
+        "seconds": outcome.seconds,
+        "run": str(folder),
+    }
+    with RunLog(output) as run_log:
+        log_hyperparameters(run_log, metrics, model.training["parameters"])
+        draw_predictions(problem, model.name, outcome, run_log, output / "figures")
+    write_json(output / "metrics.json", metrics)
+    report(metrics, output)
+    return metrics
+
+
+def find_runs(path: Path) -> list[Path]:
+    """Return the folders with a model at or below `path`: one run, or all of a multirun.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the path does not exist or holds no model.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"run={path} does not exist")
+    runs = sorted(file.parent for file in path.rglob("model.json"))
+    if not runs:
+        raise FileNotFoundError(f"run={path} holds no model.json; is it the folder of a run?")
+    return runs
+
+
+def fitting_task(trained: Task, protocol: Protocol) -> Task:
+    """Return the task of another protocol that a model can be tested on.
+
+    Raises
+    ------
+    ModelFileError
+        If no group of the protocol has the model's features and varies its outputs.
+    """
+    tasks = [protocol.task(group) for group in protocol.groups]
+    for task in sorted(tasks, key=lambda t: t.group != trained.group):
+        if task.inputs == trained.inputs and set(trained.outputs) <= set(task.varied):
+            return replace(task, outputs=trained.outputs)
+    raise ModelFileError(
+        f"a model of protocol {trained.protocol!r}, group {trained.group!r} needs the features "
+        f"{trained.inputs} and estimates {trained.outputs}; protocol {protocol.name!r} does not fit"
+    )

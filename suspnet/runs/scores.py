@@ -1,0 +1,150 @@
+"""The scores of one run beside what is possible at best, and the line that reports them."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from suspnet.data import Task
+from suspnet.model.fitted import FittedMethod
+from suspnet.problem import Problem
+from suspnet.runs.metrics import METRICS, interval_scores, score
+from suspnet.runs.predict import Outcome
+from suspnet.runs.tables import REFINED, scores_table
+from suspnet.runs.tensorboard import RunLog
+from suspnet.theory.information import (
+    best_possible,
+    output_bounds,
+    range_limited,
+    relative_percent,
+)
+from suspnet.types import FloatArray
+from suspnet.uncertainty.ood import KINDS
+
+log = logging.getLogger(__name__)
+Metrics = dict[str, Any]
+LEVEL = 0.9
+"""Probability of the intervals in tables."""
+TOO_GOOD = 4.0
+"""Standard deviations of its sampling error by which an rms error may lie below the bound."""
+
+
+def label(model: FittedMethod) -> str:
+    """Return what a model is called in every table: its method, and whether it is refined."""
+    return model.name + (REFINED if model.refined else "")
+
+
+def rms_percent(task: Task, outcome: Outcome) -> dict[str, float]:
+    """Return the rms relative error of each output, [%]."""
+    error = 100 * (outcome.predicted / outcome.data.outputs - 1)
+    return dict(zip(task.outputs, np.sqrt(np.mean(error**2, axis=0)).tolist(), strict=True))
+
+
+def headline(problem: Problem, model: FittedMethod) -> Metrics:
+    """Return what a run is called in tables: vehicle, protocol, group, method, counts, noise."""
+    return {
+        "vehicle": problem.vehicle.name,
+        "generator": type(problem.generator).__name__,
+        "protocol": problem.task.protocol,
+        "group": problem.task.group,
+        "model": label(model),
+        "n_train": problem.settings.n_train,
+        "snr_db": problem.settings.snr_db,
+        "seed": problem.seed,
+        "mass_known": problem.task.mass_known,
+    }
+
+
+def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
+    """Return the scores of estimates on one stream of curves, as metrics.json holds them."""
+    task, data = problem.task, outcome.data
+    bounds = output_bounds(task, problem.observer, data.ratios)
+    spread = relative_percent(task, bounds, data.ratios)
+    metrics: Metrics = {
+        "scores": score(data.outputs, outcome.predicted, task.outputs),
+        "limit": best_possible(task, bounds, data.ratios),
+        "cramer_rao_percent": dict(zip(task.outputs, spread.tolist(), strict=True)),
+        "rms_ratio": _rms_ratio(task, outcome, bounds),
+        "n_test": outcome.n_asked,
+        "n_test_complete": len(data.inputs),
+    }
+    if model.intervals is not None and outcome.scales is not None:
+        limits = [
+            model.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint)
+            for joint in (False, True)
+        ]
+        metrics["intervals"] = interval_scores(data.outputs, limits[0], limits[1], task.outputs)
+        metrics["intervals"]["level"] = LEVEL
+    if outcome.flags is not None:
+        shares = 100 * outcome.flags.found.mean(axis=0)
+        metrics["flagged_percent"] = dict(zip(KINDS, shares.tolist(), strict=True))
+        metrics["flagged_percent"]["any"] = 100 * float(outcome.flags.flagged.mean())
+    return metrics
+
+
+def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, float]:
+    """Return rms relative error over rms relative bound; warn where it is too good to be true."""
+    truth = outcome.data.outputs
+    error = np.sqrt(np.mean((outcome.predicted / truth - 1) ** 2, axis=0))
+    ratios = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
+    scatter = 1 / math.sqrt(2 * len(truth))
+    for j, name in enumerate(task.outputs):
+        if not np.isfinite(bounds[:, j]).all():
+            continue
+        least = range_limited(bounds[:, j], truth[:, j], *task.limits(name)) / truth[:, j]
+        if error[j] < (1 - TOO_GOOD * scatter) * np.sqrt(np.mean(least**2)):
+            log.warning(
+                "%s: rms error %.3g %% lies below the limit of %.3g %% by more than chance and the "
+                "known range explain; do test curves take part in the training?",
+                name,
+                100 * error[j],
+                100 * np.sqrt(np.mean(least**2)),
+            )
+    return dict(zip(task.outputs, ratios.tolist(), strict=True))
+
+
+def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any]) -> None:
+    """Write the hyperparameters and final scores of a run for TensorBoard's HPARAMS tab."""
+    finals = {
+        f"{metric}_{output}": values[metric]
+        for output, values in metrics["scores"].items()
+        for metric in METRICS
+    }
+    finals["seconds"] = metrics["seconds"]
+    if "search" in metrics:
+        finals["cv_rmse"] = min(metrics["search"]["rmse"])
+    run_log.hyperparameters({**parameters, **metrics}, finals)
+
+
+def report(metrics: Metrics, folder: Path) -> None:
+    """Log the scores of a run as a table, with coverage and flags where it was calibrated."""
+    missing = metrics["n_test"] - metrics["n_test_complete"]
+    log.info(
+        "%s on protocol %s, group %s: %d test curves at %g dB (%d more discarded: a peak is "
+        "missing), %.1f s to fit and predict\n%s%s\n-> %s",
+        metrics["model"],
+        metrics["protocol"],
+        metrics["group"],
+        metrics["n_test_complete"],
+        metrics["snr_db"],
+        missing,
+        metrics["seconds"],
+        scores_table(metrics),
+        _trust(metrics),
+        folder,
+    )
+
+
+def _trust(metrics: Metrics) -> str:
+    """Return a line on joint coverage and flags, where a model was calibrated."""
+    words = []
+    if "intervals" in metrics:
+        words.append(f"all outputs at once: {metrics['intervals']['joint_coverage_percent']:.1f} %")
+    if "flagged_percent" in metrics:
+        words.append(f"flagged: {metrics['flagged_percent']['any']:.2f} % of the curves")
+    return "".join(f"\n{part}" for part in words)
