@@ -19,7 +19,7 @@ from suspnet.learning.checks import check_number
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
-"""Bounds of the damping relative to the diagonal of J^T J; a row that reaches the upper one ends."""
+"""Range of the damping, relative to the diagonal of J^T J; a row that reaches its end stops."""
 DIFFERENCE = 1e-5
 """Step of the central differences of the Jacobian; parameters are of the order of 1."""
 
