@@ -33,6 +33,13 @@ GROUPS = {  # as in configs/protocol/*.yaml
 }
 
 
+def pytest_collection_modifyitems(items):
+    """Give each slow test half an hour; pyproject.toml has the time limit of the others."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(1800))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _one_torch_thread():
     """Two threads on a busy machine can be 30 times slower than one."""

@@ -16,14 +16,15 @@ import torch
 from torch import Tensor, cholesky_solve
 
 from suspnet.learning.feature_maps import FeatureMap
-from suspnet.learning.ranks import Total, alone
+from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
-"""Features of a whole training set are kept in memory up to this size, else made again."""
+"""Features of a whole training set are kept in memory up to this size, else computed again."""
 BLOCK_ROWS = 4096
 GRAM_COLUMNS = 256
-"""The Gram matrix is made in stripes of this width, of which only the upper part is needed."""
+"""Columns of the Gram matrix computed at a time, from the diagonal on: it is symmetric."""
 Columns = Callable[[slice, Tensor], Tensor]
+"""Gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b there."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Gradient:
 
 
 class NormalEquations(Protocol):
-    """What gives the solver a direction, exactly or nearly that of Eq. (9)."""
+    """Gives the solver a direction, exactly or nearly that of Eq. (9)."""
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return a direction; F need not be found better than to `accuracy`."""
@@ -75,23 +76,23 @@ class Design(Protocol):
     """What the solver needs of Phi."""
 
     n_features: int
-    total: Total
+    all_reduce: AllReduce
     """Sums a tensor over ranks, in place."""
 
-    def pull(self, columns: Tensor) -> Tensor:
+    def rmatvec(self, columns: Tensor) -> Tensor:
         """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
         ...
 
-    def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
-        """Return Phi W + b, and Phi^T V for the V that `columns` makes of the rows of that."""
+    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
         ...
 
     def fixed(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return equations made once, good where nearly all weights are near 2 C."""
+        """Return the equations of all weights 2 C, computed once."""
         ...
 
     def reweighted(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Eq. (9), made anew for the weights of every iteration."""
+        """Return the equations of Eq. (9), computed for the weights of every iteration."""
         ...
 
 
@@ -103,23 +104,27 @@ class Gram:
     ----------
     products : float64 tensor of shape (n_features, n_features)
     sums : float64 tensor of shape (n_features,)
-    total : float
+    weight_sum : float
     """
 
     products: Tensor
     sums: Tensor
-    total: float
+    weight_sum: float
 
     def __add__(self, other: Gram) -> Gram:
         """Return the sums over the samples of both."""
         return Gram(
-            self.products + other.products, self.sums + other.sums, self.total + other.total
+            self.products + other.products,
+            self.sums + other.sums,
+            self.weight_sum + other.weight_sum,
         )
 
     def __sub__(self, other: Gram) -> Gram:
         """Return the sums over the samples of this that are not in `other`."""
         return Gram(
-            self.products - other.products, self.sums - other.sums, self.total - other.total
+            self.products - other.products,
+            self.sums - other.sums,
+            self.weight_sum - other.weight_sum,
         )
 
 
@@ -134,10 +139,10 @@ class DenseDesign:
     feature_map : FeatureMap
     X : tensor of shape (n_samples, n_inputs)
     block_rows : int
-        Rows of Phi in memory at once, unless all of it fits ...
+        Rows of Phi in memory at once, unless all of it fits `cache_bytes`.
     cache_bytes : int
-        ... this.
-    total : callable, optional
+        Largest size of Phi that is kept in memory.
+    all_reduce : callable, optional
         Sums a tensor over ranks.
     """
 
@@ -145,12 +150,12 @@ class DenseDesign:
         self,
         feature_map: FeatureMap,
         X: Tensor,
-        total: Total = alone,
+        all_reduce: AllReduce = identity,
         *,
         block_rows: int = BLOCK_ROWS,
         cache_bytes: int = CACHE_BYTES,
     ) -> None:
-        self.feature_map, self.X, self.total = feature_map, X, total
+        self.feature_map, self.X, self.all_reduce = feature_map, X, all_reduce
         self._basis: Tensor | None = getattr(feature_map, "basis", None)
         self._make = getattr(feature_map, "raw", feature_map)
         self.slices = [
@@ -189,28 +194,28 @@ class DenseDesign:
     def predict(self, model: Direction) -> Tensor:
         """Return Phi W + b, shape (n_samples, n_outputs)."""
         none = self.X.new_zeros(1, 0)
-        return self.sweep(model, lambda rows, change: none.expand(len(change), 0))[0]
+        return self.matvec_rmatvec(model, lambda rows, change: none.expand(len(change), 0))[0]
 
-    def pull(self, columns: Tensor) -> Tensor:
+    def rmatvec(self, columns: Tensor) -> Tensor:
         """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
         product = self._zeros(self._width, columns.shape[1])
         for rows, phi in self:
             product += (columns[rows].T.to(phi.dtype) @ phi).T
-        return self.total(self._projected(product))
+        return self.all_reduce(self._projected(product))
 
-    def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
-        """Return Phi W + b, and Phi^T V for the V that `columns` makes of the rows of that."""
+    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
         moved = self.X.new_empty(len(self.X), change.coef.shape[1], dtype=torch.float64)
         product: Tensor | None = None
         coef = change.coef if self._basis is None else self._basis.to(change.coef) @ change.coef
         for rows, phi in self:
             moved[rows] = (phi @ coef.to(phi.dtype)).double() + change.intercept
-            pulled = (columns(rows, moved[rows]).T.to(phi.dtype) @ phi).T
-            product = pulled.double() if product is None else product.add_(pulled)
+            partial = (columns(rows, moved[rows]).T.to(phi.dtype) @ phi).T
+            product = partial.double() if product is None else product.add_(partial)
         if product is None:
             none = columns(slice(0, 0), moved)
             product = self._zeros(self._width, none.shape[1])
-        return moved, self.total(self._projected(product))
+        return moved, self.all_reduce(self._projected(product))
 
     def gram(self) -> Gram:
         """Return the Gram matrix of all samples, made once."""
@@ -239,9 +244,9 @@ class DenseDesign:
             for start in starts:
                 stripe = slice(start, start + GRAM_COLUMNS)
                 products[stripe, start:] += scaled[:, stripe].T @ phi[:, start:]
-        self.total(products)
-        self.total(sums)
-        self.total(count)
+        self.all_reduce(products)
+        self.all_reduce(sums)
+        self.all_reduce(count)
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
     def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
@@ -263,16 +268,19 @@ class FixedGram:
     """Directions of I + 2 C Phi^T Phi, b eliminated: one factorisation serves every iteration.
 
     No weight exceeds 2 C, so F lies below this quadratic: a whole step never raises F. It is the
-    step "project each residual onto the epsilon-ball, then ridge regression on what is left".
+    step "project each residual onto the epsilon-ball, then regress the rest by ridge regression".
     """
 
     def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
-        self._sums, self._total, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
+        self._sums, self._weight_sum, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return -H^-1 g, exactly."""
         return without_intercept(
-            gradient, self._sums, self._total, lambda right: cholesky_solve(right, self._factor)
+            gradient,
+            self._sums,
+            self._weight_sum,
+            lambda right: cholesky_solve(right, self._factor),
         )
 
 
@@ -285,40 +293,42 @@ class ReweightedGram:
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
         gram = self._design.weighted_gram(gradient.weights)
-        sums, total, factor = _centred_factor(gram, 1.0, self._fit_intercept)
-        return without_intercept(gradient, sums, total, lambda right: cholesky_solve(right, factor))
+        sums, weight_sum, factor = _centred_factor(gram, 1.0, self._fit_intercept)
+        return without_intercept(
+            gradient, sums, weight_sum, lambda right: cholesky_solve(right, factor)
+        )
 
 
 def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tensor, float, Tensor]:
-    """Return sums, total weight and Cholesky factor of I plus the scaled centred Gram matrix."""
+    """Return sums, sum of weights and Cholesky factor of I plus the scaled centred Gram matrix."""
     matrix = scale * gram.products
-    sums, total = torch.zeros_like(gram.sums), 0.0
-    if fit_intercept and gram.total > 0:
-        sums, total = scale * gram.sums, scale * gram.total
-        matrix.addr_(sums, sums, alpha=-1 / total)
+    sums, weight_sum = torch.zeros_like(gram.sums), 0.0
+    if fit_intercept and gram.weight_sum > 0:
+        sums, weight_sum = scale * gram.sums, scale * gram.weight_sum
+        matrix.addr_(sums, sums, alpha=-1 / weight_sum)
     matrix.diagonal().add_(1.0)
     factor, info = torch.linalg.cholesky_ex(matrix)
     if int(info) or not bool(torch.isfinite(factor).all()):
         raise ValueError(
             f"the {len(matrix)} x {len(matrix)} system of IRWLS is singular to working precision "
-            f"with weights of {scale * gram.total:.1e} in all; lower C, or scale the outputs, or "
-            "use dtype='float64'"
+            f"with weights of {scale * gram.weight_sum:.1e} in all; lower C, or scale the outputs, "
+            "or use dtype='float64'"
         )
-    return sums, total, factor
+    return sums, weight_sum, factor
 
 
 def without_intercept(
-    gradient: Gradient, sums: Tensor, total: float, solve: Callable[[Tensor], Tensor]
+    gradient: Gradient, sums: Tensor, weight_sum: float, solve: Callable[[Tensor], Tensor]
 ) -> Direction:
-    """Solve for W and b with b eliminated: total db = -g_b - sums . dW.
+    """Solve for W and b with b eliminated: weight_sum db = -g_b - sums . dW.
 
-    `sums` and `total` are those of the weighted samples, 0 where b is not fitted; `solve` solves
-    the equations for W that are left.
+    `sums` and `weight_sum` are those of the weighted samples, 0 where b is not fitted; `solve`
+    solves the remaining equations for W.
     """
     shift = torch.zeros_like(gradient.intercept)
-    if total > 0:
-        shift = -gradient.intercept / total
+    if weight_sum > 0:
+        shift = -gradient.intercept / weight_sum
     coef = solve(-gradient.coef - torch.outer(sums, shift))
-    if total > 0:
-        shift = shift - sums @ coef / total
+    if weight_sum > 0:
+        shift = shift - sums @ coef / weight_sum
     return Direction(coef, shift)

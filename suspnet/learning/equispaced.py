@@ -19,10 +19,8 @@ import torch
 from scipy.stats import chi
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Direction
 from suspnet.learning.feature_maps import TensorMap
-from suspnet.learning.ranks import Total, alone
-from suspnet.learning.toeplitz import ToeplitzEquations, flat_index
+from suspnet.learning.ranks import AllReduce, identity
 
 MAX_INPUTS = 3
 MAX_BOX = 800_000
@@ -98,7 +96,7 @@ class EquispacedFeatures(TensorMap):
 
     def apply(self, X: Tensor, coef: Tensor) -> Tensor:
         """Return Phi coef, shape (n_samples, n_outputs), by a non-uniform FFT."""
-        return EquispacedDesign(self, X).apply(coef)
+        return EquispacedTransform(self, X).matvec(coef)
 
 
 def equispaced_fourier(
@@ -138,7 +136,7 @@ def equispaced_fourier(
     reach = (high - low) / 2 + sigma
     images = math.sqrt(math.log(4 * n_inputs / kernel_tol)) * sigma
     spacing = 2 * math.pi / (high - low + sigma + images)
-    # beyond this radius a hundredth of the tolerance is left, each mode counted with its cell
+    # beyond this radius lies a hundredth of the tolerance, each mode counted with its cell
     radius = float(chi.isf(kernel_tol / 200, n_inputs)) * math.sqrt(2) / sigma
     counts = ((radius + spacing.norm()) / spacing).floor()
     if not float((2 * counts + 1).prod()) <= 4 * MAX_BOX:
@@ -174,14 +172,14 @@ def _too_many(sigma: float, extent: Tensor) -> str:
     )
 
 
-class EquispacedDesign:
-    """Phi as non-uniform FFTs of the samples; only the samples themselves are in memory.
+class EquispacedTransform:
+    """Products with Phi by non-uniform FFTs of the samples; only these are in memory.
 
     Parameters
     ----------
     modes : EquispacedFeatures
     X : tensor of shape (n_samples, n_inputs)
-    total : callable, optional
+    all_reduce : callable, optional
         Sums a tensor over ranks.
 
     Raises
@@ -190,8 +188,10 @@ class EquispacedDesign:
         If finufft is not installed.
     """
 
-    def __init__(self, modes: EquispacedFeatures, X: Tensor, total: Total = alone) -> None:
-        self.modes, self.total = modes, total
+    def __init__(
+        self, modes: EquispacedFeatures, X: Tensor, all_reduce: AllReduce = identity
+    ) -> None:
+        self.modes, self.all_reduce = modes, all_reduce
         self.n_features, self.n_samples = modes.n_features, len(X)
         self._finufft = _finufft()
         self.waves = modes.wave_numbers.long()
@@ -203,7 +203,7 @@ class EquispacedDesign:
         self._places = flat_index(self.waves + torch.tensor(self.counts), shape)
         self._size = math.prod(shape)
 
-    def apply(self, coef: Tensor) -> Tensor:
+    def matvec(self, coef: Tensor) -> Tensor:
         """Return Phi coef, shape (n_samples, n_outputs); one transform serves two outputs."""
         spectra = self.spectrum(coef)
         grid = torch.zeros(coef.shape[1], self._size, dtype=torch.complex128)
@@ -216,7 +216,7 @@ class EquispacedDesign:
             values[:, j : j + 2] = found[:, : values.shape[1] - j]
         return values
 
-    def pull(self, columns: Tensor) -> Tensor:
+    def rmatvec(self, columns: Tensor) -> Tensor:
         """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
         sums = []
         for pair in columns.double().split(2, dim=1):
@@ -225,17 +225,12 @@ class EquispacedDesign:
             found = self._transform(1, 1, torch.view_as_complex(strengths)).flatten()
             here, mirrored = found[self._places], found[self._size - 1 - self._places].conj()
             sums += [0.5 * (here + mirrored), -0.5j * (here - mirrored)][: pair.shape[1]]
-        return self.total(self.real(torch.stack(sums)))
-
-    def sweep(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
-        """Return Phi W + b, and Phi^T V for the V that `columns` makes of that."""
-        moved = self.apply(change.coef) + change.intercept
-        return moved, self.pull(columns(slice(0, self.n_samples), moved))
+        return self.all_reduce(self.real(torch.stack(sums)))
 
     def toeplitz(self, weights: Tensor) -> Tensor:
         """Return t_k = sum_i w_i exp(-i k . angles_i) for k up to twice the counts, centred."""
         sums = torch.view_as_real(self._transform(1, 2, weights.to(torch.complex128)))
-        return torch.view_as_complex(self.total(sums.contiguous()))
+        return torch.view_as_complex(self.all_reduce(sums.contiguous()))
 
     def spectrum(self, vector: Tensor) -> Tensor:
         """Return sqrt(s_k) f_k of a vector over features, (n_features, n) to (n, n_waves).
@@ -255,14 +250,6 @@ class EquispacedDesign:
         found[0] /= math.sqrt(2)
         return torch.cat([found.real, -found.imag[1:]])
 
-    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of all weights 2 C."""
-        return ToeplitzEquations(self, C, fit_intercept, reweighted=False)
-
-    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of Eq. (9), made anew for the weights of every iteration."""
-        return ToeplitzEquations(self, C, fit_intercept, reweighted=True)
-
     def _transform(self, kind: int, width: int, values: Tensor) -> Tensor:
         """Transform: kind 1 from samples to modes, kind 2 back; width 2 for twice the modes."""
         shape = tuple(2 * width * count + 1 for count in self.counts)
@@ -277,6 +264,12 @@ class EquispacedDesign:
             self._plans[kind, width] = plan
         array = values.numpy() if kind == 1 else values.reshape(shape).numpy()
         return torch.from_numpy(self._plans[kind, width].execute(array))
+
+
+def flat_index(index: Tensor, shape: list[int] | tuple[int, ...]) -> Tensor:
+    """Return the index into the flattened array of each row (n, n_axes) of indices."""
+    strides = torch.tensor([math.prod(shape[axis + 1 :]) for axis in range(len(shape))])
+    return index @ strides
 
 
 def _finufft() -> Any:

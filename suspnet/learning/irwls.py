@@ -6,8 +6,8 @@ Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
 F is convex and continuously differentiable, so it has one value at the optimum. Each iteration
 takes a direction from the normal equations of Eq. (9) (Eq. 11) and backtracks along it. The
-equations are those of a fixed Gram matrix while that goes fast, and reweighted ones from then on:
-the optimum and the stopping rule are the same.
+equations are those of a fixed Gram matrix until they slow down, then the reweighted ones, and so on
+in turns: the optimum and the stopping rule are the same.
 """
 
 from __future__ import annotations
@@ -21,15 +21,12 @@ from torch import Tensor
 
 from suspnet.learning.design import Columns, Design, Direction, Gradient, NormalEquations
 from suspnet.learning.loss import loss, weight
-from suspnet.learning.ranks import agreed
+from suspnet.learning.ranks import all_reduce, broadcast
 
 SUFFICIENT_DECREASE = 1e-4
+"""Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
 SMALLEST_STEP = 1e-10
-SLOW = 0.3
-"""The fixed equations give way when the decrement falls by less than this factor in a step ..."""
-PATIENCE = 20
-"""... and the reweighted ones when it does so this many times in a row: where many samples lie on
-the border of the tube they can circle for long."""
+"""Steps are halved down to this fraction of the direction."""
 
 
 class Status(StrEnum):
@@ -89,6 +86,8 @@ def irwls(
     fit_intercept: bool = True,
     max_iter: int = 200,
     tol: float = 1e-8,
+    slow_decrease: float = 0.3,
+    max_slow_steps: int = 20,
     on_iteration: Callable[[Iteration], None] | None = None,
 ) -> Solution:
     """Return the minimiser of F and how far it is from the optimum.
@@ -104,6 +103,12 @@ def irwls(
     max_iter : int
     tol : float
         Stop when ``gap`` falls to this value.
+    slow_decrease : float
+        A step is slow if the Newton decrement falls to no less than this fraction of that before.
+    max_slow_steps : int
+        Slow steps in a row after which the reweighted equations give way to the fixed ones: where
+        many samples lie on the border of the tube they can cycle. The fixed ones give way after
+        one.
     on_iteration : callable, optional
         Called with an ``Iteration`` after each.
 
@@ -125,31 +130,32 @@ def irwls(
     gradient = functional.gradient(coef, residual)
     equations: NormalEquations = design.fixed(C, fit_intercept)
     other: NormalEquations | None = None
-    quick, slow, decrement = True, 0, float("inf")
+    is_fixed, n_slow, decrement = True, 0, float("inf")
     objectives, status, n_iter = [objective], Status.MAX_ITER, 0
+    # n_iter stays only where step is 0, which changes the equations, or ends the loop if reweighted
     while (gap := _relative(objective - lower, objective)) > tol and n_iter < max_iter:
-        direction = functional.agreed(equations.direction(gradient, tol * objective))
-        change, products = design.sweep(direction, functional.columns(residual, gradient))
+        direction = functional.synchronised(equations.direction(gradient, tol * objective))
+        change, products = design.matvec_rmatvec(direction, functional.columns(residual, gradient))
         lower = max(lower, functional.lower_bound(objective, gradient, direction, change, products))
         before, decrement = decrement, functional.decrement(gradient, direction)
         step, objective = functional.backtrack(
             coef, residual, direction, change, objective, decrement
         )
-        if step == 0 and not quick:
+        if step == 0 and not is_fixed:
             gap = _relative(objective - lower, objective)
             status = Status.STAGNATED
             break
-        slow = slow + 1 if step == 0 or decrement > SLOW * before else 0
-        if slow >= (1 if quick else PATIENCE):
+        n_slow = n_slow + 1 if step == 0 or decrement > slow_decrease * before else 0
+        if n_slow >= (1 if is_fixed else max_slow_steps):
             other = other or design.reweighted(C, fit_intercept)
-            quick, slow, equations, other = not quick, 0, other, equations
+            is_fixed, n_slow, equations, other = not is_fixed, 0, other, equations
         if step == 0:
             continue
         coef += step * direction.coef
         intercept += step * direction.intercept
         residual -= step * change
-        pulled = products[:, : Y.shape[1]] if step == 1 else None
-        gradient = functional.gradient(coef, residual, pulled)
+        product = products[:, : Y.shape[1]] if step == 1 else None
+        gradient = functional.gradient(coef, residual, product)
         objectives.append(objective)
         n_iter += 1
         told = Iteration(n_iter, objective, gradient.norm, step, functional.support(gradient))
@@ -181,34 +187,33 @@ class _Functional:
 
     def value(self, coef: Tensor, residual: Tensor) -> float:
         losses = loss(residual.norm(dim=1), self.epsilon).sum()
-        return self._agreed(0.5 * coef.square().sum() + self.C * self.design.total(losses))
+        summed = self.design.all_reduce(losses)
+        return float(self._broadcast(0.5 * coef.square().sum() + self.C * summed))
 
-    def agreed(self, direction: Direction) -> Direction:
-        """Return the first rank's direction."""
-        return Direction(
-            agreed(direction.coef, self.design.total),
-            agreed(direction.intercept, self.design.total),
-        )
+    def synchronised(self, direction: Direction) -> Direction:
+        """Return the direction of rank zero, so that rounding cannot make ranks diverge."""
+        return Direction(self._broadcast(direction.coef), self._broadcast(direction.intercept))
 
-    def _agreed(self, value: Tensor) -> float:
-        return float(agreed(value, self.design.total))
+    def _broadcast(self, values: Tensor) -> Tensor:
+        """Return the values of rank zero if the samples are spread over ranks."""
+        return broadcast(values) if self.design.all_reduce is all_reduce else values
 
     def weights(self, residual: Tensor) -> Tensor:
         return self.C * weight(residual.norm(dim=1), self.epsilon)
 
-    def gradient(self, coef: Tensor, residual: Tensor, pulled: Tensor | None = None) -> Gradient:
-        """Return g = W - Phi^T D_a R and -1^T D_a R; `pulled` is the product with Phi if known."""
+    def gradient(self, coef: Tensor, residual: Tensor, product: Tensor | None = None) -> Gradient:
+        """Return g = W - Phi^T D_a R and -1^T D_a R; `product` is Phi^T D_a R if known."""
         weights = self.weights(residual)
         weighted = weights[:, None] * residual
-        if pulled is None:
-            pulled = self.design.pull(weighted)
+        if product is None:
+            product = self.design.rmatvec(weighted)
         offset = torch.zeros_like(coef[0])
         if self.fit_intercept:
-            offset = -self.design.total(weighted.sum(dim=0))
-        return Gradient(coef - pulled, offset, weights)
+            offset = -self.design.all_reduce(weighted.sum(dim=0))
+        return Gradient(coef - product, offset, weights)
 
     def columns(self, residual: Tensor, gradient: Gradient) -> Columns:
-        """Return what to multiply by Phi^T in a sweep: for the next gradient, and for the bound."""
+        """Return the columns that Phi^T multiplies: of the next gradient, and of the bound."""
 
         def make(rows: slice, change: Tensor) -> Tensor:
             here = gradient.weights[rows, None]
@@ -228,22 +233,23 @@ class _Functional:
         """Return a value that F cannot fall below, from any direction d = (dW, db).
 
         L is convex in u^2, so the quadratic q of Eq. (9), with the Hessian B = I + [Phi 1]^T D_a
-        [Phi 1], lies below F everywhere. Its minimum is at least q(d) - |r|^2 / 2, where r is what
-        d leaves of the normal equations for W once b is eliminated: B is I plus something positive.
+        [Phi 1], lies below F everywhere. Its minimum is at least q(d) - |r|^2 / 2, where r is the
+        residual of the normal equations for W at d once b is eliminated, as B - I is positive
+        semidefinite.
         """
         n_outputs = change.shape[1]
         weighted = gradient.weights[:, None] * change
         sums = torch.cat([(weighted * change).sum()[None], weighted.sum(dim=0)])
-        total = self.design.total(torch.cat([sums, gradient.weights.sum()[None]]))
-        curvature, pushed, weight_sum = total[0], total[1:-1], total[-1]
-        left = -(gradient.coef + direction.coef + products[:, n_outputs : 2 * n_outputs])
+        summed = self.design.all_reduce(torch.cat([sums, gradient.weights.sum()[None]]))
+        curvature, offset, weight_sum = summed[0], summed[1:-1], summed[-1]
+        r = -(gradient.coef + direction.coef + products[:, n_outputs : 2 * n_outputs])
         value = 0.5 * (direction.coef.square().sum() + curvature)
         value -= self.decrement(gradient, direction)
         if self.fit_intercept and weight_sum > 0:
-            shift = -(gradient.intercept + pushed) / weight_sum
-            left -= torch.outer(products[:, -1], shift)
+            shift = -(gradient.intercept + offset) / weight_sum
+            r -= torch.outer(products[:, -1], shift)
             value -= 0.5 * weight_sum * shift.square().sum()
-        return self._agreed(objective + value - 0.5 * left.square().sum())
+        return float(self._broadcast(objective + value - 0.5 * r.square().sum()))
 
     def backtrack(
         self,
@@ -256,7 +262,7 @@ class _Functional:
     ) -> tuple[float, float]:
         """Halve the step from 1 until F falls enough; (0, F) if no step does."""
         step = 1.0
-        while step > SMALLEST_STEP:
+        while step > SMALLEST_STEP:  # 34 halvings at most
             value = self.value(coef + step * direction.coef, residual - step * change)
             if value <= objective - SUFFICIENT_DECREASE * step * decrement:
                 return step, value
@@ -266,12 +272,14 @@ class _Functional:
     def decrement(self, gradient: Gradient, direction: Direction) -> float:
         """Return -g . d: how fast F falls along a direction."""
         inner = (gradient.coef * direction.coef).sum()
-        return self._agreed(-inner - (gradient.intercept * direction.intercept).sum())
+        return float(self._broadcast(-inner - (gradient.intercept * direction.intercept).sum()))
 
     def support(self, gradient: Gradient) -> float:
         """Return the fraction of the samples outside the tube."""
         outside = (gradient.weights > 0).double()
-        counts = self.design.total(torch.stack([outside.sum(), torch.ones_like(outside).sum()]))
+        counts = self.design.all_reduce(
+            torch.stack([outside.sum(), torch.ones_like(outside).sum()])
+        )
         return float(counts[0] / counts[1])
 
 

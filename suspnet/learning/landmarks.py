@@ -9,10 +9,8 @@ from torch import Tensor
 
 from suspnet.learning.feature_maps import TensorMap, generator
 
-CANDIDATES = 16_384
-"""Landmarks are chosen among at most this many samples, drawn at random."""
-PROPOSALS = 64
-"""Pivots proposed at a time."""
+ROUNDING = 1e-13
+"""A residual of the kernel's diagonal below this is rounding and counts as 0; the kernel is 1."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class LandmarkFeatures(TensorMap):
 
     @property
     def basis(self) -> Tensor:
-        """What the kernel's columns are multiplied with at the end."""
+        """Matrix V that the kernel's columns are multiplied by, (n_landmarks, n_features)."""
         return self.whitening
 
     def raw(self, X: Tensor) -> Tensor:
@@ -55,21 +53,31 @@ class LandmarkFeatures(TensorMap):
 
 def rbf_kernel(X: Tensor, Z: Tensor, sigma: float) -> Tensor:
     """Return exp(-|x_i - z_j|^2 / sigma^2), shape (n_samples, n_landmarks)."""
-    squared = (X * X).sum(1, keepdim=True) + (Z * Z).sum(1) - 2 * X @ Z.T
-    return squared.clamp_(min=0).mul_(-1 / sigma**2).exp_()
+    return squared_distances(X, Z).mul_(-1 / sigma**2).exp_()
+
+
+def squared_distances(X: Tensor, Z: Tensor) -> Tensor:
+    """Return |x_i - z_j|^2 from the differences, which do not cancel far from the origin."""
+    return torch.cdist(X, Z, compute_mode="donot_use_mm_for_euclid_dist").square_()
 
 
 def nystroem(
-    X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 1e-6
+    X: Tensor,
+    sigma: float,
+    n_components: int,
+    seed: int,
+    kernel_tol: float = 1e-6,
+    *,
+    n_candidates: int = 16_384,
 ) -> LandmarkFeatures:
     """Choose landmarks by randomly pivoted Cholesky (Chen et al., 2023) and whiten.
 
     As many landmarks as it takes to bring the mean error of k(x, x) down to `kernel_tol`, at most
-    `n_components`.
+    `n_components`, among at most `n_candidates` samples drawn at random.
     """
     chosen = torch.arange(len(X))
-    if len(X) > CANDIDATES:
-        chosen = torch.randperm(len(X), generator=generator(seed))[:CANDIDATES].sort().values
+    if len(X) > n_candidates:
+        chosen = torch.randperm(len(X), generator=generator(seed))[:n_candidates].sort().values
     candidates = X[chosen.to(X.device)]
     n_pivots = min(n_components, len(candidates))
     pivots = pivoted_cholesky(candidates.double(), sigma, n_pivots, seed, kernel_tol)
@@ -81,58 +89,72 @@ def exact(
 ) -> LandmarkFeatures:
     """Take every sample as a landmark: the exact kernel on the training data; for small n.
 
-    Kernel directions below rounding are dropped; the last three parameters are not used.
+    Eigenvectors of the kernel matrix with eigenvalues below rounding are dropped;
+    `n_components`, `seed` and `kernel_tol` are not used.
     """
     return _landmarks(X, X, sigma)
 
 
 def pivoted_cholesky(
-    X: Tensor, sigma: float, n_pivots: int, seed: int, kernel_tol: float = 0.0
+    X: Tensor,
+    sigma: float,
+    n_pivots: int,
+    seed: int,
+    kernel_tol: float = 0.0,
+    *,
+    n_proposals: int = 64,
 ) -> Tensor:
-    """Return row indices drawn in proportion to the kernel's remaining diagonal.
+    """Return row indices drawn in proportion to the residual of the kernel's diagonal.
 
-    Several are proposed at a time, and each is accepted with the probability that makes the
+    `n_proposals` are drawn at a time, and each is accepted with the probability that makes the
     outcome that of drawing one at a time (Epperly, Tropp and Webber, 2024). Stops when the mean of
-    the remaining diagonal is at most `kernel_tol`, or rounding.
+    the residual is at most `kernel_tol`, or all of it is rounding.
     """
     source = generator(seed)
     residual = X.new_ones(len(X))
     factor = X.new_zeros(n_pivots, len(X))
     pivots = torch.empty(0, dtype=torch.int64, device=X.device)
-    while len(pivots) < n_pivots and float(residual.mean()) > max(kernel_tol, 1e-13):
-        drawn = torch.multinomial(residual.cpu(), PROPOSALS, replacement=True, generator=source)
-        chances = torch.rand(PROPOSALS, generator=source, dtype=torch.float64)
+    # A round accepts its first proposal at least, so no more rounds are needed than pivots.
+    for _ in range(n_pivots):
+        if len(pivots) == n_pivots or float(residual.mean()) <= kernel_tol:
+            break
+        drawn = torch.multinomial(residual.cpu(), n_proposals, replacement=True, generator=source)
+        chances = torch.rand(n_proposals, generator=source, dtype=torch.float64)
         drawn = drawn.to(X.device)
         known = factor[: len(pivots)]
         block = rbf_kernel(X[drawn], X[drawn], sigma) - known[:, drawn].T @ known[:, drawn]
-        accepted, lower = _accept(block.cpu(), residual[drawn].cpu(), chances)
+        # Rounding must not part the block from the residual that the proposals were drawn with.
+        block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
+        accepted, lower = _accept(block.cpu(), chances)
         accepted = accepted[: n_pivots - len(pivots)]
         lower = lower[: len(accepted), : len(accepted)].to(X)
         new = drawn[accepted.to(X.device)]
         columns = rbf_kernel(X[new], X, sigma) - known[:, new].T @ known
         rows = torch.linalg.solve_triangular(lower, columns, upper=False)
         factor[len(pivots) : len(pivots) + len(new)] = rows
-        residual = (residual - rows.square().sum(dim=0)).clamp_(min=0)
+        residual = residual - rows.square().sum(dim=0)
+        residual = torch.where(residual > ROUNDING, residual, 0.0)
         residual[new] = 0
         pivots = torch.cat([pivots, new])
     return pivots
 
 
-def _accept(block: Tensor, proposed: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
-    """Return which proposals are accepted, and the Cholesky factor of their block."""
+def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
+    """Return which proposals are accepted, and the Cholesky factor of their block.
+
+    A proposal is accepted if its residual after those before it exceeds its chance, in [0, 1),
+    times its residual before the round: the first always is.
+    """
     remaining, columns, accepted = block.clone(), [], []
     for i in range(len(block)):
         pivot = float(remaining[i, i])
-        if pivot <= float(chances[i] * proposed[i]) or pivot <= 1e-14:
+        if pivot <= max(float(chances[i] * block[i, i]), ROUNDING):
             continue
         column = remaining[:, i] / pivot**0.5
         remaining -= torch.outer(column, column)
         columns.append(column)
         accepted.append(i)
-    index = torch.tensor(accepted, dtype=torch.int64)
-    if not accepted:
-        return index, block.new_zeros(0, 0)
-    return index, torch.stack(columns, dim=1)[index].tril()
+    return torch.tensor(accepted), torch.stack(columns, dim=1)[accepted].tril()
 
 
 def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:

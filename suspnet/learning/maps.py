@@ -9,9 +9,10 @@ from typing import Any
 from torch import Tensor
 
 from suspnet.learning.design import DenseDesign
-from suspnet.learning.equispaced import EquispacedDesign, EquispacedFeatures, equispaced_fourier
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
 from suspnet.learning.feature_maps import FourierFeatures, orthogonal_fourier, random_fourier
 from suspnet.learning.landmarks import LandmarkFeatures, exact, nystroem
+from suspnet.learning.toeplitz import EquispacedDesign
 
 
 @dataclass(frozen=True)

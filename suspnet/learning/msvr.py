@@ -25,10 +25,8 @@ from suspnet.learning.maps import MAPS
 
 PREDICT_ROWS = 8192
 FloatArray = NDArray[np.float64]
-
-
-SHARED = ("C", "epsilon")
-"""Parameters whose values can share one Gram matrix."""
+SAME_GRAM_PARAMETERS = ("C", "epsilon")
+"""Parameters that the Gram matrix does not depend on."""
 
 
 class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -165,9 +163,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         samples, targets = self._validated(X, y)
         kind = MAPS[self.feature_map]
         everywhere = self.distributed and kind.of_data
-        self._map = self._make_map(ranks.gathered(samples) if everywhere else samples)
-        total = ranks.total if self.distributed else ranks.alone
-        solution = self._solve(kind.design(self._map, samples, total), targets)
+        self._map = self._make_map(ranks.all_gather(samples) if everywhere else samples)
+        all_reduce = ranks.all_reduce if self.distributed else ranks.identity
+        solution = self._solve(kind.design(self._map, samples, all_reduce), targets)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = solution.intercept.cpu().numpy()
         self.n_iter_ = solution.n_iter
@@ -300,7 +298,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
         """Return samples and targets (n_samples, n_outputs); a rank may have none."""
-        if self.distributed and ranks.together() and len(np.asarray(X)) == 0:
+        if self.distributed and ranks.is_distributed() and len(np.asarray(X)) == 0:
             X = validate_data(self, X, dtype=np.float64, ensure_min_samples=0)
         else:
             X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)

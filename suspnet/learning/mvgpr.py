@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
 from suspnet.checks import check_number
-from suspnet.learning.landmarks import rbf_kernel
+from suspnet.learning.landmarks import rbf_kernel, squared_distances
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
@@ -268,7 +268,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         random = check_random_state(self.random_state)
         chosen = random.permutation(len(samples))[: self.n_optimize]
         samples, centred = samples[chosen], centred[chosen]
-        squared = torch.cdist(samples, samples).square()
+        squared = squared_distances(samples, samples)
         evaluations = 0
 
         def negative(theta: FloatArray) -> tuple[float, FloatArray]:

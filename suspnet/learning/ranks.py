@@ -1,6 +1,6 @@
-"""Sums over the processes that share a fit, one rank each (torchrun starts them).
+"""Collective operations over the processes that fit one model, one rank each (see torchrun).
 
-Without such processes a sum is the values themselves. gloo serves the CPU, NCCL a GPU.
+In a single process each returns what it is given. gloo serves the CPU, NCCL a GPU.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-Total = Callable[[Tensor], Tensor]
-"""Sums a tensor over ranks, in place, and returns it."""
+AllReduce = Callable[[Tensor], Tensor]
+"""A sum over ranks: `all_reduce`, or `identity` for a fit that is not distributed."""
 
 
-def together() -> bool:
+def is_distributed() -> bool:
     """Return whether this process is one of several ranks."""
     return dist.is_available() and dist.is_initialized() and dist.get_world_size() > 1
 
 
-def first() -> bool:
+def is_rank_zero() -> bool:
     """Return whether this process is the one that writes and prints."""
-    return not together() or dist.get_rank() == 0
+    return not is_distributed() or dist.get_rank() == 0
 
 
 def start(device: str) -> None:
@@ -40,28 +40,28 @@ def stop() -> None:
         dist.destroy_process_group()
 
 
-def agreed(values: Tensor, total: Total) -> Tensor:
-    """Return the first rank's values, so that rounding never parts the ranks' ways."""
-    if total is not alone and together():
-        dist.broadcast(values, src=0)
+def identity(values: Tensor) -> Tensor:
+    """Return the values: their sum over a single rank."""
     return values
 
 
-def alone(values: Tensor) -> Tensor:
-    """Return the sum over ranks where there is one: the values themselves."""
-    return values
-
-
-def total(values: Tensor) -> Tensor:
+def all_reduce(values: Tensor) -> Tensor:
     """Sum a tensor over ranks, in place, and return it."""
-    if together():
+    if is_distributed():
         dist.all_reduce(values)
     return values
 
 
-def gathered(rows: Tensor) -> Tensor:
+def broadcast(values: Tensor) -> Tensor:
+    """Overwrite a tensor with that of rank zero, and return it."""
+    if is_distributed():
+        dist.broadcast(values, src=0)
+    return values
+
+
+def all_gather(rows: Tensor) -> Tensor:
     """Return the rows (n, n_columns) of all ranks, rank after rank; n may differ, or be 0."""
-    if not together():
+    if not is_distributed():
         return rows
     counts = torch.zeros(dist.get_world_size(), dtype=torch.int64, device=rows.device)
     counts[dist.get_rank()] = len(rows)
@@ -73,9 +73,9 @@ def gathered(rows: Tensor) -> Tensor:
     return torch.cat([part[:n] for part, n in zip(parts, counts.tolist(), strict=True)])
 
 
-def share(n_items: int) -> slice:
-    """Return which of `n_items` in a row are this rank's; the last ranks may have none."""
-    if not together():
+def shard(n_items: int) -> slice:
+    """Return which of `n_items` are this rank's; the last ranks may have none."""
+    if not is_distributed():
         return slice(0, n_items)
     each = -(-n_items // dist.get_world_size())
     start = min(dist.get_rank() * each, n_items)

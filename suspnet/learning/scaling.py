@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from suspnet.learning.ranks import Total, alone
+from suspnet.learning.ranks import AllReduce, identity
 
 FloatArray = NDArray[np.float64]
 
@@ -29,10 +29,10 @@ class Scaling:
     log: bool = True
 
     @classmethod
-    def of(cls, values: FloatArray, log: bool = True, total: Total = alone) -> Scaling:
+    def of(cls, values: FloatArray, log: bool = True, all_reduce: AllReduce = identity) -> Scaling:
         """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
 
-        `total` sums over ranks if each has some of the rows; one may have none.
+        `all_reduce` sums over ranks if each has some of the rows; one may have none.
 
         Raises
         ------
@@ -45,10 +45,10 @@ class Scaling:
         if log and not (values > 0).all():
             raise ValueError("values must be positive for a logarithmic scaling")
         moved = np.log(values) if log else values
-        n_rows = float(total(torch.tensor([float(len(moved))])))
-        mean = total(torch.from_numpy(moved.sum(axis=0))).numpy() / n_rows
+        n_rows = float(all_reduce(torch.tensor([float(len(moved))])))
+        mean = all_reduce(torch.from_numpy(moved.sum(axis=0))).numpy() / n_rows
         centred = moved - mean
-        scale = np.sqrt(total(torch.from_numpy((centred**2).sum(axis=0))).numpy() / n_rows)
+        scale = np.sqrt(all_reduce(torch.from_numpy((centred**2).sum(axis=0))).numpy() / n_rows)
         constant = np.flatnonzero(scale <= np.finfo(float).eps * np.abs(mean))
         if constant.size:
             raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")

@@ -16,7 +16,7 @@ from sklearn.metrics import root_mean_squared_error
 from sklearn.model_selection import KFold, ParameterGrid
 
 from suspnet.checks import check_number
-from suspnet.learning.msvr import MSVR, SHARED
+from suspnet.learning.msvr import MSVR, SAME_GRAM_PARAMETERS
 from suspnet.learning.scaling import Scaling
 
 FloatArray = NDArray[np.float64]
@@ -130,13 +130,15 @@ class GridSearch:
 
 
 def _groups(estimator: Any, settings: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """Return the settings that share their work, as lists of places."""
+    """Return the indices of the settings, grouped by the Gram matrix or fit they need."""
     groups: dict[str, list[int]] = {}
     for k, setting in enumerate(settings):
         candidate = clone(estimator).set_params(**setting)
         apart: Any = setting
         if isinstance(candidate, MSVR) and candidate.shares_gram:
-            apart = {key: value for key, value in setting.items() if key not in SHARED}
+            apart = {
+                key: value for key, value in setting.items() if key not in SAME_GRAM_PARAMETERS
+            }
         groups.setdefault(repr(apart), []).append(k)
     return list(groups.values())
 

@@ -1,28 +1,79 @@
-"""Normal equations with a Toeplitz Gram matrix, by preconditioned conjugate gradients."""
+"""The design of equispaced modes: its Gram matrix is Toeplitz, solved by conjugate gradients."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from suspnet.learning.design import Direction, Gradient, without_intercept
+from suspnet.learning.design import Columns, Direction, Gradient, without_intercept
+from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
+from suspnet.learning.ranks import AllReduce, identity
 
-if TYPE_CHECKING:
-    from suspnet.learning.equispaced import EquispacedDesign
-
-FIRST_BLOCK, LARGEST_BLOCK = 1000, 2000
-"""Waves that the preconditioner solves exactly, at first and at most; the rest it divides by the
-diagonal. The block doubles after ..."""
-PATIENCE = 100
-"""... so many iterations in a row."""
-MAX_CG_ITER = 1000
 TINY = torch.finfo(torch.float64).tiny
-FORCING = 1e-4
-"""Conjugate gradients stop when they have found all but about this part of the decrement."""
+
+
+@dataclass(frozen=True)
+class ConjugateGradients:
+    """Settings of the preconditioned conjugate gradients.
+
+    Attributes
+    ----------
+    first_block, largest_block : int
+        Strongest waves whose block of the matrix the preconditioner inverts, at first and at most;
+        the others are divided by the diagonal.
+    iterations_per_block : int
+        Iterations of one solution after which the block doubles.
+    forcing : float
+        Stop when the error of the Newton decrement is about this fraction of it.
+    max_iter : int
+        Iterations of one solution.
+    """
+
+    first_block: int = 1000
+    largest_block: int = 2000
+    iterations_per_block: int = 100
+    forcing: float = 1e-4
+    max_iter: int = 1000
+
+
+class EquispacedDesign(EquispacedTransform):
+    """The design matrix Phi of equispaced modes, see `suspnet.learning.design.Design`.
+
+    Parameters
+    ----------
+    modes : EquispacedFeatures
+    X : tensor of shape (n_samples, n_inputs)
+    all_reduce : callable, optional
+        Sums a tensor over ranks.
+    solver : ConjugateGradients, optional
+    """
+
+    def __init__(
+        self,
+        modes: EquispacedFeatures,
+        X: Tensor,
+        all_reduce: AllReduce = identity,
+        solver: ConjugateGradients | None = None,
+    ) -> None:
+        super().__init__(modes, X, all_reduce)
+        self._solver = solver or ConjugateGradients()
+
+    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows])."""
+        moved = self.matvec(change.coef) + change.intercept
+        return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
+
+    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of all weights 2 C."""
+        return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
+
+    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of Eq. (9), computed for the weights of every iteration."""
+        return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
 
 
 class ToeplitzEquations:
@@ -30,17 +81,24 @@ class ToeplitzEquations:
 
     Parameters
     ----------
-    design : EquispacedDesign
+    design : EquispacedTransform
     C : float
     fit_intercept : bool
     reweighted : bool
-        Make the matrix anew for the weights of each call; else all weights are 2 C.
+        Compute the matrix for the weights of each call; else all weights are 2 C.
+    solver : ConjugateGradients
     """
 
     def __init__(
-        self, design: EquispacedDesign, C: float, fit_intercept: bool, reweighted: bool
+        self,
+        design: EquispacedTransform,
+        C: float,
+        fit_intercept: bool,
+        reweighted: bool,
+        solver: ConjugateGradients,
     ) -> None:
         self._design, self._fit_intercept, self._reweighted = design, fit_intercept, reweighted
+        self._solver = solver
         self._shape = tuple(next_fast_len(4 * count + 1, real=True) for count in design.counts)
         half = (*self._shape[:-1], self._shape[-1] // 2 + 1)
         self._half = half
@@ -54,8 +112,8 @@ class ToeplitzEquations:
         self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
-        self._largest = min(len(design.waves), LARGEST_BLOCK)
-        self._invert_leading(min(self._largest, FIRST_BLOCK))
+        self._largest = min(len(design.waves), solver.largest_block)
+        self._invert_leading(min(self._largest, solver.first_block))
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return an approximate solution of the normal equations."""
@@ -100,25 +158,26 @@ class ToeplitzEquations:
 
     def _solve(self, right: Tensor, accuracy: float) -> Tensor:
         """Return the solution by conjugate gradients, one for each column at the same time."""
-        solution, left = torch.zeros_like(right), right.clone()
+        solution, residual = torch.zeros_like(right), right.clone()
         search = torch.zeros_like(right)
         before = torch.ones_like(right[0])
-        for iteration in range(MAX_CG_ITER):
-            if iteration % PATIENCE == PATIENCE - 1 and self._n_block < self._largest:
+        per_block = self._solver.iterations_per_block
+        for iteration in range(self._solver.max_iter):
+            if iteration % per_block == per_block - 1 and self._n_block < self._largest:
                 self._invert_leading(min(2 * self._n_block, self._largest))
                 search.zero_()
-            preconditioned = self._precondition(left)
-            energy = (left * preconditioned).sum(dim=0)
+            preconditioned = self._precondition(residual)
+            energy = (residual * preconditioned).sum(dim=0)
             decrement = float((solution * right).sum())
-            if float(energy.sum()) <= FORCING * decrement:
+            if float(energy.sum()) <= self._solver.forcing * decrement:
                 last = 0.5 * decrement <= accuracy
-                if not last or float(left.square().sum()) <= accuracy:
+                if not last or float(residual.square().sum()) <= accuracy:
                     break
             search = preconditioned + energy / before * search
-            pushed = self._multiply(search)
-            step = energy / (search * pushed).sum(dim=0).clamp(min=TINY)
+            product = self._multiply(search)
+            step = energy / (search * product).sum(dim=0).clamp(min=TINY)
             solution += step * search
-            left -= step * pushed
+            residual -= step * product
             before = energy.clamp(min=TINY)
         return solution
 
@@ -141,7 +200,7 @@ class ToeplitzEquations:
         self._inverse = torch.cholesky_inverse(factor)
 
     def _leading_block(self) -> Tensor:
-        """Return that block, entry by entry: products of cosines and sines are sums of t_k."""
+        """Return the strongest waves' block: products of cosines and sines are sums of t_k."""
         n = self._n_block
         step = self._steps[:n]
         less = self._toeplitz[self._middle + step[:, None] - step]
@@ -158,9 +217,3 @@ class ToeplitzEquations:
             block.addr_(sums, sums, alpha=-1 / self._weight)
         block.diagonal().add_(1.0)
         return block
-
-
-def flat_index(index: Tensor, shape: list[int] | tuple[int, ...]) -> Tensor:
-    """Return the place of each row (n, n_axes) of indices in a flattened array of that shape."""
-    strides = torch.tensor([math.prod(shape[axis + 1 :]) for axis in range(len(shape))])
-    return index @ strides

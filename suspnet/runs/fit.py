@@ -75,7 +75,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         If the method cannot be spread over processes.
     """
     name = method_name(estimator)
-    if ranks.together() and not estimator.distributable:
+    if ranks.is_distributed() and not estimator.distributable:
         raise ValueError(
             f"model={name} cannot be spread over processes, only msvr: start it with python, not "
             "with torchrun"
@@ -91,8 +91,8 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     if not estimator.works_on_curves:
         part = None
-        if ranks.together():
-            part = ranks.share(problem.n_batches(len(problem.ratios(TRAIN))))
+        if ranks.is_distributed():
+            part = ranks.shard(problem.n_batches(len(problem.ratios(TRAIN))))
         data = problem.features(TRAIN, part)
         kept = data.subset(data.valid)
         n_made, n_kept = (_count(rows) for rows in (data.inputs, kept.inputs))
@@ -119,20 +119,20 @@ def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
     """Return the scaling of inputs and outputs that a task asks for, from complete curves."""
     log_inputs = task.log_ratios and task.extractor.positive
     return (
-        Scaling.of(data.inputs, log_inputs, ranks.total),
-        Scaling.of(data.outputs, task.log_ratios, ranks.total),
+        Scaling.of(data.inputs, log_inputs, ranks.all_reduce),
+        Scaling.of(data.outputs, task.log_ratios, ranks.all_reduce),
     )
 
 
 def _count(rows: FloatArray) -> int:
     """Return the number of rows over all ranks."""
-    return int(ranks.total(torch.tensor([len(rows)])))
+    return int(ranks.all_reduce(torch.tensor([len(rows)])))
 
 
 @contextmanager
 def _spread(estimator: Any) -> Iterator[None]:
     """Let MSVR take its samples as one rank's where there are several."""
-    if not ranks.together():
+    if not ranks.is_distributed():
         yield
         return
     estimator.set_params(distributed=True)

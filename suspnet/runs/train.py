@@ -72,9 +72,9 @@ def train(
         What metrics.json holds; empty where another process (torchrun) writes and tests.
     """
     method_name(estimator)
-    if search is not None and ranks.together():
+    if search is not None and ranks.is_distributed():
         raise ValueError("a search cannot be spread over processes: start it with python")
-    if not ranks.first():
+    if not ranks.is_rank_zero():
         fit(problem, estimator, None)
         return {}
     with RunLog(folder) as run_log:

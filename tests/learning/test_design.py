@@ -82,14 +82,14 @@ def test_products_are_those_of_the_whole_matrix(block_rows, cache_bytes, dtype):
         return torch.cat([V[rows], moved.square()], dim=1)
 
     fitted = Phi @ change.coef + change.intercept
-    moved, products = design.sweep(change, columns)
+    moved, products = design.matvec_rmatvec(change, columns)
     atol = 1e-12 if dtype == torch.float64 else 1e-4
     assert moved.dtype == products.dtype == torch.float64
     assert [rows.start for rows in seen] == list(range(0, 60, block_rows))
     np.testing.assert_allclose(moved, fitted, atol=atol, rtol=0)
     expected = Phi.T @ torch.cat([V, fitted.square()], dim=1)
     np.testing.assert_allclose(products, expected, atol=20 * atol, rtol=0)
-    np.testing.assert_allclose(design.pull(V), Phi.T @ V, atol=atol, rtol=0)
+    np.testing.assert_allclose(design.rmatvec(V), Phi.T @ V, atol=atol, rtol=0)
     np.testing.assert_allclose(design.predict(change), fitted, atol=atol, rtol=0)
 
 
@@ -111,7 +111,7 @@ def test_weighted_gram_is_that_of_the_whole_matrix(monkeypatch, weights, n_featu
     Phi, w = feature_map(X), torch.ones(60).double() if w is None else w
     np.testing.assert_allclose(found.products, Phi.T @ (w[:, None] * Phi), atol=1e-12, rtol=0)
     np.testing.assert_allclose(found.sums, Phi.T @ w, atol=1e-12, rtol=0)
-    assert found.total == pytest.approx(float(w.sum()), rel=1e-14, abs=0)
+    assert found.weight_sum == pytest.approx(float(w.sum()), rel=1e-14, abs=0)
     assert torch.equal(found.products, found.products.T)
 
 
@@ -151,8 +151,8 @@ def test_gram_of_the_rest_is_the_difference():
     for gram in (whole - part, rest + part - part):
         np.testing.assert_allclose(gram.products, rest.products, atol=1e-12, rtol=0)
         np.testing.assert_allclose(gram.sums, rest.sums, atol=1e-12, rtol=0)
-        assert gram.total == rest.total == 37
-    assert (rest + part).total == whole.total == 60
+        assert gram.weight_sum == rest.weight_sum == 37
+    assert (rest + part).weight_sum == whole.weight_sum == 60
 
 
 @pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
@@ -167,10 +167,10 @@ def test_joined_designs_are_one(sizes, cache_bytes):
     V, change = normal(60, 2), Direction(normal(21, 2), normal(2))
     assert joined.n_features == 21
     assert joined.gram() is one.gram()
-    np.testing.assert_allclose(joined.pull(V), one.pull(V), atol=1e-12, rtol=0)
+    np.testing.assert_allclose(joined.rmatvec(V), one.rmatvec(V), atol=1e-12, rtol=0)
     pairs = zip(
-        joined.sweep(change, lambda rows, moved: V[rows] * moved),
-        one.sweep(change, lambda rows, moved: V[rows] * moved),
+        joined.matvec_rmatvec(change, lambda rows, moved: V[rows] * moved),
+        one.matvec_rmatvec(change, lambda rows, moved: V[rows] * moved),
         strict=True,
     )
     for found, expected in pairs:
@@ -191,12 +191,14 @@ def test_joined_designs_hold_no_second_copy_of_the_features():
 def test_design_without_samples_sums_to_nothing():
     design = DenseDesign(linear(21), samples(0))
     change = Direction(normal(21, 2), normal(2))
-    assert torch.equal(design.pull(normal(0, 3)), torch.zeros(21, 3).double())
-    moved, products = design.sweep(change, lambda rows, moved: torch.cat([moved, moved], dim=1))
+    assert torch.equal(design.rmatvec(normal(0, 3)), torch.zeros(21, 3).double())
+    moved, products = design.matvec_rmatvec(
+        change, lambda rows, moved: torch.cat([moved, moved], dim=1)
+    )
     assert moved.shape == (0, 2)
     assert torch.equal(products, torch.zeros(21, 4).double())
     for gram in (design.gram(), design.weighted_gram(normal(0))):
-        assert gram.total == 0
+        assert gram.weight_sum == 0
         assert float(gram.products.abs().max()) == float(gram.sums.abs().max()) == 0
     assert design.predict(change).shape == (0, 2)
 
@@ -206,16 +208,16 @@ def test_products_are_summed_over_ranks():
     rank = DenseDesign(feature_map, X, total_of_two, block_rows=11)
     both = DenseDesign(feature_map, X.repeat(2, 1))
     V, change, w = normal(60, 2), Direction(normal(21, 2), normal(2)), WEIGHTS["a third"]
-    np.testing.assert_allclose(rank.pull(V), both.pull(V.repeat(2, 1)), atol=1e-12, rtol=0)
-    moved, products = rank.sweep(change, lambda rows, moved: moved)
+    np.testing.assert_allclose(rank.rmatvec(V), both.rmatvec(V.repeat(2, 1)), atol=1e-12, rtol=0)
+    moved, products = rank.matvec_rmatvec(change, lambda rows, moved: moved)
     np.testing.assert_allclose(
-        products, both.sweep(change, lambda rows, moved: moved)[1], atol=1e-12, rtol=0
+        products, both.matvec_rmatvec(change, lambda rows, moved: moved)[1], atol=1e-12, rtol=0
     )
     assert moved.shape == (60, 2)
     found, expected = rank.weighted_gram(w), both.weighted_gram(w.repeat(2))
     np.testing.assert_allclose(found.products, expected.products, atol=1e-12, rtol=0)
     np.testing.assert_allclose(found.sums, expected.sums, atol=1e-12, rtol=0)
-    assert found.total == pytest.approx(expected.total, rel=1e-14)
+    assert found.weight_sum == pytest.approx(expected.weight_sum, rel=1e-14)
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])

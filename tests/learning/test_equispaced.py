@@ -13,13 +13,9 @@ from learning_reference import lbfgs_msvr, naive_rbf, smooth_data
 
 from suspnet.learning import MSVR
 from suspnet.learning.design import DenseDesign, Direction, Gradient
-from suspnet.learning.equispaced import (
-    MAX_BOX,
-    EquispacedDesign,
-    EquispacedFeatures,
-    equispaced_fourier,
-)
+from suspnet.learning.equispaced import MAX_BOX, EquispacedFeatures, equispaced_fourier
 from suspnet.learning.irwls import Status, irwls
+from suspnet.learning.toeplitz import ConjugateGradients, EquispacedDesign
 
 needs_finufft = pytest.mark.skipif(
     importlib.util.find_spec("finufft") is None, reason="needs finufft"
@@ -146,11 +142,11 @@ def test_transforms_are_products_with_the_features(n_inputs, n_outputs):
     W, V = normal(Phi.shape[1], n_outputs), normal(40, n_outputs)
     b, kernel_tol = normal(n_outputs), SHAPES[n_inputs][1]
     atol = kernel_tol * max(1, np.abs(Phi @ W.numpy()).max())
-    np.testing.assert_allclose(design.apply(W), Phi @ W.numpy(), atol=atol, rtol=0)
+    np.testing.assert_allclose(design.matvec(W), Phi @ W.numpy(), atol=atol, rtol=0)
     X = samples(40, n_inputs, seed=1)
     np.testing.assert_allclose(design.modes.apply(X, W), Phi @ W.numpy(), atol=atol, rtol=0)
-    np.testing.assert_allclose(design.pull(V), Phi.T @ V.numpy(), atol=10 * atol, rtol=0)
-    moved, products = design.sweep(Direction(W, b), lambda rows, change: V[rows] * change)
+    np.testing.assert_allclose(design.rmatvec(V), Phi.T @ V.numpy(), atol=10 * atol, rtol=0)
+    moved, products = design.matvec_rmatvec(Direction(W, b), lambda rows, change: V[rows] * change)
     fitted = Phi @ W.numpy() + b.numpy()
     np.testing.assert_allclose(moved, fitted, atol=atol, rtol=0)
     np.testing.assert_allclose(products, Phi.T @ (V.numpy() * fitted), atol=100 * atol, rtol=0)
@@ -163,7 +159,7 @@ def test_transforms_are_adjoint(n_inputs):
     design, Phi = problem(n_inputs)
     W, V = normal(Phi.shape[1], 2), normal(40, 2)
     norms = np.linalg.norm(Phi @ W.numpy()) * np.linalg.norm(V)
-    there, back = float((V * design.apply(W)).sum()), float((W * design.pull(V)).sum())
+    there, back = float((V * design.matvec(W)).sum()), float((W * design.rmatvec(V)).sum())
     assert there == pytest.approx(back, abs=1e-2 * SHAPES[n_inputs][1] * norms)
 
 
@@ -243,10 +239,10 @@ def test_toeplitz_product_is_that_of_the_dense_matrix(n_inputs, weights, fit_int
     np.testing.assert_allclose(found, dense @ vector, atol=atol, rtol=0)
 
 
-BLOCKS = {  # first, largest, patience
-    "whole": (800, 2000, 100),
-    "part": (10, 10, 100),
-    "growing": (3, 25, 2),
+SOLVERS = {
+    "whole": ConjugateGradients(800, 2000, 100, forcing=1e-15),
+    "part": ConjugateGradients(10, 10, 100, forcing=1e-15),
+    "growing": ConjugateGradients(3, 25, 2, forcing=1e-15),
 }
 
 
@@ -254,19 +250,13 @@ BLOCKS = {  # first, largest, patience
 @dimensions
 @weighted
 @intercepts
-@pytest.mark.parametrize("block", sorted(BLOCKS))
-def test_direction_solves_the_dense_normal_equations(
-    monkeypatch, n_inputs, weights, fit_intercept, block
-):
-    for name, value in zip(
-        ("FIRST_BLOCK", "LARGEST_BLOCK", "PATIENCE"), BLOCKS[block], strict=True
-    ):
-        monkeypatch.setattr(f"suspnet.learning.toeplitz.{name}", value)
-    monkeypatch.setattr("suspnet.learning.toeplitz.FORCING", 1e-15)
+@pytest.mark.parametrize("solver", sorted(SOLVERS))
+def test_direction_solves_the_dense_normal_equations(n_inputs, weights, fit_intercept, solver):
     modes = modes_of(n_inputs, {1: 1e-10, 2: 1e-6, 3: 1e-3}[n_inputs])
     X = samples(40, n_inputs, seed=1)
     Phi = modes(X).numpy()
-    equations, gradient = equations_at(EquispacedDesign(modes, X), weights, fit_intercept)
+    design = EquispacedDesign(modes, X, solver=SOLVERS[solver])
+    equations, gradient = equations_at(design, weights, fit_intercept)
     found = equations.direction(gradient, 1e-14)
     w = WEIGHTS[weights]
     extended = np.column_stack([Phi, np.ones(40)]) if fit_intercept else Phi
@@ -313,16 +303,19 @@ def test_leading_block_is_that_of_the_dense_matrix(n_inputs, fit_intercept, bloc
 
 @needs_finufft
 def test_block_grows_only_where_iterations_are_many(monkeypatch):
-    design, _ = problem(2)
-    for name, value in (("FIRST_BLOCK", 4), ("LARGEST_BLOCK", 15), ("PATIENCE", 3)):
-        monkeypatch.setattr(f"suspnet.learning.toeplitz.{name}", value)
-    equations, gradient = equations_at(design, "fixed", True)
+    whole, _ = problem(2)
+
+    def equations_of(iterations_per_block):
+        solver = ConjugateGradients(4, 15, iterations_per_block)
+        design = EquispacedDesign(whole.modes, samples(40, 2, seed=1), solver=solver)
+        return equations_at(design, "fixed", True)
+
+    equations, gradient = equations_of(3)
     sizes, plain = [], equations._invert_leading
     monkeypatch.setattr(equations, "_invert_leading", lambda n: sizes.append(n) or plain(n))
     equations.direction(gradient, 1e-12)
     assert sizes == [8, 15]  # doubled, to the largest at most, and no more
-    monkeypatch.setattr("suspnet.learning.toeplitz.PATIENCE", 10**6)
-    fresh, _ = equations_at(design, "fixed", True)
+    fresh, _ = equations_of(10**6)
     fresh.direction(gradient, 1e-12)
     assert fresh._n_block == 4
 
@@ -344,7 +337,9 @@ def test_design_without_samples_sums_to_nothing(n_inputs):
     modes = modes_of(n_inputs)
     design = EquispacedDesign(modes, samples(0, n_inputs))
     change = Direction(normal(modes.n_features, 2), normal(2))
-    moved, products = design.sweep(change, lambda rows, moved: torch.cat([moved, moved], dim=1))
+    moved, products = design.matvec_rmatvec(
+        change, lambda rows, moved: torch.cat([moved, moved], dim=1)
+    )
     assert moved.shape == (0, 2)
     assert torch.equal(products, torch.zeros(modes.n_features, 4).double())
     gradient = Gradient(change.coef, 0 * change.intercept, torch.zeros(0).double())
@@ -361,10 +356,10 @@ def test_sums_run_over_ranks(n_inputs):
     X = samples(40, n_inputs, seed=1)
     rank = EquispacedDesign(design.modes, X, lambda values: values.mul_(2))
     V = normal(40, 3)
-    np.testing.assert_array_equal(rank.pull(V), 2 * design.pull(V))
+    np.testing.assert_array_equal(rank.rmatvec(V), 2 * design.rmatvec(V))
     np.testing.assert_array_equal(rank.toeplitz(V[:, 0]), 2 * design.toeplitz(V[:, 0]))
     W = normal(design.n_features, 2)
-    np.testing.assert_array_equal(rank.apply(W), design.apply(W))  # of this rank's samples
+    np.testing.assert_array_equal(rank.matvec(W), design.matvec(W))  # of this rank's samples
 
 
 @needs_finufft

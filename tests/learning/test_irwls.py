@@ -21,17 +21,19 @@ from sklearn.svm import LinearSVR
 
 from suspnet.learning.design import DenseDesign, Direction, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import SLOW, Status, _Functional, irwls
+from suspnet.learning.irwls import Status, _Functional, irwls
 from suspnet.learning.loss import loss
 
 N_COMPONENTS = 40
-PATHS = {"fixed": math.inf, "reweighted": -1.0, "as it goes": SLOW}
-"""Values of SLOW: never leave the fixed equations, leave them after a step, or as they are."""
+PATHS = {
+    "fixed": {"slow_decrease": math.inf},  # no step is slow
+    "reweighted": {"slow_decrease": -1.0},  # every step is slow
+    "as it goes": {},
+}
 
 
 @pytest.fixture(params=sorted(PATHS))
-def path(request, monkeypatch):
-    monkeypatch.setattr("suspnet.learning.irwls.SLOW", PATHS[request.param])
+def path(request):
     return request.param
 
 
@@ -84,7 +86,13 @@ def test_every_path_leads_to_the_minimum(path, C, epsilon, fit_intercept, n_outp
     minimum = small_minimum(C, epsilon, fit_intercept, n_outputs)
     slow = path == "fixed" and C * epsilon > 1  # thousands of iterations
     found = irwls(
-        design, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=100 if slow else 3000
+        design,
+        Y,
+        C,
+        epsilon,
+        fit_intercept=fit_intercept,
+        max_iter=100 if slow else 3000,
+        **PATHS[path],
     )
     assert found.status == Status.CONVERGED or slow
     assert minimum > 0.1
@@ -99,7 +107,16 @@ def test_every_path_leads_to_the_minimum(path, C, epsilon, fit_intercept, n_outp
 def test_gap_bounds_the_excess_on_the_way(path, epsilon, fit_intercept, n_iter):
     design, _, Y = small_problem()
     minimum = small_minimum(10.0, epsilon, fit_intercept)
-    found = irwls(design, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=n_iter, tol=0.0)
+    found = irwls(
+        design,
+        Y,
+        10.0,
+        epsilon,
+        fit_intercept=fit_intercept,
+        max_iter=n_iter,
+        tol=0.0,
+        **PATHS[path],
+    )
     assert found.n_iter == n_iter
     excess = (found.objective - minimum) / found.objective
     # Rounding, and what L-BFGS leaves.
@@ -110,9 +127,8 @@ def test_gap_bounds_the_excess_on_the_way(path, epsilon, fit_intercept, n_iter):
 @pytest.mark.parametrize("epsilon", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("C", [0.5, 100.0])
 def test_fixed_step_projects_residuals_onto_the_ball_and_is_ridge_regression(
-    monkeypatch, C, epsilon, fit_intercept
+    C, epsilon, fit_intercept
 ):
-    monkeypatch.setattr("suspnet.learning.irwls.SLOW", math.inf)
     design, Phi, Y = small_problem()
     W, b = np.zeros((Phi.shape[1], 2)), np.zeros(2)
     ridge = Ridge(alpha=1 / (2 * C), fit_intercept=fit_intercept, solver="cholesky")
@@ -131,6 +147,7 @@ def test_fixed_step_projects_residuals_onto_the_ball_and_is_ridge_regression(
             max_iter=n_iter,
             tol=0.0,
             on_iteration=lambda told, steps=steps: steps.append(told.step),
+            **PATHS["fixed"],
         )
         assert steps == [1.0] * n_iter  # F lies below the quadratic
         # Systems of condition 1e5 or less.
@@ -139,8 +156,7 @@ def test_fixed_step_projects_residuals_onto_the_ball_and_is_ridge_regression(
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
-def test_path_through_reweighted_equations_is_the_textbooks(monkeypatch, fit_intercept):
-    monkeypatch.setattr("suspnet.learning.irwls.SLOW", -1.0)
+def test_path_through_reweighted_equations_is_the_textbooks(fit_intercept):
     design, Phi, Y = small_problem()
     C, epsilon, steps = 10.0, 0.3, []
     first, second = (
@@ -153,6 +169,7 @@ def test_path_through_reweighted_equations_is_the_textbooks(monkeypatch, fit_int
             max_iter=n,
             tol=0.0,
             on_iteration=lambda told: steps.append(told.step),
+            **PATHS["reweighted"],
         )
         for n in (1, 2)
     )
@@ -196,7 +213,7 @@ def bound_from(direction, W, b, C, epsilon, fit_intercept):
     W, b = torch.tensor(W), torch.tensor(b)
     residual = Y - torch.tensor(Phi) @ W - b
     gradient = functional.gradient(W, residual)
-    change, products = design.sweep(direction, functional.columns(residual, gradient))
+    change, products = design.matvec_rmatvec(direction, functional.columns(residual, gradient))
     objective = functional.value(W, residual)
     return functional.lower_bound(objective, gradient, direction, change, products), gradient
 
@@ -256,7 +273,7 @@ def test_lower_bound_is_summed_over_ranks(fit_intercept):
         functional = _Functional(whole, 10.0, 0.3, fit_intercept)
         residual = targets - whole.predict(Direction(W, b * fit_intercept))
         gradient = functional.gradient(W, residual)
-        change, products = whole.sweep(direction, functional.columns(residual, gradient))
+        change, products = whole.matvec_rmatvec(direction, functional.columns(residual, gradient))
         objective = functional.value(W, residual)
         bounds.append(functional.lower_bound(objective, gradient, direction, change, products))
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-10)
@@ -273,7 +290,7 @@ def test_gap_is_that_of_the_best_bound(path, monkeypatch, max_iter):
     plain = _Functional.lower_bound
     monkeypatch.setattr(_Functional, "lower_bound", spying)
     design, _, Y = small_problem()
-    found = irwls(design, Y, 10.0, 0.3, max_iter=max_iter, tol=1e-6)
+    found = irwls(design, Y, 10.0, 0.3, max_iter=max_iter, tol=1e-6, **PATHS[path])
     gap = (found.objective - max(0.0, *bounds)) / found.objective
     assert found.gap == pytest.approx(max(gap, 0.0), abs=1e-15)
     assert (found.gap <= 1e-6) == (found.status == Status.CONVERGED)
@@ -335,10 +352,9 @@ def test_wrong_fixed_equations_do_not_change_the_minimum(factor):
 
 
 @pytest.mark.parametrize("factor", [0.3, 2.5])
-def test_wrong_reweighted_equations_do_not_change_the_minimum(monkeypatch, factor):
-    monkeypatch.setattr("suspnet.learning.irwls.SLOW", -1.0)
+def test_wrong_reweighted_equations_do_not_change_the_minimum(factor):
     design, _, Y = small_problem()
-    found = irwls(Rigged(design, 1.0, factor), Y, 10.0, 0.1, max_iter=3000)
+    found = irwls(Rigged(design, 1.0, factor), Y, 10.0, 0.1, max_iter=3000, **PATHS["reweighted"])
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
 
@@ -485,7 +501,9 @@ def test_one_output_is_linear_svr_with_squared_loss(C, epsilon):
 @pytest.mark.parametrize(("epsilon", "n"), [(1e-3, 2), (0.3, 1), (0.3, 5)])
 def test_gradient_norm_is_that_of_autograd(path, fit_intercept, epsilon, n):
     blocks, Phi, Y = problem()
-    found = irwls(blocks, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=n, tol=0.0)
+    found = irwls(
+        blocks, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=n, tol=0.0, **PATHS[path]
+    )
     W, b = found.coef.clone().requires_grad_(), found.intercept.clone().requires_grad_()
     u = (Y - torch.tensor(Phi) @ W - b).norm(dim=1)
     gradients = torch.autograd.grad(0.5 * W.square().sum() + 10.0 * loss(u, epsilon).sum(), (W, b))
@@ -509,7 +527,7 @@ def test_everything_inside_the_tube_gives_the_zero_model():
 @pytest.mark.parametrize("C", [1.0, 1e4])
 def test_objective_never_rises(path, C, epsilon, fit_intercept):
     blocks, _, Y = problem(sigma=0.5)
-    found = irwls(blocks, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=60)
+    found = irwls(blocks, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=60, **PATHS[path])
     assert len(found.objectives) == found.n_iter + 1
     assert found.n_iter >= 1
     assert (np.diff(found.objectives) <= 0).all()

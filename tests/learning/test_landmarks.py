@@ -102,10 +102,9 @@ def test_landmarks_are_as_many_as_the_tolerance_needs(sigma, kernel_tol):
     assert -1e-9 < np.trace(error) / 200 <= kernel_tol * (1 + 1e-6) + 1e-9
 
 
-def test_one_proposal_at_a_time_stops_at_once(monkeypatch):
-    monkeypatch.setattr(landmarks, "PROPOSALS", 1)
+def test_one_proposal_at_a_time_stops_at_once():
     X = samples(100, n_inputs=2)
-    pivots = pivoted_cholesky(X, 1.5, 100, 0, 1e-4).tolist()
+    pivots = pivoted_cholesky(X, 1.5, 100, 0, 1e-4, n_proposals=1).tolist()
     assert naive_residual(X, pivots, 1.5).mean() <= 1e-4
     assert naive_residual(X, pivots[:-1], 1.5).mean() > 1e-4
 
@@ -119,17 +118,14 @@ def test_number_of_components_caps_the_landmarks():
     assert len(nystroem(X, 0.3, 1000, 0).landmarks) == 200
 
 
-def first_pivots(X, sigma, n_pivots, n_draws):
-    draws = [tuple(pivoted_cholesky(X, sigma, n_pivots, s).tolist()) for s in range(n_draws)]
-    return np.array(draws)
-
-
-@pytest.mark.parametrize("proposals", [1, 2, 64])
-def test_pivots_are_drawn_like_one_at_a_time(monkeypatch, proposals):
-    monkeypatch.setattr(landmarks, "PROPOSALS", proposals)
+@pytest.mark.parametrize("n_proposals", [1, 2, 64])
+def test_pivots_are_drawn_like_one_at_a_time(n_proposals):
     # Two close to each other, two clusters farther off: the residual differs much between samples.
     X, n_draws = torch.tensor([[0.0], [0.3], [1.0], [1.2], [2.5]]).double(), 1500
-    draws = first_pivots(X, 1.0, 3, n_draws)
+    draws = [
+        tuple(pivoted_cholesky(X, 1.0, 3, seed, n_proposals=n_proposals).tolist())
+        for seed in range(n_draws)
+    ]
     # Every ordered triple: each pivot in proportion to what the Schur complement leaves.
     expected = {}
     for i in range(5):
@@ -141,7 +137,7 @@ def test_pivots_are_drawn_like_one_at_a_time(monkeypatch, proposals):
     assert sum(expected.values()) == pytest.approx(1)
     counts = {triple: 0 for triple in expected}
     for triple in draws:
-        counts[tuple(triple)] += 1
+        counts[triple] += 1
     found, probable = np.array(list(counts.values())), np.array(list(expected.values())) * n_draws
     common = probable > 5  # the rest together, as chi-square needs
     found = np.append(found[common], found[~common].sum())
@@ -151,10 +147,11 @@ def test_pivots_are_drawn_like_one_at_a_time(monkeypatch, proposals):
     assert probable.max() > 3 * probable.min()
 
 
-def test_candidates_are_a_random_part_of_many_samples(monkeypatch):
-    monkeypatch.setattr(landmarks, "CANDIDATES", 50)
+def test_candidates_are_a_random_part_of_many_samples():
     X = samples(400, n_inputs=2)
-    first, again, other = (nystroem(X, 0.2, 300, seed).landmarks for seed in (0, 0, 1))
+    first, again, other = (
+        nystroem(X, 0.2, 300, seed, n_candidates=50).landmarks for seed in (0, 0, 1)
+    )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
     places = [int((X == landmark).all(dim=1).nonzero()) for landmark in first]
@@ -174,15 +171,43 @@ def test_tiny_tolerance_ends_at_rounding(kernel_tol):
     np.testing.assert_allclose(gram(phi(X)), kernel(X, 3.0), atol=1e-7, rtol=0)
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e3, 1e6])
+@pytest.mark.parametrize("offset", [0.0, 1e3, 1e6, 1e9])
 @pytest.mark.parametrize("kernel_tol", [1e-6, 1e-15])
 def test_copies_of_a_few_samples_end_the_search(offset, kernel_tol):
-    # Far from the origin squared distances are rounded to offset^2 1e-16: a few copies more.
     X = samples(15).repeat(4, 1) + offset
     pivots = pivoted_cholesky(X, 1.0, 60, 0, kernel_tol).tolist()
-    assert 15 <= len(pivots) <= 25
+    assert len(pivots) == 15
     assert len({p % 15 for p in pivots}) == 15
     assert len(pivoted_cholesky(X[:1].repeat(60, 1), 1.0, 60, 0, kernel_tol)) == 1
+
+
+@pytest.mark.parametrize("make", [nystroem, exact])
+def test_kernel_does_not_depend_on_the_origin(make):
+    X, offset = (samples() * 2**20).round() / 2**20, 2.0**20  # sums without rounding
+    here, there = make(X, SIGMA, 60, 0), make(X + offset, SIGMA, 60, 0)
+    np.testing.assert_array_equal(here.raw(X), there.raw(X + offset))
+    np.testing.assert_allclose(gram(there(X + offset)), kernel(X), atol=1e-6, rtol=0)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("error", [-1e-3, 1e-3, 0.5])
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_search_ends_whatever_the_rounding_of_the_kernel(monkeypatch, error, everywhere):
+    """Errors of the proposals' block beyond all residuals once let no proposal be accepted."""
+    source = torch.Generator().manual_seed(0)
+
+    def inexact(X, Z, sigma):
+        found = torch.exp((X[:, None] - Z).square().sum(dim=2) / -(sigma**2))
+        if len(X) == len(Z):
+            found.diagonal().add_(error)
+        if everywhere:
+            found += error * torch.rand(found.shape, generator=source, dtype=found.dtype)
+        return found
+
+    monkeypatch.setattr(landmarks, "rbf_kernel", inexact)
+    pivots = pivoted_cholesky(samples(100, n_inputs=2), 1.5, 100, 0, 1e-9).tolist()
+    assert 3 < len(pivots) <= 100
+    assert len(set(pivots)) == len(pivots)
 
 
 def test_exact_map_drops_directions_below_rounding():

@@ -25,7 +25,7 @@ CASES = {
 if importlib.util.find_spec("finufft"):
     CASES["equispaced"] = {"feature_map": "equispaced"}
 N_RANKS, ROWS = 3, (70, 30, 0)
-"""Shares of unlike size; the last rank has nothing."""
+"""Shards of unlike size; the last rank has no rows."""
 
 
 def samples():
@@ -34,7 +34,7 @@ def samples():
 
 def arrays(X, Y, **case):
     """Everything that a fit and its scaling find."""
-    scaling = Scaling.of(X, log=False, total=ranks.total)
+    scaling = Scaling.of(X, log=False, all_reduce=ranks.all_reduce)
     model = MSVR(**({"sigma": 1.0, "C": 10.0} | case), distributed=True)
     model.fit(scaling.apply(X), Y)
     counts = np.array([model.n_iter_, model.support_fraction_, model.objective_])
@@ -56,8 +56,8 @@ def work(rank, folder):
         for name, case in CASES.items()
         for key, value in arrays(X[rows], Y[rows], **case).items()
     }
-    found["shares"] = np.array([[ranks.share(n).start, ranks.share(n).stop] for n in (0, 2, 7)])
-    found["first"] = np.array(ranks.first())
+    found["shards"] = np.array([[ranks.shard(n).start, ranks.shard(n).stop] for n in (0, 2, 7)])
+    found["is_rank_zero"] = np.array(ranks.is_rank_zero())
     np.savez(folder / f"{rank}.npz", **found)
     ranks.stop()
 
@@ -84,20 +84,21 @@ def test_every_rank_finds_the_model_of_one_process(spread, name):
             np.testing.assert_allclose(found[f"{name}.{key}"], value, rtol=1e-10, atol=1e-8)
 
 
-def test_shares_cover_everything_once_and_the_first_rank_writes(spread):
+def test_shards_cover_everything_once_and_rank_zero_writes(spread):
     for row, n in enumerate((0, 2, 7)):
-        shares = [range(*found["shares"][row]) for found in spread]
-        assert [i for share in shares for i in share] == list(range(n))
-    assert [bool(found["first"]) for found in spread] == [True, False, False]
+        shards = [range(*found["shards"][row]) for found in spread]
+        assert [i for shard in shards for i in shard] == list(range(n))
+    assert [bool(found["is_rank_zero"]) for found in spread] == [True, False, False]
 
 
 def test_one_process_is_all_there_is():
     values = torch.tensor([1.0, 2.0])
-    assert not ranks.together()
-    assert ranks.first()
-    assert torch.equal(ranks.total(values), values)
-    assert torch.equal(ranks.gathered(values[:, None]), values[:, None])
-    assert ranks.share(5) == slice(0, 5)
+    assert not ranks.is_distributed()
+    assert ranks.is_rank_zero()
+    assert torch.equal(ranks.all_reduce(values), values)
+    assert torch.equal(ranks.broadcast(values), values)
+    assert torch.equal(ranks.all_gather(values[:, None]), values[:, None])
+    assert ranks.shard(5) == slice(0, 5)
 
 
 def test_torchrun_trains_the_model_of_one_process(tmp_path):
@@ -132,7 +133,7 @@ def test_multirun_is_not_spread_and_said_so_once(tmp_path):
     ],
 )
 def test_what_cannot_be_spread_is_named(override, message, tmp_path, monkeypatch):
-    monkeypatch.setattr(ranks, "together", lambda: True)
-    monkeypatch.setattr(ranks, "first", lambda: True)
+    monkeypatch.setattr(ranks, "is_distributed", lambda: True)
+    monkeypatch.setattr(ranks, "is_rank_zero", lambda: True)
     with pytest.raises(SystemExit, match=message):
         run_main(train, tmp_path / "run", override, *SMALL, "threads=1")
