@@ -32,9 +32,9 @@ def learnt():
 
 
 @pytest.fixture(scope="module")
-def intervals(learnt):
-    inputs, wrong, _ = samples(1500, seed=1)
-    return Intervals(Conformal.of(wrong, learnt.predict(inputs)), True, learnt)
+def intervals():
+    inputs, wrong, _ = samples(6000, seed=1)
+    return Intervals.learnt(inputs, wrong, log=True)
 
 
 # reference
