@@ -1,7 +1,14 @@
-"""Hyperparameters by cross-validation over a grid: the least RMSE wins (Table V)."""
+"""Hyperparameters by cross-validation over a grid: the least RMSE wins (Table V).
+
+The grid is a box that can be widened until the optimum is not on its edge. An optimum is on the
+edge in a hyperparameter if its value is the least or largest tried, and the edge is not flat: it is
+flat if the next value inwards, all else equal, raises the RMSE by at most `FLAT`, or by less than
+the standard error over folds of that rise.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +28,9 @@ from suspnet.learning.scaling import Scaling
 
 FloatArray = NDArray[np.float64]
 Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
+Levels = dict[str, list[float]]
+FLAT = 0.005
+"""A relative rise of the RMSE below which tables of three digits hardly change."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +43,17 @@ class SearchResult:
         Hyperparameters tried, in order.
     rmse : list of float
         Cross-validated RMSE of each, averaged over outputs and folds; inf where a fit failed.
+    failures : list of str
+        Settings that could not be fitted, with the reason.
+    edges : dict
+        From each hyperparameter in which the optimum is on the edge of the box to a sentence that
+        says so, and why the box is no wider.
     """
 
     settings: list[dict[str, Any]]
     rmse: list[float]
     failures: list[str] = field(default_factory=list)
+    edges: dict[str, str] = field(default_factory=dict)
 
     @property
     def best(self) -> dict[str, Any]:
@@ -47,7 +63,10 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class GridSearch:
-    """Cross-validation over every combination of a grid.
+    """Cross-validation over every combination of a grid, and over a wider box if asked for.
+
+    A widening adds one value beyond each edge that the optimum is on, by the ratio of the last two
+    values, and tries what is within one step of the optimum.
 
     Parameters
     ----------
@@ -56,19 +75,35 @@ class GridSearch:
     n_folds : int, default=5
     seed : int, default=0
         Shuffles the samples before they are split.
+    widen : int, default=0
+        Largest number of widenings.
+    caps : mapping, optional
+        From method name to a mapping from hyperparameter to {`low`: .., `high`: .., `reason`: ..}:
+        values that no widening exceeds, and why.
 
     Raises
     ------
     TypeError, ValueError
-        If there are fewer than 2 folds, or `run` is asked for a method without a grid.
+        If there are fewer than 2 folds, a cap has no reason, or `run` is asked for a method without
+        a grid.
     """
 
     grids: Mapping[str, Mapping[str, Sequence[Any]]]
     n_folds: int = 5
     seed: int = 0
+    widen: int = 0
+    caps: Mapping[str, Mapping[str, Mapping[str, Any]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_number("n_folds", self.n_folds, low=2, whole=True)
+        check_number("widen", self.widen, low=0, whole=True)
+        for name, caps in self.caps.items():
+            for key, cap in caps.items():
+                if "reason" not in cap or set(cap) - {"low", "high", "reason"}:
+                    raise ValueError(
+                        f"the cap of {name}.{key} must have a `reason` and `low` or `high`, got "
+                        f"{dict(cap)}"
+                    )
 
     def n_settings(self, name: str) -> int:
         """Return the number of settings in a method's grid."""
@@ -101,32 +136,122 @@ class GridSearch:
             rows for _, rows in KFold(self.n_folds, shuffle=True, random_state=self.seed).split(X)
         ]
         actual = [output_scaling.undo(Y[rows]) for rows in folds]
-        settings = list(ParameterGrid(dict(self._grid(name))))
-        result = SearchResult(settings, [math.inf] * len(settings))
-        for group in _groups(estimator, settings):
-            predict: Predictor | None = None
-            for k in group:
-                try:
-                    with warnings.catch_warnings():
-                        warnings.simplefilter("ignore", ConvergenceWarning)
-                        predict = predict or _predictor(estimator, settings[k], X, Y, folds)
-                        predicted = [output_scaling.undo(values) for values in predict(settings[k])]
-                    errors = map(root_mean_squared_error, actual, predicted)
-                    result.rmse[k] = float(np.mean(list(errors)))
-                except ValueError as error:
-                    result.failures.append(f"{settings[k]}: {error}")
-                if on_setting is not None:
-                    on_setting(settings[k], result.rmse[k])
+        result, errors = SearchResult([], []), _Errors()
+
+        def measure(settings: list[dict[str, Any]]) -> None:
+            first = len(result.settings)
+            result.settings.extend(settings)
+            result.rmse.extend([math.inf] * len(settings))
+            for group in _groups(estimator, settings):
+                predict: Predictor | None = None
+                for k in group:
+                    setting = settings[k]
+                    try:
+                        with warnings.catch_warnings():
+                            warnings.simplefilter("ignore", ConvergenceWarning)
+                            predict = predict or _predictor(estimator, setting, X, Y, folds)
+                            predicted = [output_scaling.undo(v) for v in predict(setting)]
+                        errors[setting] = list(map(root_mean_squared_error, actual, predicted))
+                        result.rmse[first + k] = float(np.mean(errors[setting]))
+                    except ValueError as error:
+                        result.failures.append(f"{setting}: {error}")
+                    if on_setting is not None:
+                        on_setting(setting, result.rmse[first + k])
+
+        measure(list(ParameterGrid(dict(self._grid(name)))))
         if not np.isfinite(result.rmse).any():
             raise ValueError(
                 f"no setting of the search could be fitted; first: {result.failures[0]}"
             )
+        levels = _levels(self._grid(name))
+        for _ in range(self.widen):
+            wider, _ = self._beyond(name, levels, result.best, errors)
+            if not wider:
+                break
+            for key, value in wider.items():
+                levels[key] = sorted([*levels[key], value])
+            near = _neighbours(levels, result.best)
+            measure([setting for setting in near if setting not in result.settings])
+        wider, told = self._beyond(name, levels, result.best, errors)
+        why = (
+            f"the box was widened {self.widen} times" if self.widen else "the box is that asked for"
+        )
+        result.edges.update(told)
+        result.edges.update({key: _words(key, result.best[key], why) for key in wider})
         return result
+
+    def _beyond(
+        self, name: str, levels: Levels, best: Mapping[str, Any], errors: _Errors
+    ) -> tuple[dict[str, float], dict[str, str]]:
+        """Return the next value beyond each edge the optimum is on, and what a cap forbids."""
+        wider, told = {}, {}
+        for key, values in levels.items():
+            value = best[key]
+            if value not in (values[0], values[-1]):
+                continue
+            inner = values[1] if value == values[0] else values[-2]
+            if errors.is_flat(best, {**best, key: inner}):
+                continue
+            beyond = float(f"{value * (value / inner):.6g}")
+            cap = self.caps.get(name, {}).get(key, {})
+            if cap.get("low", 0.0) <= beyond <= cap.get("high", math.inf):
+                wider[key] = beyond
+            else:
+                told[key] = _words(key, value, cap["reason"])
+        return wider, told
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
         if name not in self.grids:
             raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
         return self.grids[name]
+
+
+class _Errors:
+    """The RMSE of each fold of each setting that could be fitted."""
+
+    def __init__(self) -> None:
+        self._folds: dict[str, list[float]] = {}
+
+    def __setitem__(self, setting: Mapping[str, Any], folds: list[float]) -> None:
+        self._folds[_key(setting)] = folds
+
+    def __getitem__(self, setting: Mapping[str, Any]) -> list[float]:
+        return self._folds[_key(setting)]
+
+    def is_flat(self, best: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+        """Return whether `other` is hardly worse than `best`: see the rule of this module."""
+        if _key(other) not in self._folds:
+            return False
+        rise = np.array(self[other]) - np.array(self[best])
+        scatter = float(rise.std(ddof=1)) / math.sqrt(len(rise))
+        return float(rise.mean()) <= max(FLAT * float(np.mean(self[best])), scatter)
+
+
+def _key(setting: Mapping[str, Any]) -> str:
+    return repr(sorted(setting.items()))
+
+
+def _words(key: str, value: float, why: str) -> str:
+    return f"the best {key}, {value:g}, is on the edge: {why}"
+
+
+def _levels(grid: Mapping[str, Sequence[Any]]) -> Levels:
+    """Return the values in order of each hyperparameter that has several, all positive numbers."""
+    return {
+        key: sorted(set(values))
+        for key, values in grid.items()
+        if len(set(values)) > 1
+        and all(isinstance(v, int | float) and not isinstance(v, bool) and v > 0 for v in values)
+    }
+
+
+def _neighbours(levels: Levels, best: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the settings within one step of `best` in every hyperparameter."""
+    places = {key: values.index(best[key]) for key, values in levels.items()}
+    near = [values[max(places[key] - 1, 0) : places[key] + 2] for key, values in levels.items()]
+    return [
+        {**best, **dict(zip(levels, values, strict=True))} for values in itertools.product(*near)
+    ]
 
 
 def _groups(estimator: Any, settings: Sequence[Mapping[str, Any]]) -> list[list[int]]:

@@ -94,7 +94,7 @@ class Intervals:
         """Return intervals whose residual scale is learnt from one half of the samples.
 
         The other half gives the scores: samples that have taught the scale would have scores that
-        are too small. Measured, any share from a third to five sixths gives the same width to 2 %,
+        are too small. Measured, any share from a third to five sixths gives the same width to 1 %,
         and the more scores, the less the coverage scatters.
 
         Parameters

@@ -249,3 +249,131 @@ def test_setting_out_of_range_leaves_the_others(grid):
     found = GridSearch({"m": grid}).run("m", MSVR(n_components=16), X, Y, IDENTITY)
     assert sum(np.isfinite(found.rmse)) == 1
     assert len(found.failures) == 1
+
+
+# a box that is widened
+
+
+class Valley(RegressorMixin, BaseEstimator):
+    """Errs by 1 + slope_a |log10 a - 4| + |log10 b + 3| on every row, with scatter if asked for."""
+
+    def __init__(self, a=1.0, b=1.0, slope_a=1.0, scatter=0.0, largest=np.inf, name="x"):
+        self.a = a
+        self.b = b
+        self.slope_a = slope_a
+        self.scatter = scatter
+        self.largest = largest
+        self.name = name
+
+    def fit(self, X, y):
+        if self.a > self.largest:
+            raise ValueError(f"a = {self.a} needs too much memory")
+        self.shape_ = y.shape[1:]
+        return self
+
+    def predict(self, X):
+        error = 1 + self.slope_a * abs(np.log10(self.a) - 4) + abs(np.log10(self.b) + 3)
+        noise = np.random.default_rng(int(self.a)).standard_normal(1000)
+        rows = np.array([noise[int(row)] for row in X[:, 0]])
+        return np.tile((error + self.scatter * rows)[:, None], self.shape_)
+
+
+VALLEY = {"a": [1.0, 10.0, 100.0], "b": [0.1, 1.0]}
+
+
+def widened(grid=VALLEY, caps=None, widen=12, **fixed):
+    X, Y = np.arange(40.0)[:, None], np.zeros((40, 2))
+    search = GridSearch({"valley": grid}, widen=widen, caps={"valley": caps or {}})
+    return search.run("valley", Valley(**fixed), X, Y, IDENTITY)
+
+
+def test_box_is_widened_until_the_optimum_lies_inside():
+    found = widened()
+    assert found.best == pytest.approx({"a": 1e4, "b": 1e-3})
+    assert min(found.rmse) == pytest.approx(1.0)
+    assert not found.edges
+    assert not found.failures
+    assert max(s["a"] for s in found.settings) == pytest.approx(1e5)
+    assert min(s["b"] for s in found.settings) == pytest.approx(1e-4)
+    keys = [repr(sorted(s.items())) for s in found.settings]
+    assert len(keys) == len(set(keys)) < 40
+
+
+@pytest.mark.parametrize("widen", [0, 1, 2])
+def test_edge_that_is_left_is_told(widen):
+    found = widened(widen=widen)
+    assert found.best == pytest.approx({"a": 10.0 ** (2 + widen), "b": 10.0 ** (-1 - widen)})
+    assert found.settings[:6] == list(ParameterGrid(VALLEY))
+    assert (len(found.settings) == 6) is (widen == 0)
+    assert set(found.edges) == {"a", "b"}
+    why = f"the box was widened {widen} times" if widen else "the box is that asked for"
+    assert found.edges["a"] == f"the best a, {10.0 ** (2 + widen):g}, is on the edge: {why}"
+
+
+def test_slope_without_an_end_ends_with_the_widenings():
+    found = widened({"a": [1.0, 1.5]}, widen=7, b=1e-3)
+    assert len(found.settings) == 2 + 7
+    assert set(found.edges) == {"a"}
+
+
+def test_cap_ends_the_widening_and_its_reason_is_told():
+    found = widened(caps={"a": {"high": 1e3, "reason": "a is slow"}})
+    assert found.best == pytest.approx({"a": 1e3, "b": 1e-3})
+    assert found.edges == {"a": "the best a, 1000, is on the edge: a is slow"}
+    low = widened(caps={"b": {"low": 0.05, "reason": "b is noise"}})
+    assert low.best == pytest.approx({"a": 1e4, "b": 0.1})
+    assert low.edges == {"b": "the best b, 0.1, is on the edge: b is noise"}
+
+
+@pytest.mark.parametrize(
+    ("slope", "scatter", "is_flat"),
+    [(0.0, 0.0, True), (0.004, 0.0, True), (0.02, 0.0, False), (0.02, 0.5, True)],
+    ids=["no slope", "slope below 0.5 %", "slope", "slope within the scatter of folds"],
+)
+def test_flat_edge_is_no_edge(slope, scatter, is_flat):
+    # the best is the largest value, 1000, by a seed of the scatter that makes it so
+    grid = {"a": [100.0, 1000.0]}
+    found = widened(grid, widen=1, slope_a=slope, scatter=scatter, b=1e-3)
+    assert (len(found.settings) == 2) is is_flat
+    assert (not found.edges) is is_flat or found.best["a"] == 1e4
+
+
+def test_value_that_cannot_be_fitted_ends_the_widening():
+    found = widened(largest=1e3)
+    assert found.best == pytest.approx({"a": 1e3, "b": 1e-3})
+    assert not found.edges
+    assert all("needs too much memory" in words for words in found.failures)
+
+
+def test_only_positive_numbers_with_neighbours_are_widened():
+    grid = {"a": [1.0], "b": [1e-3], "name": ["x", "y"], "slope_a": [True, False]}
+    found = widened({**grid, "scatter": [0.0, 0.1]})
+    assert len(found.settings) == 8
+    assert not found.edges
+
+
+@pytest.mark.parametrize(
+    "estimator", [MSVR(n_components=32), SVR(epsilon=1e-3)], ids=["msvr", "svr"]
+)
+def test_optimum_of_a_real_method_is_found_from_a_small_box(estimator):
+    X, Y = smooth_data(1, n_samples=60)
+    grids = {"m": {"C": [0.1, 1.0], "sigma": [0.2, 0.4]}}
+    near = GridSearch(grids).run("m", estimator, X, Y, IDENTITY)
+    assert set(near.edges) == {"C", "sigma"}
+    found = GridSearch(grids, widen=10).run("m", estimator, X, Y, IDENTITY)
+    assert not found.edges
+    assert min(found.rmse) < 0.5 * min(near.rmse)
+
+
+@pytest.mark.parametrize(
+    ("cap", "widen", "error", "message"),
+    [
+        ({"high": 1.0}, 1, ValueError, r"cap of m\.C must have a `reason`"),
+        ({"highest": 1.0, "reason": "slow"}, 1, ValueError, r"cap of m\.C must have .* got"),
+        ({}, -1, ValueError, "`widen` must be finite and >= 0"),
+        ({}, 1.5, TypeError, "`widen` must be a whole number"),
+    ],
+)
+def test_caps_without_reason_and_odd_numbers_of_widenings_are_refused(cap, widen, error, message):
+    with pytest.raises(error, match=message):
+        GridSearch({"m": {}}, widen=widen, caps={"m": {"C": cap}} if cap else {})
