@@ -16,9 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import open_dict
 from trip_fixtures import RATES_HZ, changed, signal
 
-import evaluate
-import train
-from suspnet import simulate
+from suspnet.cli import evaluate, simulate, train
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
@@ -55,7 +53,7 @@ def run_program(module, folder, *overrides):
         del config["hydra"]
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        module.main(config)
+        module.compose(config)
     except SystemExit as ended:
         return ended.code
     return 0
