@@ -24,6 +24,8 @@ class ResponseGenerator(Protocol):
         Torch device of the tensors that come back.
     speed_m_per_s : float or None, [m/s]
         The speed that the responses belong to; None if they do not depend on it.
+    bogie : str or None
+        The bogie that is measured, "leading" or "trailing"; None if the model suits both.
     further_places : tuple of str
         Names of places for sensors besides axle box, bogie and body: one on the frame, one on the
         body, and the second axle box; or none.
@@ -39,6 +41,9 @@ class ResponseGenerator(Protocol):
 
     @property
     def speed_m_per_s(self) -> float | None: ...  # noqa: D102
+
+    @property
+    def bogie(self) -> str | None: ...  # noqa: D102
 
     @property
     def further_places(self) -> tuple[str, ...]: ...  # noqa: D102

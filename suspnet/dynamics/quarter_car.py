@@ -56,6 +56,8 @@ class QuarterCar:
 
     speed_m_per_s: ClassVar[None] = None
     """The responses belong to any speed."""
+    bogie: ClassVar[None] = None
+    """The model suits both bogies."""
     further_places: ClassVar[tuple[str, ...]] = ()
     """There is no place for a fourth sensor."""
 

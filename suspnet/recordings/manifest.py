@@ -16,16 +16,20 @@ from suspnet.storage import write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",
+    "BOGIES",
     "CHANNELS",
     "FORMAT",
+    "SIDES",
     "SPEED_UNITS",
     "Channel",
+    "Place",
     "Source",
     "SpeedSource",
     "TripError",
     "TripManifest",
     "find_manifests",
     "read_manifest",
+    "read_place",
     "write_manifest",
 ]
 
@@ -39,6 +43,35 @@ ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
 
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
 """What one unit is in m/s."""
+
+BOGIES = ("leading", "trailing")
+"""Bogies of a vehicle, in the direction of travel."""
+
+SIDES = ("left", "right")
+"""Sides of a vehicle, in the direction of travel."""
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """Which suspension a trip is of; empty text is what the manifest does not say.
+
+    Parameters
+    ----------
+    suspension : str
+    bogie : str
+        One of ``BOGIES``.
+    side : str
+        One of ``SIDES``.
+    """
+
+    suspension: str = ""
+    bogie: str = ""
+    side: str = ""
+
+    def __str__(self) -> str:
+        """Return the place in words."""
+        where = [self.bogie and f"{self.bogie} bogie", self.side]
+        return ", ".join(part for part in (self.suspension, *where) if part) or "unknown"
 
 
 @dataclass(frozen=True)
@@ -109,6 +142,8 @@ class TripManifest:
         One for each of ``CHANNELS``.
     truth : dict of float, [-]
         Known values of a simulated trip relative to healthy; keys from ``PARAMETERS``.
+    bogie, side : str, optional
+        One of ``BOGIES`` and one of ``SIDES``; None where it is not said.
     """
 
     path: Path
@@ -120,6 +155,8 @@ class TripManifest:
     speed: float | SpeedSource
     channels: dict[str, Channel]
     truth: dict[str, float] = field(default_factory=dict)
+    bogie: str | None = None
+    side: str | None = None
 
     def file_of(self, source: Source) -> Path:
         """Return the path of a channel's or the speed's data file."""
@@ -158,6 +195,22 @@ def read_manifest(path: Path) -> TripManifest:
     return manifest
 
 
+def read_place(path: Path) -> Place | None:
+    """Return which suspension a manifest is of; None if it does not say so.
+
+    Nothing else of it is checked, so that a faulty trip stays with the others of its suspension.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError, ValueError, RecursionError):
+        return None
+    if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
+        return None
+    named = {"bogie": BOGIES, "side": SIDES}
+    where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
+    return Place(content["suspension"].strip(), **where)
+
+
 def write_manifest(manifest: TripManifest) -> Path:
     """Write a manifest to its own path, atomically, and return that path.
 
@@ -174,6 +227,8 @@ def write_manifest(manifest: TripManifest) -> Path:
         "format": FORMAT,
         "vehicle": manifest.vehicle,
         "suspension": manifest.suspension,
+        "bogie": manifest.bogie,
+        "side": manifest.side,
         "mileage_km": manifest.mileage_km,
         "start": manifest.start,
         "speed": _without_none(asdict(speed)) if isinstance(speed, SpeedSource) else speed,
@@ -208,7 +263,7 @@ _SOURCE = ("column", "rate_hz", "time", "start_s")
 
 def _parse(path: Path, content: Any) -> TripManifest:
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
-    top = CheckedMapping(path, "", content, required, ("start", "truth"))
+    top = CheckedMapping(path, "", content, required, ("start", "truth", "bogie", "side"))
     top.choice("format", [FORMAT])
     channels = CheckedMapping(path, "channels", content["channels"], CHANNELS, ()).content
     return TripManifest(
@@ -221,6 +276,8 @@ def _parse(path: Path, content: Any) -> TripManifest:
         speed=_parse_speed(top),
         channels={name: _parse_channel(path, name, channels[name]) for name in CHANNELS},
         truth=_parse_truth(path, content["truth"]) if top.has("truth") else {},
+        bogie=top.choice("bogie", BOGIES) if top.has("bogie") else None,
+        side=top.choice("side", SIDES) if top.has("side") else None,
     )
 
 

@@ -1,30 +1,34 @@
-"""All trips of a folder: evaluated in parallel, written as tables, figures and a report."""
+"""All trips of a folder: evaluated in parallel, one report for each suspension."""
 
 from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
 from tqdm import tqdm
 
 import suspnet
+from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.recording import TripSettings
 from suspnet.model.spectra import trip_observer
-from suspnet.data.parallel import quiet
+from suspnet.recordings.manifest import Place
+from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
+from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.trips.output import summary, write_pages, write_tables
+from suspnet.trips.overview import Evaluated, write_overview
+from suspnet.trips.places import Group, find_groups
 from suspnet.trips.records import TripResult, first_trips, relative_to_first
-from suspnet.trips.trend import LEAST_PERCENT, Trend, flagged_trend
+from suspnet.trips.trend import LEAST_PERCENT, flagged_trend
 from suspnet.trips.trip import evaluate_trip
-from suspnet.recordings.manifest import find_manifests
 
 try:
     import distributed
@@ -49,6 +53,9 @@ class FleetSettings:
         Healthy is what the vehicle's parameters say, or what its first trips show.
     n_reference : int
         Number of first trips.
+    limits : mapping
+        From a parameter to its `notice` and `act`, each [lower, upper] relative to healthy; a
+        parameter that is not there, or null, raises no alarm.
     workers : int
         Local processes.
     cluster : str, optional
@@ -66,6 +73,7 @@ class FleetSettings:
     n_reference: int = 5
     workers: int = 1
     cluster: str | None = None
+    limits: Mapping[str, Any] = field(default_factory=lambda: dict(DEFAULT_LIMITS))
 
     def __post_init__(self) -> None:
         if self.reference not in ("vehicle", "first_trips"):
@@ -76,6 +84,7 @@ class FleetSettings:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise ValueError(f"`{name}` must be a whole number >= 1, got {value!r}")
+        object.__setattr__(self, "limits", read_limits(self.limits))
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
 
@@ -99,6 +108,11 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
             raise ModelFileError(
                 "the models of one run must share vehicle and outputs; give the folder of one run"
             )
+    if len({model.generator.bogie for model in models} - {None}) > 1:
+        raise ModelFileError(
+            "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
+            "manifests, or give the folder of one run"
+        )
     speeds = [model.generator.speed_m_per_s for model in models]
     if len(set(speeds)) < len(speeds):
         raise ModelFileError(
@@ -112,29 +126,52 @@ def _speed_words(speed: float | None) -> str:
     return "any" if speed is None else f"{speed:g} m/s"
 
 
+def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
+    """Return the models that can read a suspension's trips: those of its bogie, if it is named.
+
+    Raises
+    ------
+    ModelFileError
+        If there is none, or if the models cannot read trips together.
+    """
+    fitting = [m for m in models if not place.bogie or m.generator.bogie in (None, place.bogie)]
+    if not fitting:
+        raise ModelFileError(
+            f"the trips are of the {place.bogie} bogie, the models of the other one: train one "
+            f"with generator.bogie={place.bogie}"
+        )
+    check_models(fitting)
+    return fitting
+
+
 def evaluate_fleet(
     folder: Path,
     models: Sequence[TrainedModel],
     output: Path,
     settings: FleetSettings,
     progress: bool = True,
-) -> list[TripResult]:
-    """Evaluate every trip of a folder and write trips.parquet, .csv, figures and report.html.
+) -> list[Evaluated]:
+    """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
+
+    If the folder holds the trips of one suspension, its files lie in `output`. If it holds those
+    of several, or subfolders with trips, each suspension has a subfolder of `output`, and
+    overview.html, .csv and .parquet there name the worst first. A suspension that cannot be read is
+    told in the log and in the overview.
 
     Parameters
     ----------
     folder : Path
-        Holds a manifest for each trip.
+        Holds a manifest for each trip, or subfolders that do.
     models : sequence of TrainedModel
-        One for each speed bin.
+        One for each speed bin, and for each bogie that the manifests name.
     output : Path
     settings : FleetSettings
     progress : bool
 
     Returns
     -------
-    list of TripResult
-        Ascending mileage.
+    list of Evaluated
+        The most severe first.
 
     Raises
     ------
@@ -143,29 +180,56 @@ def evaluate_fleet(
     ModelFileError
         If a model cannot read trips.
     ValueError
-        If too few trips can serve as reference.
+        If too few trips can serve as reference, or no suspension could be read.
     """
-    outputs = check_models(models)
-    paths = find_manifests(folder)
-    results = _evaluated(paths, models, settings, progress)
+    groups = find_groups(folder)
+    if len(groups) == 1 and groups[0].folder == folder:
+        return [_evaluate_group(groups[0], models, output, settings, progress)]
+    for model in models:
+        trip_observer(model)
+    done = []
+    for group in groups:
+        if group.error:
+            done.append(Evaluated(group.name, group.place, error=group.error))
+            log.warning("%s is not read: %s", group.name, group.error)
+            continue
+        try:
+            where = output / group.name
+            done.append(_evaluate_group(group, models, where, settings, progress))
+        except ValueError as error:
+            done.append(Evaluated(group.name, group.place, error=str(error)))
+            log.warning("%s is not read: %s", group.name, error)
+    if all(one.error for one in done):
+        reasons = "; ".join(f"{one.name}: {one.error}" for one in done)
+        raise ValueError(f"{folder}: none of its {len(done)} suspensions can be read ({reasons})")
+    done.sort(key=lambda one: (-one.severity, one.name))
+    log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
+    return done
+
+
+def _evaluate_group(
+    group: Group,
+    models: Sequence[TrainedModel],
+    output: Path,
+    settings: FleetSettings,
+    progress: bool,
+) -> Evaluated:
+    """Evaluate one suspension's trips and write all that is to be said of them."""
+    fitting = models_of(models, group.place)
+    outputs = fitting[0].task.outputs
+    results = [
+        replace(result, bogie=group.place.bogie, side=group.place.side)
+        for result in _evaluated(group.manifests, fitting, settings, progress)
+    ]
     results.sort(key=lambda r: (np.isnan(r.mileage_km), r.mileage_km, r.trip))
     if settings.reference == "first_trips":
         results = relative_to_first(results, settings.n_reference)
-    suspensions = sorted({r.suspension for r in results if r.suspension})
-    if len(suspensions) > 1:
-        log.warning(
-            "%s holds trips of %d suspensions (%s): their trend is one line only if they are one; "
-            "give each a folder of its own",
-            folder,
-            len(suspensions),
-            "; ".join(suspensions),
-        )
     write_tables(results, outputs, output)
-    trends = _trends(results, outputs, models)
-    details = _details(folder, models, settings, results)
-    write_pages(results, outputs, trends, output, details, settings.trips.level)
-    log.info("%s\n-> %s", summary(results, outputs), output)
-    return results
+    found = _assessments(results, outputs, fitting, settings.limits)
+    details = _details(group.folder, fitting, settings, results)
+    write_pages(results, outputs, found, output, details, settings.trips.level, settings.limits)
+    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, spoken(found), output)
+    return Evaluated(group.name, group.place, results, found)
 
 
 def _evaluated(
@@ -200,19 +264,24 @@ def _backend(settings: FleetSettings) -> Iterator[None]:
             yield
 
 
-def _trends(
-    results: Sequence[TripResult], outputs: tuple[str, ...], models: Sequence[TrainedModel]
-) -> list[Trend]:
-    """Return each parameter's trend; what the models cannot resolve does not stand out."""
+def _assessments(
+    results: Sequence[TripResult],
+    outputs: tuple[str, ...],
+    models: Sequence[TrainedModel],
+    limits: Mapping[str, Limits],
+) -> list[Assessment]:
+    """Return what each parameter's trips mean; what the models cannot resolve is no change."""
     mileage = np.array([r.mileage_km for r in results])
     flagged = np.array([bool(r.flags) for r in results])
-    trends = []
+    found = []
     for name in outputs:
         rms = max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
         least = max(LEAST_PERCENT, RESOLVED * rms)
         values = np.array([r.estimates.get(name, np.nan) for r in results])
-        trends.append(flagged_trend(name, mileage, values, flagged, least_percent=least))
-    return trends
+        trend = flagged_trend(name, mileage, values, flagged, least_percent=least)
+        last = last_trips(mileage, values, [r.interval(name) for r in results], flagged)
+        found.append(assess(trend, last, limits.get(name)))
+    return found
 
 
 def _details(
@@ -231,6 +300,7 @@ def _details(
             reference += f", {flagged} of them flagged"
     return {
         "trips": str(folder),
+        "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
         "suspnet": suspnet.__version__,
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
@@ -240,6 +310,7 @@ def _details(
         f"{trained.segment_s:g} s",
         "healthy is": reference,
         "intervals": _interval_words(first, settings.trips.level),
+        "limits": "; ".join(f"{name}: {one}" for name, one in settings.limits.items()) or "none",
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,15 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
+from suspnet.trips.limits import Limits
 from suspnet.trips.records import TripResult
 from suspnet.trips.trend import PAYLOAD
-from suspnet.runs.plots import SYMBOLS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
 FLAGGED_COLOUR = "tab:purple"
+LIMIT_COLOURS = {"notice": "tab:orange", "act": "tab:red"}
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
 LEAST_SPAN_PERCENT = 2.0
 """No axis of a parameter is finer than this, so that mere spread looks like spread."""
@@ -27,15 +29,18 @@ MARGIN = 0.05
 
 
 def health_trend(
-    results: Sequence[TripResult], outputs: Sequence[str], level: float = 0.9
+    results: Sequence[TripResult],
+    outputs: Sequence[str],
+    level: float = 0.9,
+    limits: Mapping[str, Limits] | None = None,
 ) -> Figure:
     """Each parameter in % of healthy along the mileage (Fig. 10).
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
     hollow and has no interval. A red tick at the bottom is a trip without an estimate, a thin black
-    line the truth of simulated trips. The axis holds unflagged trips and the median; a trip more
-    than their span beyond is cut off and marked at the edge. Trips without a mileage are left out,
-    and counted in the title.
+    line the truth of simulated trips. Dashed lines are limits, where they lie on the axis. The axis
+    holds unflagged trips and the median; a trip more than their span beyond is cut off and marked
+    at the edge. Trips without a mileage are left out, and counted in the title.
 
     Parameters
     ----------
@@ -45,6 +50,8 @@ def health_trend(
         From ``SYMBOLS``.
     level : float
         Probability of the intervals, for the legend.
+    limits : mapping of Limits, optional
+        Of each parameter.
     """
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
     axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
@@ -57,6 +64,7 @@ def health_trend(
             trips = [r for r, is_known in zip(placed, known, strict=True) if is_known]
             _draw(axis, trips, name, level)
             _draw_truth(axis, placed, name)
+            _draw_limits(axis, (limits or {}).get(name))
         else:
             say(axis, "no trip with an estimate and a mileage", keep_x=len(mileage) > 0)
         _mark_missing(axis, mileage[~known])
@@ -162,6 +170,15 @@ def _draw_truth(axis: Axes, trips: Sequence[TripResult], name: str) -> None:
         axis.plot(
             mileage[known], truth[known], color=TRUTH_COLOUR, label="truth (simulated)", **style
         )
+
+
+def _draw_limits(axis: Axes, limits: Limits | None) -> None:
+    """Draw the limits that lie on the axis, which stays as it is."""
+    low, high = axis.get_ylim()
+    for name, colour in LIMIT_COLOURS.items():
+        for limit in _percent(getattr(limits, name, ())):
+            if low < limit < high:
+                axis.axhline(limit, color=colour, lw=0.9, ls="--", label=f"{name} limit", zorder=0)
 
 
 def _mark_missing(axis: Axes, mileage: FloatArray) -> None:

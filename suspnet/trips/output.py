@@ -15,13 +15,14 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from tabulate import tabulate
 
+from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips import figures
+from suspnet.trips.assessment import Assessment, overall, spoken
 from suspnet.trips.health_figure import health_trend
+from suspnet.trips.limits import Limits
 from suspnet.trips.records import OK, TripResult
 from suspnet.trips.report import write_report
-from suspnet.trips.trend import Trend
-from suspnet.runs.tensorboard import RunLog
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
@@ -98,13 +99,18 @@ def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> d
     }
 
 
-def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
-    """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
-    table = pa.Table.from_pylist([result.row(outputs) for result in results])
-    for name, write in (("trips.parquet", pq.write_table), ("trips.csv", pacsv.write_csv)):
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table as `path` with the suffixes .parquet and .csv."""
+    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
         stream = io.BytesIO()
         write(table, stream)
-        write_atomically(output / name, stream.getvalue())
+        write_atomically(path.with_name(path.name + suffix), stream.getvalue())
+
+
+def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
+    """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
+    rows = pa.Table.from_pylist([result.row(outputs) for result in results])
+    write_table(rows, output / "trips")
     curves = [
         pa.table(
             {
@@ -134,15 +140,16 @@ def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output
 def write_pages(
     results: Sequence[TripResult],
     outputs: tuple[str, ...],
-    trends: Sequence[Trend],
+    assessments: Sequence[Assessment],
     output: Path,
     details: Mapping[str, str],
     level: float,
+    limits: Mapping[str, Limits],
 ) -> None:
     """Write figures, TensorBoard events, metrics.json and report.html."""
     done = [r for r in results if r.status == OK]
     drawn = {
-        "trend": health_trend(results, outputs, level),
+        "trend": health_trend(results, outputs, level, limits),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
         "quality": figures.quality(results),
@@ -155,17 +162,33 @@ def write_pages(
         for name, figure in drawn.items():
             run_log.figure(name, figure, output / "figures")
         run_log.text("trips", summary(results, outputs))
+        run_log.text("verdict", spoken(assessments))
     errors = errors_percent(results, outputs)
+    severity, sentence = overall(assessments)
     metrics = {
+        "severity": str(severity),
+        "verdict": sentence,
         "n_trips": len(results),
         "n_estimated": len(done),
         "n_flagged": sum(bool(r.flags) for r in results),
         "rms_error_percent": errors,
         "coverage_percent": coverage_percent(results, outputs),
-        "trends": [asdict(one) for one in trends],
+        "trends": [
+            asdict(one.trend)
+            | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
+            for one in assessments
+        ],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
     write_report(
-        output / "report.html", "Suspension report", results, outputs, drawn, trends, details, level
+        output / "report.html",
+        "Suspension report",
+        results,
+        outputs,
+        drawn,
+        assessments,
+        details,
+        level,
+        limits,
     )

@@ -87,6 +87,8 @@ class TripResult:
     Attributes
     ----------
     trip, manifest, vehicle, suspension : str
+    bogie, side : str
+        Where on the vehicle the suspension is; empty if the manifest does not say.
     mileage_km : float, [km]
     start : str
         ISO 8601, or empty.
@@ -114,6 +116,8 @@ class TripResult:
     manifest: str
     vehicle: str = ""
     suspension: str = ""
+    bogie: str = ""
+    side: str = ""
     mileage_km: float = np.nan
     start: str = ""
     status: str = OK
@@ -138,7 +142,7 @@ class TripResult:
         head = {
             f: getattr(self, f)
             for f in ("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle")
-        } | {"suspension": self.suspension}
+        } | {"suspension": self.suspension, "bogie": self.bogie, "side": self.side}
         numbers = {name: self.estimates.get(name, np.nan) for name in outputs}
         for name in outputs:
             numbers[f"{name}_low"], numbers[f"{name}_high"] = self.interval(name)

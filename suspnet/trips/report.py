@@ -12,13 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
+from suspnet.trips.assessment import Assessment, overall, worst_first
+from suspnet.trips.limits import Limits, Severity
 from suspnet.trips.records import OK, TripResult
-from suspnet.trips.trend import PAYLOAD, Trend
 
 NAMES = {
     "k_p": "stiffness of the primary spring",
@@ -38,8 +40,8 @@ CAPTIONS = {
     "trend": (
         "Health along the mileage",
         "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look for a "
-        "line that leaves its level, not for single dots. Red ticks at the bottom are trips "
-        "without an estimate.{intervals}{flags}",
+        "line that leaves its level, and at the newest trips. Dashed lines are the limits, where "
+        "they are near. Red ticks at the bottom are trips without an estimate.{intervals}{flags}",
     ),
     "responses": (
         "How the suspension passes vibration on",
@@ -67,6 +69,13 @@ FLAGS_SHOWN = (
     " A hollow circle is a flagged trip: it shows something that was not trained for, and its "
     "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
 )
+SEVERITIES = {
+    Severity.ACT: ("act", "Act"),
+    Severity.NOTICE: ("notice", "Notice"),
+    Severity.UNKNOWN: ("plain", "Not judged"),
+    Severity.NONE: ("good", "No alarm"),
+}
+"""Tone and label of each severity; each tone has its colours in style.css."""
 SVG_LIMIT = 400_000
 """Figures whose SVG has more bytes than this are embedded as PNG."""
 PNG_DPI = 130
@@ -79,9 +88,10 @@ def write_report(
     results: Sequence[TripResult],
     outputs: Sequence[str],
     figures: Mapping[str, Figure],
-    trends: Sequence[Trend],
+    assessments: Sequence[Assessment],
     details: Mapping[str, str],
     level: float = 0.9,
+    limits: Mapping[str, Limits] | None = None,
 ) -> Path:
     """Write one HTML file that needs no other file and no network.
 
@@ -96,11 +106,14 @@ def write_report(
     figures : mapping of Figure
         "trend", "responses", "signals" and "quality" come first, in this order and with an
         explanation; others follow under their own name.
-    trends : sequence of Trend
+    assessments : sequence of Assessment
+        One for each parameter.
     details : mapping of str
         Model, settings, version, date.
     level : float
         Probability of the intervals.
+    limits : mapping of Limits, optional
+        Of each parameter, for the table.
 
     Returns
     -------
@@ -112,20 +125,9 @@ def write_report(
     OSError
         If the folder cannot be written.
     """
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {
-        "number": _number,
-        "plus_minus": _plus_minus,
-        "thousands": _thousands,
-        "symbol": _symbol,
-    }
-    template = environment.from_string(
-        resources.files("suspnet.trips").joinpath("report.html").read_text(encoding="utf-8")
-    )
     trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
-    tone, finding = _finding(trends)
+    severity, finding = overall(assessments)
+    told = worst_first(assessments)
     doubts = _doubts(trips)
     halves = {name: [_half_width(r, name) for r in trips] for name in outputs}
     known = any(math.isfinite(half) for column in halves.values() for half in column)
@@ -133,14 +135,17 @@ def write_report(
         "intervals": INTERVALS_SHOWN.format(level=f"{100 * level:g}") if known else "",
         "flags": FLAGS_SHOWN if doubts else "",
     }
-    page = template.render(
+    tone = SEVERITIES[severity][0]
+    page = render(
+        "report.html",
         title=title,
         headline=_headline(trips),
-        tone="note" if doubts else tone,
+        tone="plain" if tone == "good" and (doubts or told) else tone,
         finding=finding,
         doubts=doubts,
-        standing_out=[t for t in trends if t.stands_out],
-        trends=trends,
+        told=told,
+        assessments=assessments,
+        limits=limits or {},
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
         halves=halves,
@@ -153,6 +158,30 @@ def write_report(
         details=details,
     )
     return write_atomically(path, page.encode("utf-8", errors="replace"))
+
+
+def render(template: str, **values: Any) -> str:
+    """Return one of the package's HTML templates, filled in."""
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=FunctionLoader(_packaged),
+    )
+    environment.filters |= {
+        "number": _number,
+        "plus_minus": _plus_minus,
+        "thousands": _thousands,
+        "symbol": _symbol,
+        "range": _range,
+    }
+    labels = {str(severity): label for severity, label in SEVERITIES.items()}
+    return environment.get_template(template).render(labels=labels, **values)
+
+
+def _packaged(name: str) -> str:
+    return resources.files("suspnet.trips").joinpath(name).read_text(encoding="utf-8")
 
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
@@ -168,7 +197,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     flagged = sum(bool(r.flags) for r in trips)
     texts = {
         "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
-        "Suspension": ", ".join(dict.fromkeys(r.suspension for r in trips if r.suspension)),
+        "Suspension": "; ".join(dict.fromkeys(_place(r) for r in trips if r.suspension)),
         "Mileage": span,
         "Dates": dates,
         "Trips": f"{len(trips)}, of which {done} with an estimate"
@@ -177,19 +206,8 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     return {label: text for label, text in texts.items() if text}
 
 
-def _finding(trends: Sequence[Trend]) -> tuple[str, str]:
-    """Return the tone (note, good or plain) and a sentence on all parameters but the pay-load."""
-    judged = [t for t in trends if t.parameter != PAYLOAD]
-    n_tested = sum(math.isfinite(t.p_value) for t in judged)
-    n_changed = sum(t.stands_out for t in judged)
-    if n_changed:
-        verb = "stands" if n_changed == 1 else "stand"
-        return "note", f"{n_changed} of {len(judged)} parameters {verb} out:"
-    if n_tested == 0:
-        return "plain", "There are too few trips with an estimate to tell whether anything changed."
-    if n_tested < len(judged):
-        return "plain", "Nothing stands out, but some parameters have too few trips to tell."
-    return "good", "Nothing stands out: no parameter changed by more than its trips scatter."
+def _place(result: TripResult) -> str:
+    return str(Place(result.suspension, result.bogie, result.side))
 
 
 def _doubts(trips: Sequence[TripResult]) -> str:
@@ -268,3 +286,8 @@ def _symbol(name: str) -> Markup:
     """Return a parameter's symbol with its index."""
     letter, _, index = name.partition("_")
     return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
+
+
+def _range(pair: tuple[float, float]) -> str:
+    """Return lower and upper limit, in %."""
+    return " to ".join(f"{100 * one:g}" for one in pair)

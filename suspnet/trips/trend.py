@@ -1,9 +1,10 @@
-"""Whether a parameter changes along the mileage, in numbers and in words."""
+"""Whether a parameter changes along the mileage: the statistical tests; no words."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,29 @@ from scipy import stats
 
 FloatArray = NDArray[np.float64]
 LEVEL = 0.01
-"""How often a parameter that does not change may stand out."""
+"""How often a parameter that does not change may be said to change."""
 MULTIPLE = 2.0
-"""A change stands out only if it is larger than this multiple of the spread,"""
+"""A change counts only if it is larger than this multiple of the spread."""
 LEAST_PERCENT = 0.1
-"""and larger than this, in % of healthy."""
+"""A change counts only if it is larger than this, in % of healthy."""
 N_ENDS = 5
+"""Number of trips that are the first, and the last, ones."""
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one odd trip is no step."""
-LARGE_PERCENT = 10.0
-"""From here on, words say what is left instead of what has changed."""
-TOLD_PERCENT = 2.0
-"""If the last trip is this far from the last trips' median, the verdict names it."""
 PAYLOAD = "M_s"
+"""The car-body mass, which the pay-load changes from trip to trip."""
+
+
+class Shape(StrEnum):
+    """What the change along the mileage looks like."""
+
+    TOO_FEW = "too few trips"
+    NONE = "no change"
+    ENDS = "first and last trips differ"
+    STEP = "a step"
+    STEADY = "along the whole mileage"
+    GRADUAL = "around a mileage, and still going on"
+    RETURNED = "a step, but the last trips are like the first"
 
 
 @dataclass(frozen=True)
@@ -61,6 +72,8 @@ class Trend:
     parameter : str
     n_trips : int
         Trips with an estimate.
+    n_needed : int
+        Fewest trips for the tests.
     first_median, last_median : float, [-]
         Of the first and of the last trips, relative to healthy.
     change_percent : float, [% of healthy]
@@ -69,22 +82,36 @@ class Trend:
         Robust standard deviation of the trips about the local trend.
     p_value : float, [-]
         That trips without change give a difference of the ends, or a step, as clear as this.
-    stands_out : bool
-        Because of a change, or because the last trips are more than ``LARGE_PERCENT`` off healthy.
-        Never for the car-body mass, which is pay-load.
-    verdict : str
-        In words.
+    shape : Shape
+    step : Step or None
+        Where the shape is one with a step.
+    n_ends : int
+        Trips behind each of the medians.
+    flagged_first, flagged_last : int
+        Of these, flagged ones.
+    without_flagged : bool
+        Flagged trips were left out.
     """
 
     parameter: str
     n_trips: int
+    n_needed: int
     first_median: float
     last_median: float
     change_percent: float
     spread_percent: float
-    p_value: float
-    stands_out: bool
-    verdict: str
+    p_value: float = math.nan
+    shape: Shape = Shape.TOO_FEW
+    step: Step | None = None
+    n_ends: int = 0
+    flagged_first: int = 0
+    flagged_last: int = 0
+    without_flagged: bool = False
+
+    @property
+    def changed(self) -> bool:
+        """Whether there is a change; never of the car-body mass, which is pay-load."""
+        return self.shape not in (Shape.TOO_FEW, Shape.NONE) and self.parameter != PAYLOAD
 
 
 def trend(
@@ -102,13 +129,13 @@ def trend(
     Two tests share `level`: Welch's t test of the last `n_ends` trips against the first ones,
     and that of ``steps``, which also sees what began fewer than `n_ends` trips ago. Whichever is
     significant, its difference of medians must also exceed `multiple` times the spread, so that
-    single odd trips and clear but tiny changes do not stand out. Trips are taken as independent;
+    single odd trips and clear but tiny changes do not count. Trips are taken as independent;
     what lasts for many trips (another line, season, load) counts as a change.
 
     Parameters
     ----------
     parameter : str
-        "M_s" is pay-load and never stands out.
+        "M_s" is pay-load, and never said to have changed.
     mileage_km : array of shape (n_trips,), [km]
         In any order.
     values : array of shape (n_trips,), [-]
@@ -116,10 +143,10 @@ def trend(
     n_ends : int
         With fewer than twice as many trips there is no test.
     level : float, [-]
-        Largest share of unchanged parameters that stand out.
+        Largest share of unchanged parameters that are said to change.
     multiple : float, [-]
     least_percent : float, [% of healthy]
-        No smaller change stands out.
+        No smaller change counts.
 
     Raises
     ------
@@ -130,41 +157,32 @@ def trend(
     --------
     >>> mileage_km = 10_000 * np.arange(30)
     >>> ratios = np.where(mileage_km < 245_000, 1.0, 0.99) + 1e-3 * np.sin(mileage_km)
-    >>> trend("k_p", mileage_km, ratios).verdict
-    'falls by 1.0 % at about 240 000 km'
+    >>> found = trend("k_p", mileage_km, ratios)
+    >>> found.shape.name, found.step.mileage_km, round(found.change_percent, 1)
+    ('STEP', 245000.0, -1.0)
     """
     if n_ends < 2:
         raise ValueError(f"`n_ends` must be at least 2 trips, got {n_ends}")
-    km, known = _known(mileage_km, values)
+    km, known = known_trips(mileage_km, values)
     n = len(known)
     n_compared = min(n_ends, n // 2)
     first, last = known[:n_compared], known[n - n_compared :]
-    ends = [float(np.median(part)) if n_compared else np.nan for part in (first, last)]
-    change, spread = 100 * (ends[1] - ends[0]), 100 * _spread(known)
-    head = (parameter, n, ends[0], ends[1], change, spread)
-    level_now = ends[1] if n >= 2 * n_ends or n == 0 else float(np.median(known))
-    off = parameter != PAYLOAD and abs(100 * (level_now - 1)) > max(LARGE_PERCENT, least_percent)
+    start, end = (float(np.median(part)) if n_compared else np.nan for part in (first, last))
+    change, spread = 100 * (end - start), 100 * _spread(known)
+    found = Trend(parameter, n, 2 * n_ends, start, end, change, spread, n_ends=n_compared)
     if n < 2 * n_ends:
-        verdict = f"too few trips ({n} of {2 * n_ends}) to tell of a change"
-        if off:
-            verdict += f"; at {100 * level_now:.0f} % of healthy"
-        return Trend(*head, np.nan, off, verdict)
-    limit = max(multiple * spread, least_percent)
+        return found
+    threshold = max(multiple * spread, least_percent)
     step = steps(km, known, level=level / 2)
     p_ends = _welch(first, last)
-    ends_differ = p_ends < level / 2 and abs(change) > limit
-    has_step = step is not None and step.significant and abs(step.size_percent) > limit
-    if ends_differ or has_step:
-        verdict = _verdict(known, ends[1], change, limit, step if has_step else None)
-    else:
-        verdict = _no_change(known, spread)
-    if parameter == PAYLOAD:
-        verdict += " (pay-load: varies by nature, no fault)"
+    has_step = step is not None and step.significant and abs(step.size_percent) > threshold
+    shape = Shape.NONE
+    if step is not None and has_step:
+        shape = _shape(known, change, threshold, step)
+    elif p_ends < level / 2 and abs(change) > threshold:
+        shape = Shape.ENDS
     p_value = min(1.0, 2 * p_ends, 2 * (step.p_value if step else 1.0))
-    stands_out = (ends_differ or has_step) and parameter != PAYLOAD
-    if stands_out and abs(100 * (known[-1] - ends[1])) > TOLD_PERCENT:
-        verdict += f"; the last trip is at {100 * known[-1]:.0f} %"
-    return Trend(*head, p_value, stands_out or off, verdict)
+    return replace(found, p_value=p_value, shape=shape, step=step if has_step else None)
 
 
 def flagged_trend(
@@ -173,8 +191,8 @@ def flagged_trend(
     """Return the trend of trips of which some are flagged: their estimates may be wrong.
 
     They count like the others, because a badly worn part lies outside what a model was trained for;
-    the verdict says how many the ends rest on. But one odd trip can hide a change of all others: if
-    nothing stands out with the flagged trips and something does without, it is the trend without.
+    the trend says how many the ends rest on. But one odd trip can hide a change of all others: if
+    nothing changes with the flagged trips and something does without, it is the trend without.
 
     Parameters
     ----------
@@ -188,10 +206,12 @@ def flagged_trend(
         return whole
     rest = np.where(doubtful, np.nan, np.asarray(values, dtype=float))
     alone = trend(parameter, mileage_km, rest, **options)
-    if alone.stands_out and not whole.stands_out:
-        return replace(alone, verdict=f"{alone.verdict}; without the flagged trips")
+    if alone.changed and not whole.changed:
+        return replace(alone, without_flagged=True)
     known = np.where(np.isfinite(values), doubtful.astype(float), np.nan)
-    return replace(whole, verdict=whole.verdict + _doubts(_known(mileage_km, known)[1]))
+    marks = known_trips(mileage_km, known)[1]
+    first, last = marks[: whole.n_ends], marks[len(marks) - whole.n_ends :]
+    return replace(whole, flagged_first=int(first.sum()), flagged_last=int(last.sum()))
 
 
 def steps(
@@ -220,7 +240,7 @@ def steps(
     """
     if min_size < 2:
         raise ValueError(f"`min_size` must be at least 2 trips, got {min_size}")
-    km, known = _known(mileage_km, values)
+    km, known = known_trips(mileage_km, values)
     n = len(known)
     if n < 2 * min_size:
         return None
@@ -238,19 +258,19 @@ def steps(
     return Step(float(middle), float(gap), size, change, p_value, p_value < level)
 
 
-def _doubts(flagged: FloatArray) -> str:
-    """Return how many of the first and of the last trips are flagged; empty if none is."""
-    n_compared = min(N_ENDS, len(flagged) // 2)
-    ends = {"first": flagged[:n_compared], "last": flagged[len(flagged) - n_compared :]}
-    words = [
-        f"{part.sum():.0f} of the {end} {len(part)}" for end, part in ends.items() if part.any()
-    ]
-    verb = "is" if sum(part.sum() for part in ends.values()) == 1 else "are"
-    return f"; {' and '.join(words)} trips {verb} flagged" if words else ""
+def known_trips(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return mileage and values in the order of the mileage, without what is not finite.
 
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+    values : array of shape (n_trips,), [-]
 
-def _known(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return both in the order of the mileage, without what is not finite."""
+    Raises
+    ------
+    ValueError
+        If shapes differ.
+    """
     km, known = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
     if km.shape != known.shape or km.ndim != 1:
         raise ValueError(
@@ -283,65 +303,34 @@ def _welch(first: FloatArray, last: FloatArray) -> float:
     return float(np.nan_to_num(test.pvalue, nan=float(moments[0][0] == moments[1][0])))
 
 
-def _verdict(
-    values: FloatArray, last_median: float, change: float, limit: float, step: Step | None
-) -> str:
-    if step is not None and abs(change) <= limit:
-        return (
-            f"differs by {_percent(step.size_percent)} before and after about {_km(step)}, but "
-            "ends as it began"
-        )
-    verb, going_on = ("falls", "falling") if change < 0 else ("rises", "rising")
-    if abs(change) < LARGE_PERCENT:
-        amount = f"{verb} by {_percent(change)}"
-    else:
-        amount = f"{verb} to {100 * last_median:.0f} % of healthy"
-    if step is None:
-        return f"{amount} from the first to the last trips"
+def _shape(values: FloatArray, change: float, threshold: float, step: Step) -> Shape:
+    """Return which shape a series with a step of more than `threshold` percent has."""
+    if abs(change) <= threshold:
+        return Shape.RETURNED
     after = values[step.n_before :]
-    slopes = [_slope(side, change, limit) for side in (values[: step.n_before], after)]
-    if slopes[0] > 0.5 * slopes[1] > 0 and _is_line(values, limit):
-        return f"{amount}, steadily along the mileage"
-    if _slope(after[-max(5, len(after) // 2) :], change, limit) > 0:
-        return f"{amount}, gradually around {_km(step)}, and was still {going_on} at the end"
-    return f"{amount} at about {_km(step)}"
+    slopes = [_slope(side, change, threshold) for side in (values[: step.n_before], after)]
+    if slopes[0] > 0.5 * slopes[1] > 0 and _is_line(values, threshold):
+        return Shape.STEADY
+    if _slope(after[-max(5, len(after) // 2) :], change, threshold) > 0:
+        return Shape.GRADUAL
+    return Shape.STEP
 
 
-def _no_change(values: FloatArray, spread: float) -> str:
-    verdict = f"no change beyond the spread of {_percent(spread)}"
-    level = float(np.median(values))
-    if abs(100 * (level - 1)) > max(LARGE_PERCENT, 3 * spread):
-        verdict += f", at {100 * level:.0f} % of healthy from the first trip on"
-    return verdict
-
-
-def _slope(values: FloatArray, change: float, limit: float) -> float:
+def _slope(values: FloatArray, change: float, threshold: float) -> float:
     """Return how fast one side of a step itself goes the way of the change, in % for each trip.
 
-    Zero, if it goes the other way, by less than `limit` in all, or not significantly.
+    Zero, if it goes the other way, by less than `threshold` in all, or not significantly.
     """
     if len(values) < 5 or np.ptp(values) == 0:
         return 0.0
     line = stats.linregress(np.arange(len(values)), values)
     slope = 100 * float(np.copysign(line.slope, line.slope * change))
-    return slope if line.pvalue < LEVEL and slope * (len(values) - 1) > limit else 0.0
+    return slope if line.pvalue < LEVEL and slope * (len(values) - 1) > threshold else 0.0
 
 
-def _is_line(values: FloatArray, limit: float) -> bool:
-    """Tell whether most trips lie within `limit` percent of one straight line."""
+def _is_line(values: FloatArray, threshold: float) -> bool:
+    """Tell whether most trips lie within `threshold` percent of one straight line."""
     trips = np.arange(len(values))
     line = stats.linregress(trips, values)
     deviations = values - line.intercept - line.slope * trips
-    return 100 * float(np.median(np.abs(deviations))) < limit
-
-
-def _percent(value: float) -> str:
-    size = abs(value)
-    digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
-    return f"{size:.{digits}f} %"
-
-
-def _km(step: Step) -> str:
-    """Return the mileage, rounded to the power of ten below the distance between the trips."""
-    digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return f"{round(step.mileage_km, -digits):,.0f} km".replace(",", " ")
+    return 100 * float(np.median(np.abs(deviations))) < threshold

@@ -53,7 +53,7 @@ def run_program(module, folder, *overrides):
         del config["hydra"]
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        module.main(config)
+        module.compose(config)
     except SystemExit as ended:
         return ended.code
     return 0

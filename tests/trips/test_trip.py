@@ -21,14 +21,14 @@ from trip_fixtures import (
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.welch import Welch
 from suspnet.model import recording
-from suspnet.trips import trip
-from suspnet.uncertainty.ood import Flags
-from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
-from suspnet.trips.trip import evaluate_trip
 from suspnet.model.recording import TripSettings
 from suspnet.model.spectra import estimate_spectra
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
+from suspnet.trips import trip
+from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
+from suspnet.trips.trip import evaluate_trip
+from suspnet.uncertainty.ood import Flags
 
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
