@@ -24,13 +24,13 @@ SOME_WITHOUT_ESTIMATE = 2
 @program.task
 def compose(config: DictConfig) -> None:
     """Run a study, read trips or score the models of a run, whichever the configuration asks."""
+    if OmegaConf.is_missing(config, "run"):
+        raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:
         program.n_threads(config.threads)
         program.save_config(config, program.run_folder())
         instantiate(config.study, folder=program.run_folder())
         return
-    if OmegaConf.is_missing(config, "run"):
-        raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     runs, output = find_runs(Path(config.run)), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
