@@ -7,48 +7,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import open_dict
+from cli_runner import FEW, ROOT, SMALL, command, run_main
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-import evaluate
-import train
+from suspnet.cli import evaluate, train
 
-ROOT = Path(__file__).parents[2]
-FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
-SMALL = [*FEW, "data.cache_dir=null", "progress=false"]
 RECORD = "protocol group output metric model published measured limit n_train snr_db seed seconds"
-
-
-def run_main(module, folder, *overrides):
-    """Compose and run a program in this process; its run folder is `folder`."""
-    name = module.__name__
-    with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
-        output = f"hydra.runtime.output_dir={folder}"
-        config = compose(name, overrides=[*overrides, output], return_hydra_config=True)
-    HydraConfig.instance().set_config(config)
-    with open_dict(config):
-        del config["hydra"]
-    folder.mkdir(parents=True, exist_ok=True)
-    module.main(config)
-    return json.loads((folder / "metrics.json").read_text())
-
-
-def command(program, *overrides, launcher=(), cwd=ROOT, **options):
-    return subprocess.run(
-        [sys.executable, *launcher, str(ROOT / program), *overrides],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-        **options,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -216,6 +183,10 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         ("train.py", ["hydra.run.dir={file}/x"], "Not a directory"),
         ("evaluate.py", [], "which run?"),
         ("evaluate.py", ["run=nowhere"], "run=nowhere does not exist"),
+        ("evaluate.py", ["study=reliability"], "which run?"),
+        ("evaluate.py", ["experiment=table6"], "python train.py experiment=NAME"),
+        ("train.py", ["study=reliability"], "python evaluate.py study=NAME"),
+        ("train.py", ["experiment=identifiability"], "options in 'experiment': ablation"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
