@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import functools
 import os
-import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
@@ -22,24 +20,20 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
-import suspnet
+from suspnet.cli import naming, options
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
 
-
-def _configs() -> str:
-    """Return the folder of the configurations: in the package if installed, else the checkout's."""
-    packaged = Path(suspnet.__file__).parent / "configs"
-    return str(packaged if packaged.is_dir() else packaged.parents[1] / "configs")
-
-
-CONFIGS = _configs()
+CONFIGS = options.CONFIGS
 """Absolute path of the folder that Hydra composes from."""
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
 NO_SLURM = 'Could not detect "srun"'
 """How submitit begins to say that this machine is not part of a Slurm cluster."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
+
+options.store_tables()
+naming.register()
 
 
 def run(main: Callable[[], Any]) -> None:
@@ -49,7 +43,6 @@ def run(main: Callable[[], Any]) -> None:
     """
     os.environ[DEBUG] = "1"
     try:
-        check_experiment(Path(sys.argv[0]), sys.argv[1:])
         with _one_writer():
             main()
     except KeyboardInterrupt:
@@ -128,22 +121,6 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     return wrapped
 
 
-def check_experiment(program: Path, overrides: Sequence[str]) -> None:
-    """Raise ValueError if an experiment is chosen that is of another program.
-
-    Studies, which have a key `study`, are of evaluate.py; all others are of train.py. Hydra itself
-    would name the first key that does not fit, or start a multirun.
-    """
-    chosen = [re.fullmatch(r"\+*experiment=(.*)", override) for override in overrides]
-    for name in (name for match in chosen if match for name in match[1].split(",")):
-        file = Path(CONFIGS) / "experiment" / f"{name}.yaml"
-        if not file.is_file():
-            continue
-        owner = "evaluate.py" if "study" in (yaml.safe_load(file.read_text()) or {}) else "train.py"
-        if program.name != owner:
-            raise ValueError(f"experiment={name} is of {owner}: python {owner} experiment={name}")
-
-
 def one_line(error: BaseException) -> str:
     """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
     while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
@@ -153,6 +130,12 @@ def one_line(error: BaseException) -> str:
         words = words.split(noise)[0]
     if words.startswith("Could not override"):
         words = f"{words.strip().rstrip('.')}. There is no such key; --help lists them"
+    for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
+        if words.startswith(f"Could not override '{group}'"):
+            words = (
+                "experiments are of train.py and studies of evaluate.py: "
+                f"python {owner} {group}=NAME"
+            )
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())

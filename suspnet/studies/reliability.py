@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from hydra.utils import instantiate
 from numpy.typing import NDArray
 from scipy.stats import norm
 from tabulate import tabulate
@@ -69,7 +68,7 @@ class Reliability:
 
 def write_reliability(
     run: str,
-    others: Mapping[str, Any],
+    others: Mapping[str, Vehicle],
     folder: Path,
     *,
     n_test: int,
@@ -86,7 +85,7 @@ def write_reliability(
     run : str
         Folder of a run, or of a whole multirun.
     others : mapping
-        Configurations of vehicles of another type than the model's.
+        Vehicles of another type than the model's, by name.
     folder : Path
     n_test, n_odd : int
         Curves like the training curves, and of each set unlike them.
@@ -103,8 +102,6 @@ def write_reliability(
     ValueError
         If a model was not calibrated, or the seed is its own.
     """
-    # a road vehicle's file sets a speed and a track beside the vehicle
-    vehicles = {name: instantiate(part.get("vehicle", part)) for name, part in others.items()}
     found = []
     for path in find_runs(Path(run)):
         model = load_model(path, device)
@@ -117,7 +114,7 @@ def write_reliability(
         settings = replace(model.settings, n_test=n_test, cache_dir=None)
         workers = torch.get_num_threads() if threads is None else threads
         problem = Problem(model.generator, model.task, settings, seed, workers, progress)
-        found.append(measure(problem, model, vehicles, n_odd))
+        found.append(measure(problem, model, others, n_odd))
     text = "\n".join(markdown(one) for one in found)
     write_json(folder / "reliability.json", {one.name: vars(one) for one in found})
     write_atomically(folder / "reliability.csv", records_csv(list(records(found))))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -26,22 +25,18 @@ from suspnet.trips.report import write_report
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
-TOLD_CHARACTERS = 100
-"""So much of a reason is in the summary; trips.csv has all of it."""
 
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
-    """Return a table of all trips, and the errors where the truth is known."""
-    header = ["trip", "1000 km", *outputs, "averages", "reason or flags"]
+    """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
+    header = ["trip", "1000 km", *outputs, "averages", "state"]
     rows = [
         [
             r.trip,
             r.mileage_km / 1000,
             *(r.estimates.get(name) for name in outputs),
             r.quality.n_averages,
-            textwrap.shorten(
-                r.reason or r.flags, TOLD_CHARACTERS, placeholder=" \N{HORIZONTAL ELLIPSIS}"
-            ),
+            "flagged" if r.flags else "" if r.status == OK else r.status,
         ]
         for r in results
     ]
@@ -62,7 +57,17 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     done = sum(r.status == OK for r in results)
     flagged = sum(bool(r.flags) for r in results)
     are = "is" if flagged == 1 else "are"
-    return f"{done} of {len(results)} trips have an estimate, {flagged} {are} flagged\n{table}"
+    head = f"{done} of {len(results)} trips have an estimate, {flagged} {are} flagged"
+    return "\n".join([head, table, *_reasons(results)])
+
+
+def _reasons(results: Sequence[TripResult]) -> list[str]:
+    """Return a paragraph for each reason and flag with the trips that it is of, as Markdown."""
+    trips: dict[str, list[str]] = {}
+    for result in results:
+        if result.reason or result.flags:
+            trips.setdefault(result.reason or result.flags, []).append(result.trip)
+    return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
 
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:

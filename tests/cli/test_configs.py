@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.utils import get_class, instantiate
+from hydra.utils import get_object, instantiate
 from omegaconf import OmegaConf
 
+from suspnet.cli.options import TABLES
 from suspnet.cli.program import check_targets
 from suspnet.data import Protocol
 from suspnet.features import PeakFeatures
@@ -21,12 +22,30 @@ NAMES = {
         "protocol",
         "model",
         "experiment",
-        "ablation",
+        "study",
         "search",
-        "scenario",
         "generator",
+        "data",
     )
 }
+NAMES |= {group: list(OmegaConf.load(CONFIGS / file)) for group, (file, _) in TABLES.items()}
+PROGRAM = {"study": "evaluate", "scenario": "simulate"}
+"""The program of each group that is not train.py's."""
+OPTIONS = [
+    (group, name)
+    for group, names in NAMES.items()
+    for name in names
+    if group not in ("ablation", "experiment")  # they differ from the defaults on purpose
+]
+OF_THE_OPTION = {"Protocol", "Scenario", "Vehicle"}
+"""Classes whose options differ from each other on purpose."""
+
+
+def targets(node):
+    """Return every mapping with a `_target_` at or below a node."""
+    found = [node] if isinstance(node, dict) and "_target_" in node else []
+    parts = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    return found + [target for part in parts for target in targets(part)]
 
 
 def composed(*overrides, name="train"):
@@ -44,26 +63,41 @@ def test_every_model_instantiates_under_every_protocol(name, protocol):
         assert type(instantiate(config.model)) is METHODS[name.removesuffix("_table5")]
 
 
-@pytest.mark.parametrize("name", NAMES["model"])
-def test_model_file_shows_every_argument_and_the_same_defaults(name):
-    node = OmegaConf.to_container(composed(f"model={name}").model, resolve=False)
-    parameters = inspect.signature(get_class(node.pop("_target_")).__init__).parameters
-    defaults = {key: p.default for key, p in parameters.items() if key != "self"}
-    assert set(node) == set(defaults)
-    plain = {key: v for key, v in node.items() if "${" not in str(v)}
-    assert plain == {key: defaults[key] for key in plain}
+@pytest.mark.parametrize(("group", "name"), OPTIONS)
+def test_every_option_shows_every_argument_and_the_same_defaults(group, name):
+    program = PROGRAM.get(group, "train")
+    config = composed(f"{group}={name}", name=program)
+    check_arguments(OmegaConf.to_container(config, resolve=False))
 
 
-@pytest.mark.parametrize("group", ["vehicle", "protocol", "data"])
-def test_other_files_show_every_argument(group):
-    node = OmegaConf.to_container(composed()[group], resolve=False)
-    target = get_class(node.pop("_target_"))
-    node.pop("_convert_", None)
-    assert set(node) == set(inspect.signature(target).parameters)
+def test_programs_and_bases_show_the_same_defaults():
+    check_arguments(OmegaConf.to_container(composed(name="evaluate"), resolve=False))
+    base = OmegaConf.to_container(OmegaConf.load(CONFIGS / "base" / "protocol.yaml"))
+    first = OmegaConf.to_container(OmegaConf.load(CONFIGS / "scenarios.yaml")).pop("healthy")
+    for node in (base, first):
+        check_arguments(node, differing=())
 
 
-def test_data_file_shows_the_defaults_of_its_class():
-    assert instantiate(composed().data) == get_class("suspnet.data.curves.CurveSettings")()
+def check_arguments(config, differing=OF_THE_OPTION):
+    """Assert that every object of a configuration has the arguments and defaults of its class."""
+    nodes = targets(config)
+    assert nodes or "_target_" not in str(config)
+    for node in nodes:
+        target = get_object(node["_target_"])
+        given = {key: value for key, value in node.items() if key not in ("_target_", "_convert_")}
+        parameters = inspect.signature(target).parameters
+        if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+            assert {key for key in parameters if key != "options"} <= set(given)
+        else:
+            missing = set(parameters) - set(given)
+            assert not missing - {"folder"}, target  # the program gives a study its folder
+            assert set(given) <= set(parameters), target
+        if target.__name__ in differing:
+            continue
+        for key, value in given.items():
+            default = getattr(parameters.get(key), "default", inspect.Parameter.empty)
+            if default is not inspect.Parameter.empty and "${" not in str(value):
+                assert value == default, (target, key)
 
 
 @pytest.mark.parametrize("name", NAMES["protocol"])

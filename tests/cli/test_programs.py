@@ -183,6 +183,10 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         ("train.py", ["hydra.run.dir={file}/x"], "Not a directory"),
         ("evaluate.py", [], "which run?"),
         ("evaluate.py", ["run=nowhere"], "run=nowhere does not exist"),
+        ("evaluate.py", ["study=reliability"], "which run?"),
+        ("evaluate.py", ["experiment=table6"], "python train.py experiment=NAME"),
+        ("train.py", ["study=reliability"], "python evaluate.py study=NAME"),
+        ("train.py", ["experiment=identifiability"], "options in 'experiment': ablation"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):

@@ -19,7 +19,6 @@ from trips_reference import pitching_numbers, pitching_transfer
 from vehicles import AM96
 
 from suspnet.cli import evaluate
-from suspnet.cli.program import check_experiment
 from suspnet.data import CurveSettings, EstimateSettings
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.problem import TEST
@@ -422,7 +421,7 @@ def run(folder, *overrides):
     """Run the study in this process; return what its JSON file holds."""
     with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
         output = f"hydra.runtime.output_dir={folder}"
-        overrides = ["experiment=identifiability", "n_vehicles=20", "threads=1", *overrides, output]
+        overrides = ["study=identifiability", "n_vehicles=20", "threads=1", *overrides, output]
         config = compose("evaluate", overrides=overrides, return_hydra_config=True)
     HydraConfig.instance().set_config(config)
     with open_dict(config):
@@ -480,23 +479,3 @@ def test_without_the_study_its_keys_are_unknown(override):
     directory = initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs"))
     with directory, pytest.raises(ConfigCompositionException, match="Could not override"):
         compose("evaluate", overrides=["run=somewhere", override])
-
-
-@pytest.mark.parametrize(
-    ("program", "override", "message"),
-    [
-        ("train.py", "experiment=identifiability", "is of evaluate.py"),
-        ("train.py", "experiment=table6,identifiability", "=identifiability is of evaluate.py"),
-        ("evaluate.py", "experiment=table6", "is of train.py: python train.py experiment=table6"),
-        ("evaluate.py", "+experiment=trips", "is of train.py"),
-    ],
-)
-def test_experiment_of_the_other_program_is_refused(program, override, message):
-    with pytest.raises(ValueError, match=message):
-        check_experiment(ROOT / program, ["seed=1", override])
-
-
-def test_experiments_of_the_program_itself_pass():
-    check_experiment(ROOT / "train.py", ["experiment=table6", "experiment=of_my_own", "group=all"])
-    check_experiment(ROOT / "evaluate.py", ["experiment=identifiability", "run=PATH"])
-    check_experiment(Path("elsewhere/evaluate.py"), ["experiment=table6"])

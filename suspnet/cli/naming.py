@@ -1,0 +1,92 @@
+"""Names of run folders: what differs from the configuration as shipped, and from run to run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+UNNAMED = {
+    *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
+    *("workers", "data.cache_dir"),
+}
+"""Keys that no folder is named by: they are told elsewhere or change no number."""
+MAX_CHARACTERS = 100
+"""Length of a name beyond which it is cut; file systems allow 255 for the whole folder."""
+
+
+def register() -> None:
+    """Make the names known to the configuration, as ${changed:...} and ${swept_by:}."""
+    OmegaConf.register_new_resolver("changed", _changed, replace=True)
+    OmegaConf.register_new_resolver("swept_by", _swept_by, replace=True)
+
+
+def swept() -> list[str]:
+    """Return the keys that a multirun varies, in the order of its definition; [] in a single run.
+
+    To be called in a job of the multirun.
+    """
+    config = HydraConfig.get()
+    if config.mode != RunMode.MULTIRUN:
+        return []
+    whole = OmegaConf.load(Path(config.sweep.dir) / "multirun.yaml").hydra
+    typed = OverridesParser.create().parse_overrides(list(whole.overrides.task))
+    keys = [str(key) for key in whole.sweeper.get("params") or ()]
+    keys += [override.get_key_element() for override in typed if override.is_sweep_override()]
+    return list(dict.fromkeys(keys))
+
+
+def _changed(*known: str) -> str:
+    """Return what names a run: what a multirun varies, or else what the command line sets.
+
+    The name leaves out the keys `known`, which the folder tells anyway.
+    """
+    config = HydraConfig.get()
+    varied = swept()
+    settings = dict(_split(override) for override in config.overrides.task)
+    return _joined(
+        _word(key, value, key in config.runtime.choices)
+        for key, value in settings.items()
+        if key not in known and (key in varied if config.mode == RunMode.MULTIRUN else True)
+    )
+
+
+def _swept_by(_root_: DictConfig) -> str:
+    """Return what names a multirun: what all of its runs share, and the keys that vary.
+
+    Hydra copies the cache of resolvers to each job of a multirun, so that all agree on its folder.
+    """
+    cache = OmegaConf.get_cache(_root_)["swept_by"]
+    if "name" not in cache:
+        config = _root_.hydra
+        words = []
+        for override in OverridesParser.create().parse_overrides(list(config.overrides.task)):
+            key, value = _split(override.input_line or "")
+            varies = override.is_sweep_override()
+            words.append(_word(key, "" if varies else value, key in config.runtime.choices))
+        cache["name"] = _joined(words)
+    return str(cache["name"])
+
+
+def _split(override: str) -> tuple[str, str]:
+    key, _, value = override.partition("=")
+    return key.lstrip("+~"), value
+
+
+def _word(key: str, value: str, is_choice: bool) -> str:
+    """Return "svr" of model=svr, "snr_db_40" of data.snr_db=40, "" of what names nothing."""
+    if key in UNNAMED or key.startswith("hydra"):
+        return ""
+    last = value.rstrip("/").rpartition("/")[2]
+    return last if is_choice and last else f"{key.rpartition('.')[2]}_{last}"
+
+
+def _joined(words: Iterable[str]) -> str:
+    """Return words as the end of a folder's name that needs no quotes on a command line."""
+    plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in words)
+    return "".join(f"_{word}" for word in plain if word)[:MAX_CHARACTERS]
