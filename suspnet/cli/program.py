@@ -123,6 +123,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
 
 def one_line(error: BaseException) -> str:
     """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
+    # a cause was raised before its error, so the chain has an end
     while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
         error = error.__cause__
     words = str(error)
@@ -144,7 +145,7 @@ def one_line(error: BaseException) -> str:
 def check_targets(config: DictConfig) -> None:
     """Raise ValueError if a `_target_` lies outside suspnet."""
     stack: list[Any] = [OmegaConf.to_container(config, resolve=False)]
-    while stack:
+    while stack:  # a configuration is a tree: each node is taken off once
         node = stack.pop()
         if isinstance(node, dict):
             target = node.get("_target_", "suspnet.")

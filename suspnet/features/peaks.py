@@ -186,7 +186,7 @@ def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tenso
     sums = torch.nn.functional.pad(magnitude, (half, half))
     total = sums[:, :n_freq].clone()
     width = taken = 1
-    while 2 * width <= length:
+    while 2 * width <= length:  # width doubles
         sums = sums[:, :-width] + sums[:, width:]
         width *= 2
         if length & width:

@@ -34,6 +34,9 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         Half width of the tube, >= 0.
     tol : float, default=1e-3
         libsvm's stopping tolerance.
+    max_iter : int, default=10_000_000
+        libsvm's iterations for each output. It needs about as many as samples to some hundred
+        times as many, and never ends by itself where `tol` is below rounding.
     cache_size_mb : float, default=400.0
         libsvm's kernel cache for each output.
     n_jobs : int or None, default=2
@@ -46,6 +49,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
     support_vectors_, dual_coef_ : list of arrays
         For each output, shapes (n_support, n_inputs) and (n_support,).
     intercept_ : array of shape (n_outputs,)
+    n_iter_ : array of shape (n_outputs,)
     support_fraction_ : float
         Mean fraction of the samples that are support vectors.
     converged_ : bool
@@ -54,6 +58,11 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
     ------
     TypeError, ValueError
         From `fit`, if a parameter or the data is out of range.
+
+    Warns
+    -----
+    ConvergenceWarning
+        If `tol` was not reached.
     """
 
     works_on_curves: ClassVar[bool] = False
@@ -66,6 +75,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         sigma: float = 3.0,
         epsilon: float = 1e-3,
         tol: float = 1e-3,
+        max_iter: int = 10_000_000,
         cache_size_mb: float = 400.0,
         n_jobs: int | None = 2,
         callback: Callable[[int], None] | None = None,
@@ -74,6 +84,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         self.sigma = sigma
         self.epsilon = epsilon
         self.tol = tol
+        self.max_iter = max_iter
         self.cache_size_mb = cache_size_mb
         self.n_jobs = n_jobs
         self.callback = callback
@@ -83,6 +94,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         for name in ("C", "sigma", "tol"):
             check_number(name, getattr(self, name), low=0, open_low=True)
         check_number("epsilon", self.epsilon, low=0)
+        check_number("max_iter", self.max_iter, low=1, whole=True)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         samples, targets = np.asarray(X), np.asarray(y, dtype=np.float64)
         self._single_output = targets.ndim == 1
@@ -101,6 +113,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         self.dual_coef_ = [np.ascontiguousarray(machine.dual_coef_[0]) for machine in fitted]
         self.intercept_ = np.array([float(machine.intercept_[0]) for machine in fitted])
         self.support_fraction_ = float(np.mean([len(c) for c in self.dual_coef_]) / len(samples))
+        self.n_iter_ = np.array([int(machine.n_iter_) for machine in fitted])
         self.converged_ = all(machine.fit_status_ == 0 for machine in fitted)
         return self
 
@@ -148,6 +161,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
             C=self.C,
             epsilon=self.epsilon,
             tol=self.tol,
+            max_iter=self.max_iter,
             cache_size=self.cache_size_mb,
         )
         return machine.fit(X, y)

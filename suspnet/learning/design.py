@@ -20,9 +20,6 @@ from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
 """Features of a whole training set are kept in memory up to this size, else computed again."""
-BLOCK_ROWS = 4096
-GRAM_COLUMNS = 256
-"""Columns of the Gram matrix computed at a time, from the diagonal on: it is symmetric."""
 Columns = Callable[[slice, Tensor], Tensor]
 """Gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b there."""
 
@@ -142,6 +139,8 @@ class DenseDesign:
         Rows of Phi in memory at once, unless all of it fits `cache_bytes`.
     cache_bytes : int
         Largest size of Phi that is kept in memory.
+    gram_columns : int
+        Columns of the Gram matrix computed at a time, from the diagonal on: it is symmetric.
     all_reduce : callable, optional
         Sums a tensor over ranks.
     """
@@ -152,10 +151,12 @@ class DenseDesign:
         X: Tensor,
         all_reduce: AllReduce = identity,
         *,
-        block_rows: int = BLOCK_ROWS,
+        block_rows: int = 4096,
         cache_bytes: int = CACHE_BYTES,
+        gram_columns: int = 256,
     ) -> None:
         self.feature_map, self.X, self.all_reduce = feature_map, X, all_reduce
+        self._gram_columns = gram_columns
         self._basis: Tensor | None = getattr(feature_map, "basis", None)
         self._make = getattr(feature_map, "raw", feature_map)
         self.slices = [
@@ -230,7 +231,7 @@ class DenseDesign:
         )
         sums = self._zeros(self.n_features, 1)[:, 0]
         count = products.new_zeros(1)
-        starts = range(0, self.n_features, GRAM_COLUMNS)
+        starts = range(0, self.n_features, self._gram_columns)
         for rows, phi in self:
             w = None if weights is None else weights[rows]
             if w is not None and not bool(w.all()):
@@ -242,7 +243,7 @@ class DenseDesign:
             count += len(phi) if w is None else w.sum()
             sums += scaled.sum(dim=0)
             for start in starts:
-                stripe = slice(start, start + GRAM_COLUMNS)
+                stripe = slice(start, start + self._gram_columns)
                 products[stripe, start:] += scaled[:, stripe].T @ phi[:, start:]
         self.all_reduce(products)
         self.all_reduce(sums)

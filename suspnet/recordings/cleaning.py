@@ -250,6 +250,7 @@ def _windows(
         if held < lead + core + context:
             continue
         buffer = np.concatenate(pending)
+        # core >= context: after the first window each takes `core` samples off the buffer
         while len(buffer) >= lead + core + context:
             yield buffer[: lead + core + context], lead, core
             buffer, lead = buffer[lead + core - context :], context

@@ -2,7 +2,7 @@
 
 All that varies and is not measured is fitted along, so that the result is a maximum-likelihood
 estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its information matrix
-gives the deviations, and what is left of the curve says whether the model can explain it at all.
+gives the deviations, and the misfit says whether the model can explain the curve at all.
 """
 
 from __future__ import annotations
@@ -23,17 +23,20 @@ from suspnet.learning.least_squares import levenberg_marquardt
 from suspnet.theory.information import cramer_rao
 
 FloatArray = NDArray[np.float64]
-MAX_ITER, TOL, FIRST_DAMPING = 30, 1e-5, 1e-6
-"""Of `levenberg_marquardt`: a good start needs little damping, and 1e-5 is far below the noise."""
+TOL = 1e-5
+"""Tolerance of the logarithms of the parameters, far below their deviations."""
+FIRST_DAMPING = 1e-6
+"""First damping of `levenberg_marquardt`: a good start needs little."""
 BEYOND = 5.0
 """Parameters stay within this factor of the range that training curves have."""
 N_LEVELS = 9
-"""Levels of a parameter that no estimate is given for, of which the best is the start."""
-N_SCATTERED, SCATTER, ROWS = 512, 1.5, 4
-"""A curve that is not explained is tried once more, from the nearest of so many vehicles within
-this factor of the range, for so many curves at a time."""
+"""Levels tried of a parameter without an estimate; the best is the start."""
+SCATTER = 1.5
+"""Scattered vehicles lie within this factor of the range."""
+ROWS = 4
+"""Curves whose misfits to all scattered vehicles are in memory at a time."""
 UNEXPLAINED = 1.3
-"""Misfit of such a curve."""
+"""A curve with a misfit above this is fitted again from the nearest scattered vehicle."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,9 @@ class Refined:
         Names of the columns, the task's unknown parameters.
     ratios : array of shape (n_curves, n_unknown), [-]
     deviations : array of shape (n_curves, n_unknown), [-]
-        Standard deviations of log(ratios), inf where the curve does not tell.
+        Standard deviations of log(ratios), inf where the curve does not determine them.
     misfit : array of shape (n_curves,), [-]
-        Rms of what is left of the curve over that of the noise: 1 if the model explains it.
+        Rms of the curve's residuals over that of the noise: 1 if the model explains it.
     converged : bool array of shape (n_curves,)
     """
 
@@ -71,7 +74,7 @@ class Refined:
         return cls(parts[0].names, **merged)
 
     def improved(self, rows: NDArray[np.int64], other: Refined) -> Refined:
-        """Return the estimates with those rows of `other` in which it leaves less of the curve."""
+        """Return the estimates with those rows of `other` that have a smaller misfit."""
         better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
         chosen = rows[better]
         merged = {}
@@ -83,7 +86,13 @@ class Refined:
 
 
 def refine(
-    task: Task, misfit: Misfit, estimates: FloatArray, mass: FloatArray | None = None
+    task: Task,
+    misfit: Misfit,
+    estimates: FloatArray,
+    mass: FloatArray | None = None,
+    *,
+    max_iter: int = 30,
+    n_scattered: int = 512,
 ) -> Refined:
     """Return the parameters whose curves lie nearest to those observed.
 
@@ -96,6 +105,10 @@ def refine(
         Where the search starts; a row with NaN starts from the healthy vehicle.
     mass : array of shape (n_curves,), optional
         The measured car-body mass ratio, where the task knows it.
+    max_iter : int
+        Levenberg-Marquardt iterations of each search.
+    n_scattered : int
+        Vehicles of which the nearest is a second start for a curve that is not explained.
     """
     device = misfit.observed.device
     full = torch.ones(len(estimates), len(PARAMETERS), dtype=torch.float64, device=device)
@@ -107,11 +120,11 @@ def refine(
         full[:, PARAMETERS.index("M_s")] = torch.as_tensor(mass, device=device)
     for name in set(task.unknown) - set(task.outputs):
         full = _best_level(misfit, full, task, name)
-    search = _Search(task, misfit, full)
+    search = _Search(task, misfit, full, max_iter)
     found = search.run(torch.arange(len(full), device=device), full)
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
-        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad))
+        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad, n_scattered))
         found = found.improved(bad, again)
     return found
 
@@ -119,8 +132,8 @@ def refine(
 class _Search:
     """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds."""
 
-    def __init__(self, task: Task, misfit: Misfit, full: Tensor) -> None:
-        self._task, self._misfit, self._full = task, misfit, full
+    def __init__(self, task: Task, misfit: Misfit, full: Tensor, max_iter: int) -> None:
+        self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
         self._columns = torch.tensor(
             [PARAMETERS.index(name) for name in task.unknown], device=full.device
         )
@@ -137,7 +150,7 @@ class _Search:
         solution = levenberg_marquardt(
             residual,
             start[:, self._columns].log(),
-            max_iter=MAX_ITER,
+            max_iter=self._max_iter,
             tol=TOL,
             first_damping=FIRST_DAMPING,
             bounds=self._bounds,
@@ -152,18 +165,18 @@ class _Search:
             solution.converged.cpu().numpy(),
         )
 
-    def nearest(self, rows: NDArray[np.int64]) -> Tensor:
-        """Return for each of some curves the nearest of scattered vehicles, (n_rows, 5)."""
+    def nearest(self, rows: NDArray[np.int64], n_scattered: int) -> Tensor:
+        """Return the nearest of `n_scattered` vehicles to each of some curves, (n_rows, 5)."""
         low, high = self._limits[0] - math.log(SCATTER), self._limits[1] + math.log(SCATTER)
-        points = torch.quasirandom.SobolEngine(len(low)).draw(N_SCATTERED, dtype=low.dtype)
+        points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
         theta = low + (high - low) * points.to(low)
         starts = []
         for part in torch.as_tensor(rows, device=low.device).split(ROWS):
-            repeated = part.repeat_interleave(N_SCATTERED)
+            repeated = part.repeat_interleave(n_scattered)
             tried = self._vehicles(theta.repeat(len(part), 1), repeated)
             cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
             starts.append(
-                tried.reshape(len(part), N_SCATTERED, -1)[
+                tried.reshape(len(part), n_scattered, -1)[
                     torch.arange(len(part)), cost.nan_to_num(torch.inf).argmin(dim=1)
                 ]
             )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from learning_reference import naive_rbf, smooth_data
 from sklearn import svm
-from sklearn.exceptions import NotFittedError
+from sklearn.exceptions import ConvergenceWarning, NotFittedError
 
 from suspnet.learning import SVR, LinearRegression, baselines
 
@@ -91,6 +91,15 @@ def test_svr_callback_counts_outputs():
     assert heard == [1, 2]
 
 
+@pytest.mark.timeout(30)
+def test_svr_ends_where_its_tolerance_is_below_rounding():
+    X = np.random.default_rng(0).standard_normal((30, 2))
+    model = SVR(C=1e3, tol=1e-16, max_iter=10_000, n_jobs=1)
+    with pytest.warns(ConvergenceWarning, match="max_iter=10000"):
+        model.fit(X, np.sin(X))
+    assert not model.converged_
+
+
 def test_svr_flat_output_keeps_its_shape():
     X, Y = smooth_data(9, n_samples=30)
     flat, both = small().fit(X, Y[:, 0]).predict(X), small().fit(X, Y).predict(X)
@@ -112,6 +121,7 @@ def test_svr_constructor_only_stores():
         ({"C": True}, TypeError, "`C` must be a number, got True"),
         ({"sigma": -1.0}, ValueError, "`sigma` must be finite"),
         ({"tol": 0.0}, ValueError, "`tol` must be finite"),
+        ({"max_iter": 0}, ValueError, "`max_iter` must be finite and >= 1"),
         ({"epsilon": -1e-3}, ValueError, "`epsilon` must be finite and >= 0"),
     ],
 )

@@ -104,10 +104,9 @@ WEIGHTS = {
 
 @pytest.mark.parametrize("weights", sorted(WEIGHTS))
 @pytest.mark.parametrize(("n_features", "stripe"), [(21, 256), (21, 5), (21, 7), (1, 1), (8, 3)])
-def test_weighted_gram_is_that_of_the_whole_matrix(monkeypatch, weights, n_features, stripe):
-    monkeypatch.setattr("suspnet.learning.design.GRAM_COLUMNS", stripe)
+def test_weighted_gram_is_that_of_the_whole_matrix(weights, n_features, stripe):
     X, feature_map, w = samples(), linear(n_features), WEIGHTS[weights]
-    found = DenseDesign(feature_map, X, block_rows=11).weighted_gram(w)
+    found = DenseDesign(feature_map, X, block_rows=11, gram_columns=stripe).weighted_gram(w)
     Phi, w = feature_map(X), torch.ones(60).double() if w is None else w
     np.testing.assert_allclose(found.products, Phi.T @ (w[:, None] * Phi), atol=1e-12, rtol=0)
     np.testing.assert_allclose(found.sums, Phi.T @ w, atol=1e-12, rtol=0)

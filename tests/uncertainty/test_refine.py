@@ -144,19 +144,16 @@ def test_estimates_from_trips_reach_their_bound(task):
 
 
 @pytest.mark.parametrize("start", ["regression", "missing", "beyond"])
-def test_search_starts_from_the_best_level_or_the_nearest_scattered_vehicle(
-    task, monkeypatch, start
-):
+def test_search_starts_from_the_best_level_or_the_nearest_scattered_vehicle(task, start):
     """Without a single step the start itself comes back: the better of two."""
-    monkeypatch.setattr(module, "MAX_ITER", 0)
-    monkeypatch.setattr(module, "N_SCATTERED", 8)  # so few that either may be the better
     problem = task("multi_location", "secondary")  # k_s and c_s asked for, the mass unknown
     ratios, misfit = observed(problem, 10)
     first = starts(problem, ratios, spread=0.02)
     if start != "regression":
         first[:] = math.nan if start == "missing" else 1e9
-    found = refine(problem, misfit, first)
-    points = torch.quasirandom.SobolEngine(3).draw(module.N_SCATTERED, dtype=torch.float64).numpy()
+    # so few scattered vehicles that either may be the better
+    found = refine(problem, misfit, first, max_iter=0, n_scattered=8)
+    points = torch.quasirandom.SobolEngine(3).draw(8, dtype=torch.float64).numpy()
     low, high = math.log(0.5 / module.SCATTER), math.log(2.0 * module.SCATTER)
     scattered = np.ones((len(points), 5))
     scattered[:, 2:] = np.exp(low + (high - low) * points)
