@@ -1,0 +1,310 @@
+"""What a suspension's trips mean for those who maintain it: a severity and its reason in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from suspnet.trips.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
+from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
+
+FloatArray = NDArray[np.float64]
+LARGE_PERCENT = 10.0
+"""A change of this size or more is told by the level it leads to, in % of healthy."""
+TOLD_PERCENT = 2.0
+"""A last trip that is this far from the last trips' median, in % of healthy, is named."""
+FLAGGED = "flagged and may be wrong"
+ALL_FLAGGED = (
+    "all trips are flagged: they show what was not trained for, so that none of these numbers is "
+    "to be relied on"
+)
+
+
+@dataclass(frozen=True)
+class LastTrips:
+    """The last trips with an estimate of one parameter, the newest last.
+
+    Attributes
+    ----------
+    values, low, high : arrays of shape (n_last,), [-]
+        Estimates and their intervals relative to healthy; an interval may be NaN.
+    flagged : bool array of shape (n_last,)
+    all_flagged : bool
+        Every trip with an estimate is flagged, also those before.
+    """
+
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    flagged: NDArray[np.bool_]
+    all_flagged: bool = False
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What one parameter's trips mean.
+
+    Attributes
+    ----------
+    trend : Trend
+    severity : Severity
+    words : str
+        The reason.
+    limited : bool
+        The parameter has limits.
+    """
+
+    trend: Trend
+    severity: Severity
+    words: str
+    limited: bool = True
+
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter."""
+        return self.trend.parameter
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the parameter is named at the top of a report."""
+        return self.severity > Severity.NONE or self.trend.changed
+
+
+def last_trips(
+    mileage_km: ArrayLike, values: ArrayLike, intervals: ArrayLike, flagged: ArrayLike
+) -> LastTrips:
+    """Return the ``N_LAST`` trips of largest mileage that have an estimate.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        In any order.
+    values : array of shape (n_trips,), [-]
+        NaN: no estimate.
+    intervals : array of shape (n_trips, 2), [-]
+    flagged : bool array of shape (n_trips,)
+    """
+    km, centre = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
+    known = np.flatnonzero(np.isfinite(km) & np.isfinite(centre))
+    order = known[np.argsort(km[known], kind="stable")]
+    doubtful = np.asarray(flagged, dtype=bool)
+    last = order[-N_LAST:]
+    low, high = np.asarray(intervals, dtype=float).reshape(-1, 2)[last].T
+    everywhere = bool(len(order)) and bool(doubtful[order].all())
+    return LastTrips(centre[last], low, high, doubtful[last], everywhere)
+
+
+def assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
+    """Return how severe it is what the trips show of one parameter, and why.
+
+    The severity is that of ``judge``, of the last trips alone. If all trips are flagged, they speak
+    against the model rather than the vehicle: then it is a notice at most, and unknown at least.
+
+    Parameters
+    ----------
+    trend : Trend
+        Of all trips.
+    last : LastTrips
+    limits : Limits or None
+        None: no value is alarming, as of the pay-load.
+    """
+    if len(last.values) == 0:
+        severity = Severity.UNKNOWN if limits else Severity.NONE
+        return Assessment(trend, severity, "no trip with an estimate", bool(limits))
+    if limits is None:
+        return Assessment(trend, Severity.NONE, _joined(_calm(trend, last), trend, last), False)
+    judged = judge(last.values, last.low, last.high, last.flagged, limits)
+    severity = Severity(int(judged.severity))
+    parts = _calm(trend, last, limits) if severity == Severity.NONE else []
+    if severity > Severity.NONE:
+        parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
+    if last.all_flagged:
+        severity = min(max(severity, Severity.UNKNOWN), Severity.NOTICE)
+    return Assessment(trend, severity, _joined(parts, trend, last))
+
+
+def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
+    """Return what is told at the top of a report, the most severe first."""
+    return sorted((a for a in assessments if a.is_told), key=lambda a: -a.severity)
+
+
+def spoken(assessments: Sequence[Assessment]) -> str:
+    """Return severity, sentence and reasons as lines for a terminal."""
+    lines = [f"  {a.severity!s:7s}  {a.parameter}: {a.words}" for a in worst_first(assessments)]
+    return "\n".join([overall(assessments)[1], *lines])
+
+
+def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
+    """Return the largest severity of all parameters, and a sentence on them."""
+    judged = [a for a in assessments if a.parameter != PAYLOAD]
+    severity = max((a.severity for a in judged), default=Severity.UNKNOWN)
+    n = {level: sum(a.severity == level for a in judged) for level in Severity}
+    n_known = sum(a.trend.n_trips > 0 for a in judged)
+    n_changed = sum(a.trend.changed for a in judged)
+    n_tested = sum(a.trend.shape != Shape.TOO_FEW for a in judged)
+    of = f"of {len(judged)} parameters"
+    quiet = "No parameter is beyond its limits"
+    if not any(a.limited for a in judged):
+        quiet = "No parameter has limits"
+    if severity == Severity.ACT:
+        more = f", {n[Severity.NOTICE]} more to be looked at" if n[Severity.NOTICE] else ""
+        return severity, f"Act: {n[severity]} {of} {_is(n[severity])} beyond the act limit{more}:"
+    if severity == Severity.NOTICE:
+        return severity, f"Notice: {n[severity]} {of} {_is(n[severity])} to be looked at:"
+    if n_known == 0:
+        return severity, "No trip has an estimate, so that nothing can be told."
+    if severity == Severity.UNKNOWN:
+        return severity, f"No alarm, but {n[severity]} {of} cannot be judged:"
+    if n_changed:
+        return severity, f"{quiet}; {n_changed} {of} changed:"
+    if n_tested < len(judged):
+        which = "there are" if n_tested == 0 else "some parameters have"
+        return severity, f"{quiet}; {which} too few trips to tell of a change."
+    return (
+        severity,
+        f"Nothing stands out. {quiet}, and none changed by more than its trips scatter.",
+    )
+
+
+def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
+    """Return where the last trips are, for a severity above none."""
+    side, run, count = (int(part) for part in (judged.side, judged.run, judged.count))
+    severity, n_last = Severity(int(judged.severity)), len(last.values)
+    name = "act" if severity == Severity.ACT else "notice"
+    limit = getattr(limits, name)[(side + 1) // 2]
+    beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
+    if count >= N_CONFIRMING and run < count:
+        out = last.values[side * (last.values - limit) > 0]
+        where = _at(np.median(out), limit)
+        words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
+        return words if run else f"{words}; the last trip is {_at(last.values[-1], limit)}"
+    trips, it, are, its = ("trip", "it", "is", "its interval reaches")
+    if run > 1:
+        trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
+    where = _at(np.median(last.values[n_last - run :]), limit)
+    words = f"the last {trips} {are} {where} of healthy, {beyond}"
+    if judged.weak and last.flagged[n_last - run :].any():
+        return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
+    if judged.weak:
+        return f"{words}, but without an interval that would make it sure"
+    if severity == Severity.UNKNOWN:
+        return f"{words}, but {its} back within it: too uncertain to tell"
+    return words
+
+
+def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
+    """Return how the parameter came to where it is, for a severity above none."""
+    if trend.shape == Shape.RETURNED and trend.step is not None:
+        if trend.n_trips - trend.step.n_before <= N_LAST:
+            return [f"the change began at about {_km(trend.step)}"]
+        size = _percent(trend.step.size_percent)
+        return [f"earlier, it differed by {size} before and after about {_km(trend.step)}"]
+    if trend.shape != Shape.NONE:
+        return [_change(trend)]
+    side = int(judged.side)
+    if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
+        return ["so it was from the first trips on"]
+    if judged.severity == Severity.UNKNOWN:
+        return []
+    if judged.run and judged.count < N_CONFIRMING:
+        return ["too few trips so far to call it a lasting change"]
+    return [f"not clear against the spread of {_percent(trend.spread_percent)}"]
+
+
+def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
+    """Return how the parameter develops where no limit is crossed, or there is none."""
+    change, median = _change(trend), float(np.median(last.values))
+    if trend.parameter == PAYLOAD:
+        return [f"{change} (pay-load: varies by nature, no fault)"]
+    scatter = 3 * float(np.nan_to_num(trend.spread_percent))
+    level = f"at {100 * median:.0f} % of healthy"
+    if trend.changed:
+        parts = [f"{change}, within its limits" if limits else change]
+    elif abs(100 * (median - 1)) > max(LARGE_PERCENT, scatter):
+        parts = [f"{level}, within its limits" if limits else level, change]
+    elif trend.shape == Shape.TOO_FEW and limits:
+        parts = ["within its limits", change]
+    else:
+        parts = [change]
+    if abs(100 * (last.values[-1] - median)) > max(TOLD_PERCENT, scatter):
+        parts.append(f"the last trip is at {100 * last.values[-1]:.0f} %")
+    if limits:
+        n = int(np.sum((last.values < limits.notice[0]) | (last.values > limits.notice[1])))
+        if n:
+            lie = "lies" if n == 1 else "lie"
+            parts.append(
+                f"{n} of the last {len(last.values)} trips {lie} beyond a limit, the newest not"
+            )
+    return parts
+
+
+def _change(trend: Trend) -> str:
+    """Return what the tests along the mileage found."""
+    without = ", without the flagged trips" if trend.without_flagged else ""
+    return f"{_change_words(trend)}{without}"
+
+
+def _change_words(trend: Trend) -> str:
+    """Return what the tests found, in the trips that they were made of."""
+    if trend.shape == Shape.TOO_FEW:
+        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to tell of a change"
+    if trend.shape == Shape.NONE:
+        return f"no change beyond the spread of {_percent(trend.spread_percent)}"
+    if trend.shape == Shape.RETURNED and trend.step is not None:
+        size = _percent(trend.step.size_percent)
+        return f"differs by {size} before and after about {_km(trend.step)}, but ends as it began"
+    change = trend.change_percent
+    verb, going_on = ("falls", "falling") if change < 0 else ("rises", "rising")
+    amount = f"{verb} by {_percent(change)}"
+    if abs(change) >= LARGE_PERCENT:
+        amount = f"{verb} to {100 * trend.last_median:.0f} % of healthy"
+    if trend.shape == Shape.STEADY:
+        return f"{amount}, steadily along the mileage"
+    if trend.step is None:
+        return f"{amount} from the first to the last trips"
+    if trend.shape == Shape.GRADUAL:
+        return f"{amount}, gradually around {_km(trend.step)}, and was still {going_on} at the end"
+    return f"{amount} at about {_km(trend.step)}"
+
+
+def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
+    """Return all parts, and what is to be said of flagged trips."""
+    flags = []
+    if last.all_flagged:
+        flags.append(ALL_FLAGGED)
+    elif trend.flagged_first or trend.flagged_last:
+        ends = {"first": trend.flagged_first, "last": trend.flagged_last}
+        if any(FLAGGED in part for part in parts) and trend.flagged_last == 1:
+            ends["last"] = 0
+        words = [f"{n} of the {end} {trend.n_ends}" for end, n in ends.items() if n]
+        if words:
+            flags.append(f"{' and '.join(words)} trips {_is(sum(ends.values()))} flagged")
+    return "; ".join([*parts, *flags])
+
+
+def _is(n: int) -> str:
+    return "is" if n == 1 else "are"
+
+
+def _at(value: float, limit: float) -> str:
+    """Return a level in %, with as many digits as tell it from a limit."""
+    digits = 0
+    while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
+        digits += 1
+    return f"at {100 * value:.{digits}f} %"
+
+
+def _percent(value: float) -> str:
+    size = abs(value)
+    digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
+    return f"{size:.{digits}f} %"
+
+
+def _km(step: Step) -> str:
+    """Return the mileage, rounded to the power of ten below the distance between the trips."""
+    digits = math.floor(math.log10(max(step.gap_km, 1.0)))
+    return f"{round(step.mileage_km, -digits):,.0f} km".replace(",", " ")

@@ -1,0 +1,311 @@
+"""Words: every combination of change, level, last trips and flags makes sense read aloud."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from suspnet.trips.assessment import (
+    ALL_FLAGGED,
+    LastTrips,
+    assess,
+    last_trips,
+    overall,
+    spoken,
+    worst_first,
+)
+from suspnet.trips.limits import DEFAULT_LIMITS, Severity
+from suspnet.trips.trend import Shape, Step, Trend, flagged_trend
+
+LIMITS = DEFAULT_LIMITS["k_s"]
+N_TRIPS = 30
+KM = 1e4 * np.arange(1, N_TRIPS + 1)
+STEP = Step(155_000.0, 10_000.0, 15, -20.0, 1e-9, True)
+HAS_STEP = (Shape.STEP, Shape.STEADY, Shape.GRADUAL, Shape.RETURNED)
+ENDINGS = {
+    "within": [1.0, 1.0, 1.0, 1.0, 1.0],
+    "odd_before": [1.0, 1.0, 1.0, 1.5, 1.0],
+    "newest_notice": [1.0, 1.0, 1.0, 1.0, 1.15],
+    "newest_act": [1.0, 1.0, 1.0, 1.0, 1.5],
+    "two_act": [1.0, 1.0, 1.0, 1.5, 1.5],
+    "all_act": [0.6, 0.6, 0.6, 0.6, 0.6],
+    "back": [1.5, 1.5, 1.5, 1.5, 1.0],
+}
+FLAGS = {"none": [], "newest": [4], "three": [2, 3, 4], "all": [0, 1, 2, 3, 4]}
+
+
+def made_up(shape, first, last, **changes):
+    """Return a trend of a shape; numbers that the shape does not need are plausible."""
+    n = 4 if shape == Shape.TOO_FEW else N_TRIPS
+    step = STEP if shape in HAS_STEP else None
+    change = 100 * (last - first)
+    options = {"shape": shape, "step": step, "n_ends": min(5, n // 2)} | changes
+    return Trend("k_s", n, 10, first, last, change, 0.2, 0.5, **options)
+
+
+def ending(name, flags="none", half=0.01):
+    values = np.array(ENDINGS[name])
+    flagged = np.isin(np.arange(5), FLAGS[flags])
+    low, high = values * np.exp(-half), values * np.exp(half)
+    return LastTrips(values, low, high, flagged, flags == "all")
+
+
+COMBINATIONS = list(product(Shape, (1.0, 0.6), ENDINGS, FLAGS, (0.01, 0.3, np.nan)))
+
+
+@pytest.mark.parametrize("shape", Shape)
+def test_no_combination_contradicts_itself(shape):
+    for _, first, name, flags, half in (c for c in COMBINATIONS if c[0] == shape):
+        last = ending(name, flags, half)
+        counts = {"flagged_last": len(FLAGS[flags]), "flagged_first": 5 * (flags == "all")}
+        found = assess(made_up(shape, first, np.median(last.values), **counts), last, LIMITS)
+        words, beyond = found.words, "above the" in found.words or "below the" in found.words
+        case = (shape, first, name, flags, half, found.severity, words)
+        assert not words.startswith(("; ", ", ")), case
+        assert not words.endswith(("; ", ":")), case
+        assert not {"nan", "inf"} & set(words.split()), case
+        newest_is_out = not LIMITS.notice[0] <= last.values[-1] <= LIMITS.notice[1]
+        if newest_is_out:
+            assert found.severity > Severity.NONE, case
+        if beyond:
+            assert found.severity > Severity.NONE, case
+            for calm in ("no change", "within its limits", "ends as it began", "the newest not"):
+                assert calm not in words, case
+        elif flags != "all":
+            assert found.severity == Severity.NONE, case
+        if flags == "all":
+            assert words.endswith(ALL_FLAGGED), case
+            assert words.count("flagged") == 1, case
+            assert Severity.UNKNOWN <= found.severity <= Severity.NOTICE, case
+        if found.severity == Severity.ACT:
+            assert " act limit of " in words, case
+        if found.severity == Severity.UNKNOWN:
+            assert "too uncertain to tell" in words or flags == "all", case
+        assert found.is_told == (found.severity > Severity.NONE or found.trend.changed), case
+
+
+def read(values, half=0.01, flagged=(), parameter="k_s"):
+    """Return the assessment of a series that is said to scatter by 0.1 %."""
+    values = np.array(values) * (1 + 2e-4 * np.random.default_rng(1).normal(size=len(values)))
+    km, flags = KM[: len(values)], np.isin(np.arange(len(values)), flagged)
+    ends = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
+    last = last_trips(km, values, ends, flags)
+    found = replace(flagged_trend(parameter, km, values, flags), spread_percent=0.1)
+    return assess(found, last, DEFAULT_LIMITS.get(parameter))
+
+
+ONES = np.ones(N_TRIPS)
+
+
+def ends_with(*last, n=N_TRIPS):
+    return np.append(np.ones(n - len(last)), last)
+
+
+@pytest.mark.parametrize(
+    ("found", "severity", "words"),
+    [
+        (read(ONES), "none", "no change beyond the spread of 0.1 %"),
+        (
+            read(np.where(KM < 245_000, 1, 0.99)),
+            "none",
+            "falls by 1.0 % at about 240 000 km, within its limits",
+        ),
+        (
+            read(ends_with(1.5, 1.5, n=12)),
+            "act",
+            "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; "
+            "too few trips so far to call it a lasting change",
+        ),
+        (
+            read(ends_with(1.5, n=29)),
+            "act",
+            "the last trip is at 150 % of healthy, above the act limit of 125 %; "
+            "too few trips so far to call it a lasting change",
+        ),
+        (
+            read(ends_with(1.5, 1.5)),
+            "act",
+            "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; "
+            "the change began at about 280 000 km",
+        ),
+        (
+            read([1.5]),
+            "act",
+            "the last trip is at 150 % of healthy, above the act limit of 125 %; "
+            "too few trips (1 of 10) to tell of a change",
+        ),
+        (
+            read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
+            "act",
+            "the last 5 trips are at 60 % of healthy, below the act limit of 70 %; "
+            "falls to 60 % of healthy at about 160 000 km",
+        ),
+        (
+            read(0.6 * ONES),
+            "act",
+            "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
+            "so it was from the first trips on",
+        ),
+        (
+            read(ends_with(1.5, 1.5, 1.5, 1)),
+            "act",
+            "3 of the last 5 trips are at 150 % of healthy, above the act limit of 125 %; the last "
+            "trip is at 100 %; rises to 150 % of healthy at about 260 000 km",
+        ),
+        (
+            read(ends_with(1.5, 1)),
+            "none",
+            "no change beyond the spread of 0.1 %; "
+            "1 of the last 5 trips lies beyond a limit, the newest not",
+        ),
+        (
+            read(ends_with(1.07)),
+            "none",
+            "no change beyond the spread of 0.1 %; the last trip is at 107 %",
+        ),
+        (
+            read(0.88 * ONES, parameter="c_s"),
+            "none",
+            "at 88 % of healthy, within its limits; no change beyond the spread of 0.1 %",
+        ),
+        (read(ONES[:4]), "none", "within its limits; too few trips (4 of 10) to tell of a change"),
+        (
+            read(ends_with(3.0), flagged=[29]),
+            "notice",
+            "the last trip is at 300 % of healthy, above the notice limit of 110 %, but it is "
+            "flagged and may be wrong; too few trips so far to call it a lasting change",
+        ),
+        (
+            read(ends_with(1.3), half=np.nan),
+            "notice",
+            "the last trip is at 130 % of healthy, above the notice limit of 110 %, but without an "
+            "interval that would make it sure; too few trips so far to call it a lasting change",
+        ),
+        (
+            read(ends_with(1.3), half=0.4),
+            "unknown",
+            "the last trip is at 130 % of healthy, above the notice limit of 110 %, but its "
+            "interval reaches back within it: too uncertain to tell",
+        ),
+        (
+            read(ONES, flagged=range(N_TRIPS)),
+            "unknown",
+            f"no change beyond the spread of 0.1 %; {ALL_FLAGGED}",
+        ),
+        (
+            read(0.6 * ONES, flagged=range(N_TRIPS)),
+            "notice",
+            "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
+            f"so it was from the first trips on; {ALL_FLAGGED}",
+        ),
+        (
+            read(ONES, flagged=[0, 29]),
+            "none",
+            "no change beyond the spread of 0.1 %; "
+            "1 of the first 5 and 1 of the last 5 trips are flagged",
+        ),
+        (
+            read(np.where(KM < 155_000, 1, 1.2), parameter="M_s"),
+            "none",
+            "rises to 120 % of healthy at about 160 000 km (pay-load: varies by nature, no fault)",
+        ),
+        (read([np.nan, np.nan]), "unknown", "no trip with an estimate"),
+    ],
+)
+def test_reason_reads_well(found, severity, words):
+    assert (str(found.severity), found.words) == (severity, words)
+
+
+def test_odd_flagged_trips_are_left_out_of_the_words():
+    values = np.where(KM < 245_000, 1, 0.99)
+    values[[11, 28]] = 0.27, 1.9
+    found = read(values, flagged=[11, 28])
+    assert found.words.startswith("falls by 1.0 % at about 240 000 km, without the flagged trips")
+
+
+def test_step_before_an_alarm_does_not_end_as_it_began():
+    values = np.where((KM > 105_000) & (KM < 255_000), 1.4, 1.0)
+    values[-1] = 1.5
+    found = read(values)
+    assert (found.severity, found.trend.shape) == (Severity.ACT, Shape.RETURNED)
+    assert "earlier, it differed by 40 % before and after about 100 000 km" in found.words
+
+
+def test_level_is_told_from_the_limit_beyond_which_it_lies():
+    found = read(ends_with(1.1004, 1.1004, 1.1004), half=1e-4)
+    assert "of healthy, above the notice limit of 110 %" in found.words
+    assert "at 110 %" not in found.words
+
+
+def test_parameter_without_limits_raises_no_alarm():
+    found = assess(made_up(Shape.STEP, 1.0, 0.6), ending("all_act"), None)
+    assert (found.severity, found.limited) == (Severity.NONE, False)
+    assert found.words == "falls to 60 % of healthy at about 160 000 km"
+    assert overall([found])[1] == "No parameter has limits; 1 of 1 parameters changed:"
+
+
+# the sentence on all parameters
+
+
+def one(parameter, severity=Severity.NONE, shape=Shape.NONE):
+    named = replace(read(ONES), severity=severity, words="words")
+    step = STEP if shape == Shape.STEP else None
+    return replace(named, trend=replace(named.trend, parameter=parameter, shape=shape, step=step))
+
+
+@pytest.mark.parametrize(
+    ("severities", "shapes", "sentence"),
+    [
+        ("0000", "0000", "Nothing stands out. No parameter is beyond its limits, and none changed"),
+        ("0000", "0100", "No parameter is beyond its limits; 1 of 4 parameters changed:"),
+        ("0000", "2000", "limits; some parameters have too few trips to tell of a change."),
+        ("0000", "2222", "limits; there are too few trips to tell of a change."),
+        ("0100", "1000", "No alarm, but 1 of 4 parameters cannot be judged:"),
+        ("0120", "0000", "Notice: 1 of 4 parameters is to be looked at:"),
+        ("2020", "0000", "Notice: 2 of 4 parameters are to be looked at:"),
+        ("0300", "0000", "Act: 1 of 4 parameters is beyond the act limit:"),
+        (
+            "3302",
+            "1111",
+            "Act: 2 of 4 parameters are beyond the act limit, 1 more to be looked at:",
+        ),
+    ],
+)
+def test_sentence_on_all_parameters(severities, shapes, sentence):
+    shape = (Shape.NONE, Shape.STEP, Shape.TOO_FEW)
+    found = [
+        one(name, Severity(int(s)), shape[int(t)])
+        for name, s, t in zip(("k_p", "c_p", "k_s", "c_s"), severities, shapes, strict=True)
+    ]
+    payload = one("M_s", Severity.NONE, Shape.STEP)
+    severity, words = overall([*found, payload])
+    assert severity == int(max(severities))
+    assert sentence in words
+    told = worst_first([*found, payload])
+    assert words.endswith(":") == bool(told)
+    assert [a.severity for a in told] == sorted((a.severity for a in told), reverse=True)
+    assert spoken(found).splitlines()[0] == words
+    assert len(spoken(found).splitlines()) == 1 + len(told)
+
+
+def test_nothing_known_is_no_good_news():
+    missing = replace(read([np.nan]), severity=Severity.UNKNOWN)
+    assert overall([missing]) == (
+        Severity.UNKNOWN,
+        "No trip has an estimate, so that nothing can be told.",
+    )
+    assert overall([])[0] == Severity.UNKNOWN
+
+
+def test_last_trips_are_those_of_largest_mileage_with_an_estimate():
+    km = np.array([5.0, 1.0, 3.0, np.nan, 2.0, 6.0, 4.0, 7.0])
+    values = np.array([0.5, 0.1, 0.3, 9.0, 0.2, 0.6, 0.4, np.nan])
+    ends = np.stack([values - 0.01, values + 0.01], axis=1)
+    last = last_trips(km, values, ends, km == 3.0)
+    np.testing.assert_array_equal(last.values, [0.2, 0.3, 0.4, 0.5, 0.6])
+    np.testing.assert_allclose(last.high - last.low, 0.02)
+    np.testing.assert_array_equal(last.flagged, [False, True, False, False, False])
+    assert not last.all_flagged
+    assert last_trips(km, values, ends, np.ones(8)).all_flagged
+    assert not last_trips(km, np.nan * values, ends, np.ones(8)).all_flagged

@@ -1,0 +1,266 @@
+"""Limits: what lies beyond one is told whatever was before, healthy series stay quiet."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from trip_records import SPREAD
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.simulation.scenarios import Scenario
+from suspnet.trips.assessment import assess, last_trips, overall
+from suspnet.trips.limits import (
+    DEFAULT_LIMITS,
+    N_CONFIRMING,
+    N_LAST,
+    Limits,
+    Severity,
+    judge,
+    read_limits,
+)
+from suspnet.trips.trend import trend
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SCENARIOS = {path.stem: path for path in sorted((CONFIGS / "scenario").glob("*.yaml"))}
+Z = 1.645
+"""Half-width of a 90 % interval over its standard deviation."""
+JUDGED = tuple(DEFAULT_LIMITS)
+LIMITS = Limits((0.9, 1.1), (0.8, 1.25))
+WINDOW = np.arange(-N_LAST, 0)
+
+
+def scenario(name, begin_km=None):
+    """Return a shipped scenario, with all that changes beginning at another mileage."""
+    content = yaml.safe_load(SCENARIOS[name].read_text())
+    content = {k: v for k, v in content.items() if not k.startswith("_")}
+    if begin_km is not None and content["changes"]:
+        first = min(change["from_km"] for change in content["changes"].values())
+        for change in content["changes"].values():
+            change["to_km"] += begin_km - first
+            change["from_km"] += begin_km - first
+    return Scenario(**content)
+
+
+def series(name, n_trips, seed=0):
+    """Return mileage and true values (n_places, n_trips, 5) of a failure at each place."""
+    km = 308_000.0 * np.arange(1, n_trips + 1) / n_trips
+    starts = [None, -1.0, *km]
+    return km, np.stack([scenario(name, start).ratios(km, seed) for start in starts])
+
+
+def measured(truth, rng, scale=1.0):
+    """Return estimates and half-widths of one parameter after another, in the last axis."""
+    sigma = scale * np.array([SPREAD[name] for name in PARAMETERS])
+    return truth * np.exp(sigma * rng.normal(size=truth.shape)), Z * sigma
+
+
+def newest(values):
+    """Return the last trips along the last axis, filled up in front with NaN."""
+    padded = np.concatenate([np.full((*values.shape[:-1], N_LAST), np.nan), values], axis=-1)
+    return padded[..., WINDOW]
+
+
+def judged(values, half, limits=LIMITS, flagged=False):
+    last = newest(np.asarray(values, dtype=float))
+    marks = np.broadcast_to(flagged, last.shape)
+    return judge(last, last * np.exp(-half), last * np.exp(half), marks, limits)
+
+
+# reference: what a person sees in the plot
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_no_failure_at_the_end_is_missed_whatever_the_number_of_trips_and_the_place(name):
+    """Three draws of noise, 1 to 30 trips, a failure at each of them and before the first."""
+    rng = np.random.default_rng(5)
+    n_beyond = 0
+    for n_trips in range(1, 31):
+        _, truth = series(name, n_trips)
+        values, half_widths = measured(np.repeat(truth, 3, axis=0), rng)
+        for i, parameter in enumerate(JUDGED):
+            limits = DEFAULT_LIMITS[parameter]
+            found = judged(values[:, :, i], half_widths[i], limits).severity
+            last, half = values[:, -1, i], half_widths[i]
+            for level, (lower, upper) in (
+                (Severity.NOTICE, limits.notice),
+                (Severity.ACT, limits.act),
+            ):
+                assert (found[(last < lower) | (last > upper)] >= Severity.UNKNOWN).all()
+                wholly = (last * np.exp(half) < lower) | (last * np.exp(-half) > upper)
+                assert (found[wholly] >= level).all()
+                n_beyond += wholly.sum()
+            quiet = (
+                (values[:, :, i] > limits.notice[0]) & (values[:, :, i] < limits.notice[1])
+            ).all(1)
+            assert (found[quiet] == Severity.NONE).all()
+    alarming = {"damper_fade", "primary_damper_fade", "failed_air_spring", "random"}
+    assert (n_beyond > 300) == (name in alarming)
+
+
+@pytest.mark.parametrize("n_trips", [1, 4, 12, 29])
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_sentence_and_reason_name_what_lies_beyond_at_the_end(name, n_trips):
+    km, truth = series(name, n_trips)
+    values, half_widths = measured(truth, np.random.default_rng(n_trips))
+    for case in values[:: max(1, len(values) // 6)]:
+        found = []
+        for i, parameter in enumerate(JUDGED):
+            one = case[:, i]
+            ends = np.stack([one * np.exp(-half_widths[i]), one * np.exp(half_widths[i])], axis=1)
+            last = last_trips(km, one, ends, np.zeros(n_trips))
+            found.append(assess(trend(parameter, km, one), last, DEFAULT_LIMITS[parameter]))
+        severity, sentence = overall(found)
+        assert severity == max(one.severity for one in found)
+        for i, one in enumerate(found):
+            notice, last = DEFAULT_LIMITS[one.parameter].notice, case[-1, i]
+            if not notice[0] <= last <= notice[1]:
+                assert not sentence.startswith(("Nothing", "No parameter"))
+                beyond = "below the" if last < 1 else "above the"
+                assert beyond in one.words or f"the last trip is at {100 * last:.0f} %" in one.words
+                assert "no change" not in one.words
+                assert f"{100 * last:.0f} %" in one.words or "trips are at" in one.words
+
+
+def test_failed_air_spring_of_the_issue_is_an_alarm():
+    """Twelve trips, the last two at 150 %; it was "Nothing stands out"."""
+    km, truth = series("failed_air_spring", 12)
+    values, half_widths = measured(truth[0], np.random.default_rng(0))
+    spring = values[:, 2]
+    ends = np.stack([spring * np.exp(-half_widths[2]), spring * np.exp(half_widths[2])], axis=1)
+    last = last_trips(km, spring, ends, np.zeros(12))
+    found = assess(trend("k_s", km, spring), last, DEFAULT_LIMITS["k_s"])
+    assert found.severity == Severity.ACT
+    assert found.words.startswith("the last 2 trips are at 150 % of healthy, above the act limit")
+    assert overall([found])[1] == "Act: 1 of 1 parameters is beyond the act limit:"
+
+
+# limit: healthy series
+
+
+@pytest.mark.parametrize("name", ["healthy", "worn_spring"])
+def test_harmless_series_give_no_alarm(name):
+    """20,000 series at the scatter of the shipped model: the limits are far beyond it."""
+    rng = np.random.default_rng(11)
+    truth = np.repeat(series(name, 30)[1][:1], 20_000, axis=0)[:, WINDOW]
+    values, half_widths = measured(truth, rng)
+    for i, parameter in enumerate(JUDGED):
+        assert not judged(values[..., i], half_widths[i], DEFAULT_LIMITS[parameter]).severity.any()
+
+
+@pytest.mark.parametrize(
+    ("half", "stated"), [(0.03, 1e-4), (0.06, 1e-4), (0.1, 0.0045), (0.2, 0.02), (0.4, 0.06)]
+)
+def test_false_alarms_stay_below_the_stated_rate(half, stated):
+    """The rates of the docstring of `judge`; 40,000 series, and three standard errors."""
+    rng = np.random.default_rng(3)
+    values = 1 + half / Z * rng.normal(size=(40_000, N_LAST))
+    symmetric = judge(
+        values, values - half, values + half, np.zeros(values.shape), Limits((0.9, 1.1), (0.8, 1.2))
+    )
+    rate = (symmetric.severity >= Severity.NOTICE).mean()
+    assert rate <= stated + 3 * np.sqrt(stated / len(values))
+    if half == 0.1:
+        assert rate > 0.001  # the bound is not idle
+
+
+def test_one_odd_trip_that_is_not_the_newest_is_no_alarm():
+    odd = 1 - 0.5 * np.eye(30)[:-1]
+    assert not judged(odd, 0.01).severity.any()
+    assert judged(1 - 0.5 * np.eye(30)[-1], 0.01).severity == Severity.ACT
+
+
+# property: the rules one by one
+
+
+@pytest.mark.parametrize(
+    ("values", "half", "severity"),
+    [
+        ([1.0, 1.3], 0.01, Severity.ACT),
+        ([1.0, 1.2], 0.01, Severity.NOTICE),
+        ([1.0, 0.85], 0.01, Severity.NOTICE),
+        ([1.0, 0.7], 0.01, Severity.ACT),
+        ([1.0, 1.12], 0.05, Severity.UNKNOWN),  # its interval reaches back
+        ([1.0, 1.28], 0.05, Severity.NOTICE),  # surely beyond notice only
+        ([1.3, 1.12], 0.05, Severity.NOTICE),  # the trip before confirms it
+        ([1.3, 1.3, 1.3, 1.0, 1.0], 0.01, Severity.ACT),  # repaired: two more trips clear it
+        ([1.3, 1.3, 1.0, 1.0, 1.0], 0.01, Severity.NONE),
+        ([1.15, 1.15, 1.15, 1.0, 1.15], 0.09, Severity.NOTICE),  # four that confirm each other
+        ([1.15, 1.15, 1.15, 1.0, 1.15], 0.3, Severity.UNKNOWN),  # too wide to confirm anything
+        ([1.3], np.nan, Severity.NOTICE),  # without an interval
+        ([1.3, 1.3, 1.3], np.nan, Severity.ACT),
+        ([1.3], np.inf, Severity.NOTICE),
+        ([1.0], np.nan, Severity.NONE),
+        ([0.7, 1.3], 0.01, Severity.ACT),
+    ],
+)
+def test_rules(values, half, severity):
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert judged(values, half).severity == severity
+
+
+def test_flagged_trip_alone_is_a_notice_and_three_are_taken_at_their_word():
+    alone = judged([1.0, 1.0, 3.0], 0.01, flagged=[False, False, False, False, True])
+    assert (alone.severity, bool(alone.weak)) == (Severity.NOTICE, True)
+    three = judged([1.0, 3.0, 3.0, 3.0], 0.01, flagged=[False, False, True, True, True])
+    assert (three.severity, bool(three.weak)) == (Severity.ACT, False)
+
+
+def test_run_and_count_are_those_of_the_limit_that_was_crossed():
+    found = judged([1.0, 1.3, 1.15, 1.3, 1.3], 0.01)
+    assert (found.severity, found.side, found.run, found.count) == (Severity.ACT, 1, 2, 3)
+    below = judged([1.0, 1.0, 0.7], 0.01)
+    assert (below.side, below.run, below.count) == (-1, 1, 1)
+
+
+def test_cases_are_judged_as_if_alone():
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0.6, 1.4, size=(200, N_LAST))
+    together = judged(values, 0.05)
+    for i, case in enumerate(values):
+        alone = judged(case, 0.05)
+        for name in ("severity", "side", "run", "count", "weak"):
+            assert getattr(alone, name) == getattr(together, name)[i]
+
+
+def test_severities_are_in_order_and_have_names():
+    assert max(Severity) == Severity.ACT > Severity.NOTICE > Severity.UNKNOWN > Severity.NONE
+    assert [str(one) for one in Severity] == ["none", "unknown", "notice", "act"]
+    assert N_CONFIRMING <= N_LAST
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("notice", "act", "message"),
+    [
+        ((0.9,), (0.8, 1.2), "`notice` must be two numbers, lower and upper"),
+        ((0.9, "x"), (0.8, 1.2), "`notice` must be two numbers"),
+        ((0.9, 1.1), (True, 1.2), "`act` must be two numbers"),
+        ((1.1, 1.2), (0.8, 1.3), r"`notice` must be \[lower, upper\] about 1"),
+        ((0.9, 1.1), (0.8, np.nan), r"`act` must be \[lower, upper\] about 1"),
+        ((0.7, 1.1), (0.8, 1.2), r"`notice` \(0\.7, 1\.1\) must lie within `act`"),
+    ],
+)
+def test_limits_that_make_no_sense_are_refused(notice, act, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        Limits(notice, act)
+    with pytest.raises((TypeError, ValueError), match=f"`limits.k_p`: .*{message}"):
+        read_limits({"k_p": {"notice": notice, "act": act}})
+
+
+def test_limits_are_read_from_plain_values():
+    given = {"k_p": {"notice": [0.9, 1.1], "act": [0.8, 1.25]}, "c_p": None}
+    assert read_limits(given) == {"k_p": LIMITS}
+    assert read_limits(DEFAULT_LIMITS) == DEFAULT_LIMITS
+    assert Limits((0, 1.1), (0, np.inf)).act == (0, np.inf)
+    with pytest.raises(ValueError, match="`limits.k_p` must have `notice` and `act`, or be null"):
+        read_limits({"k_p": {"notice": [0.9, 1.1]}})
+    with pytest.raises(ValueError, match=r"`limits` must be named as in .*, got 'kp'"):
+        read_limits({"kp": None})
+
+
+def test_shipped_limits_are_the_defaults():
+    shipped = yaml.safe_load((CONFIGS / "evaluate.yaml").read_text())["monitor"]["limits"]
+    assert read_limits(shipped) == DEFAULT_LIMITS
