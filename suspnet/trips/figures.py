@@ -13,8 +13,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from suspnet.trips.records import OK, TripCurves, TripResult
 from suspnet.runs.plots import SUSPENSIONS
+from suspnet.trips.records import OK, TripCurves, TripResult
 
 FloatArray = NDArray[np.float64]
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")

@@ -16,9 +16,9 @@ from joblib import Parallel, delayed, parallel_config
 from tqdm import tqdm
 
 import suspnet
-from suspnet.model.checkpoint import ModelFileError, TrainedModel
 from suspnet.data.source import quiet
 from suspnet.dynamics import VerticalVehicle
+from suspnet.model.checkpoint import ModelFileError, TrainedModel
 from suspnet.recordings.manifest import Place
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits

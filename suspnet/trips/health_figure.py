@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
 from suspnet.trips.limits import Limits
 from suspnet.trips.records import TripResult
 from suspnet.trips.trend import PAYLOAD
-from suspnet.runs.plots import SYMBOLS
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

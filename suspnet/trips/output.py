@@ -15,14 +15,14 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from tabulate import tabulate
 
+from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips import figures
-from suspnet.trips.health_figure import health_trend
-from suspnet.trips.records import OK, TripResult
 from suspnet.trips.assessment import Assessment, overall, spoken
+from suspnet.trips.health_figure import health_trend
 from suspnet.trips.limits import Limits
+from suspnet.trips.records import OK, TripResult
 from suspnet.trips.report import write_report
-from suspnet.runs.tensorboard import RunLog
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"

@@ -12,12 +12,12 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.recordings.manifest import Place
+from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.limits import Severity
 from suspnet.trips.output import write_table
 from suspnet.trips.records import OK, TripResult
 from suspnet.trips.report import render
-from suspnet.storage import write_atomically
 
 REPORT = "report.html"
 

@@ -19,9 +19,9 @@ from matplotlib.figure import Figure
 
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
-from suspnet.trips.records import OK, TripResult
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.limits import Limits, Severity
+from suspnet.trips.records import OK, TripResult
 
 NAMES = {
     "k_p": "stiffness of the primary spring",

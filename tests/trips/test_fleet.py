@@ -16,15 +16,15 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal, small_fleet
 from trip_records import fleet as made_up
 
-from suspnet.model.checkpoint import ModelFileError
 from suspnet.data import CurveSettings
+from suspnet.model.checkpoint import ModelFileError
+from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
-from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.limits import DEFAULT_LIMITS
+from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.trend import LEAST_PERCENT
 from suspnet.trips.trip import TripSettings, evaluate_trip
-from suspnet.runs.tensorboard import RunLog
 
 TRIPS = TripSettings()
 SETTINGS = FleetSettings(TRIPS)

@@ -255,7 +255,7 @@ def test_limits_are_read_from_plain_values():
     assert read_limits(given) == {"k_p": LIMITS}
     assert read_limits(DEFAULT_LIMITS) == DEFAULT_LIMITS
     assert Limits((0, 1.1), (0, np.inf)).act == (0, np.inf)
-    with pytest.raises(ValueError, match="`limits.k_p` must have `notice` and `act`, or be null"):
+    with pytest.raises(ValueError, match=r"`limits\.k_p` must have `notice` and `act`, or be null"):
         read_limits({"k_p": {"notice": [0.9, 1.1]}})
     with pytest.raises(ValueError, match=r"`limits` must be named as in .*, got 'kp'"):
         read_limits({"kp": None})
