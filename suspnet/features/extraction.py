@@ -17,7 +17,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from suspnet.features.peaks import PeakFit, PeakReason, Peaks, SmoothedCurves, check_grid
+from suspnet.features.peaks import (
+    PeakFit,
+    PeakReason,
+    Peaks,
+    SmoothedCurves,
+    check_grid,
+    findpeaks,
+)
 
 FloatArray = NDArray[np.float64]
 PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
@@ -236,8 +243,7 @@ class PeakFeatures:
         check_grid(primary, frequencies)
         found: dict[str, Peaks] = {}
         if set(self.peaks) - {"primary_largest"}:
-            fit = self._fit("secondary")
-            found["secondary"] = SmoothedCurves.of(secondary, frequencies, fit).peaks(fit)
+            found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))
         if set(self.peaks) - {"secondary"}:
             smoothed = SmoothedCurves.of(primary, frequencies, self._fit("primary_largest"))
             for name in self.peaks:

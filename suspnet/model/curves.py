@@ -44,7 +44,7 @@ def estimate_curves(
     Raises
     ------
     ValueError
-        If the curves do not fit the method, or do not tell an output that is to be refined.
+        If the curves do not fit the method, or none tells an output that is to be refined.
     """
     task = method.task
     table = task.extractor.extract(curves, observer.frequencies_hz.to(curves.device))
@@ -55,7 +55,13 @@ def estimate_curves(
     refined = None
     if method.refined or method.ood is not None:
         refined = refine_curves(task, observer, curves, predicted, mass)
-    values = identified(task, refined)[0] if method.refined and refined is not None else predicted
+    values = predicted
+    if method.refined and refined is not None:
+        values, deviations = refined.of(task.outputs)
+        told = np.isfinite(deviations).all(axis=1)
+        if not told.any():
+            identified(task, refined)
+        values = np.where(told[:, None], values, np.nan)
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)

@@ -1,0 +1,160 @@
+"""The public interface: every name, quick to import, and what a model says of curves and trips."""
+
+import ast
+import inspect
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trip_fixtures import model_at, small_fleet
+
+import suspnet
+from suspnet import (
+    LinearRegression,
+    Problem,
+    TripSettings,
+    load_model,
+    load_recording,
+    read_manifest,
+    save_model,
+)
+from suspnet.data import CurveSettings
+from suspnet.problem import TEST
+from suspnet.recordings.segments import NoEstimateError
+from suspnet.runs.calibrate import calibrated
+from suspnet.runs.fit import fit
+from suspnet.runs.predict import predict_stream
+from suspnet.trips.trip import evaluate_trip
+
+SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["plain", "refined"])
+def trained(request, task, quarter_car):
+    """Return a problem, a calibrated model of it and the estimates on its test curves."""
+    problem = Problem(quarter_car, task(), SETTINGS)
+    fitted = replace(fit(problem, LinearRegression(), None), refined=request.param)
+    model = calibrated(problem, fitted)
+    return problem, model, predict_stream(problem, model, TEST, flags=True)
+
+
+def test_every_public_name_is_there_and_listed_once():
+    for name in suspnet.__all__:
+        assert getattr(suspnet, name) is not None
+    assert sorted(suspnet.__all__) == sorted(suspnet._HOME)
+    assert set(suspnet.__all__) <= set(dir(suspnet))
+    source = ast.parse(inspect.getsource(suspnet))
+    block = next(n for n in source.body if isinstance(n, ast.If))
+    typed = {alias.name: node.module for node in block.body for alias in node.names}
+    assert typed == suspnet._HOME
+    with pytest.raises(AttributeError, match="module 'suspnet' has no attribute 'nothing'"):
+        _ = suspnet.nothing
+
+
+def test_import_does_not_pull_in_torch():
+    script = (
+        "import sys, suspnet; print([m for m in ('torch', 'numpy', 'hydra') if m in sys.modules])"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert found.stdout.strip() == "[]"
+
+
+def test_model_from_a_folder_estimates_curves_as_a_run_does(trained, tmp_path):
+    problem, model, outcome = trained
+    save_model(tmp_path, model)
+    curves = problem.curves(problem.ratios(TEST), TEST, 0)
+    found = load_model(tmp_path).estimate(curves.numpy(), problem.observer.frequencies_hz)
+    complete = np.isfinite(found.values).all(axis=1)
+    assert complete.sum() == len(outcome.predicted)
+    np.testing.assert_allclose(found.values[complete], outcome.predicted, rtol=1e-9)
+    low, high = model.intervals.limits(outcome.predicted, outcome.scales, 0.9)
+    np.testing.assert_allclose(found.low[complete], low, rtol=1e-9)
+    np.testing.assert_allclose(found.high[complete], high, rtol=1e-9)
+    assert found.flags.reasons == outcome.flags.reasons
+    one = model.estimate(curves[0])
+    np.testing.assert_allclose(one.values[0], found.values[0], rtol=1e-9)
+
+
+def test_estimate_reads_aloud_and_goes_into_json(trained):
+    problem, model, _ = trained
+    curves = problem.curves(problem.ratios(TEST), TEST, 0)
+    curves[1] = 1.0  # no peak at all
+    found = model.estimate(curves)
+    lines = repr(found).splitlines()
+    assert len(found) == 120
+    assert lines[-1] == "... and 110 more"
+    assert lines[0].startswith("k_p ")
+    assert " to " in lines[0]
+    plain = json.loads(json.dumps(found.to_dict()))
+    assert plain["level"] == 0.9
+    first, second = plain["estimates"][:2]
+    assert first["parameters"]["k_p"]["value"] == found.values[0, 0]
+    assert first["parameters"]["c_p"]["high"] == found.high[0, 1]
+    assert lines[1].startswith("k_p no estimate, c_p no estimate; flagged: missing: ")
+    assert second["parameters"]["k_p"] == {"value": None, "low": None, "high": None}
+    assert second["flags"] == found.flags.reasons[1] != ""
+
+
+@pytest.mark.parametrize("kind", ["path", "text", "recording"])
+def test_model_estimates_a_trip_as_the_program_does(kind, tmp_path_factory):
+    model = model_at()
+    path = small_fleet(tmp_path_factory)[0]
+    settings = TripSettings()
+    expected = evaluate_trip(path, [model], settings)
+    given = {
+        "path": lambda: path,
+        "text": lambda: str(path),
+        "recording": lambda: load_recording(read_manifest(path), settings.rate_hz),
+    }[kind]()
+    found = model.estimate(given, settings=settings)
+    assert dict(zip(found.names, found.values[0].tolist(), strict=True)) == expected.estimates
+    half = dict(zip(found.names, found.half_widths[0].tolist(), strict=True))
+    assert half == pytest.approx(expected.half_widths, rel=1e-9)
+    assert found.flags.reasons[0] == expected.flags
+    wider = model.estimate(given, settings=settings, level=0.99)
+    assert (wider.high > found.high).all()
+
+
+@pytest.mark.parametrize(
+    ("data", "options", "message"),
+    [
+        (np.ones((3, 2, 7)), {}, r"curves must have shape \(n_curves, 2, 293\), got \(3, 2, 7\)"),
+        (np.ones((2, 293)), {"frequencies_hz": np.arange(1, 294)}, "must be the 293 bins of the"),
+        (np.ones((2, 293)), {"mass": [1.0]}, "trained without the car-body mass"),
+    ],
+)
+def test_curves_that_do_not_fit_get_one_clear_error(trained, data, options, message):
+    with pytest.raises(ValueError, match=message):
+        trained[1].estimate(data, **options)
+
+
+def test_known_mass_is_asked_for_and_checked(task, quarter_car):
+    problem = Problem(quarter_car, task(mass_known=True), replace(SETTINGS, n_calibrate=None))
+    model = fit(problem, LinearRegression(), None)
+    ratios = problem.ratios(TEST)
+    curves = problem.curves(ratios, TEST, 0)
+    found = model.estimate(curves, mass=ratios[:120, 4])
+    known = np.isfinite(found.values).all(axis=1)
+    assert np.abs(found.values[known] / ratios[:120, :2][known] - 1).max() < 0.5
+    assert np.isnan(found.low).all()
+    assert not found.flags.flagged.any()
+    with pytest.raises(ValueError, match="was trained to know the car-body mass: give `mass`"):
+        model.estimate(curves)
+    with pytest.raises(ValueError, match="one positive number for each of 120 curves"):
+        model.estimate(curves, mass=[1.0, -1.0])
+
+
+def test_trip_without_enough_averages_has_no_estimate(tmp_path_factory):
+    path = small_fleet(tmp_path_factory)[0]
+    with pytest.raises(NoEstimateError, match=r"averages, at least 1e\+06 are needed"):
+        model_at().estimate(path, settings=TripSettings(min_averages=1e6))
+
+
+def test_model_of_curves_cannot_read_a_trip(trained):
+    with pytest.raises(suspnet.ModelFileError, match="trips need one of"):
+        trained[1].estimate(suspnet.Recording(None, 100.0, np.zeros((3, 10)), None, None, (), 0.1))
