@@ -245,7 +245,7 @@ class EquispacedTransform:
         return (found * self._scale[:, None]).T
 
     def real(self, spectra: Tensor) -> Tensor:
-        """Return the vector over features of spectra times sqrt(s_k): what `spectrum` undoes."""
+        """Return the real coefficients of spectra times sqrt(s_k): the inverse change of basis."""
         found = (spectra * self._scale).T * math.sqrt(2)
         found[0] /= math.sqrt(2)
         return torch.cat([found.real, -found.imag[1:]])

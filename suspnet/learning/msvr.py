@@ -187,7 +187,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def cross_predictor(
         self, X: ArrayLike, y: ArrayLike, folds: Sequence[NDArray[np.int64]]
     ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
-        """Return what predicts each fold's samples by a model fitted to those of all others.
+        """Return a predictor of each fold's samples by a model fitted to all other folds.
 
         The models are those of `fit`, but all values of C and epsilon share one Gram matrix, from
         which a fold's own is subtracted. Only for maps that do not depend on the samples
