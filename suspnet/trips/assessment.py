@@ -17,6 +17,7 @@ LARGE_PERCENT = 10.0
 """A change of this size or more is told by the level it leads to, in % of healthy."""
 TOLD_PERCENT = 2.0
 """A last trip that is this far from the last trips' median, in % of healthy, is named."""
+FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = (
     "all trips are flagged: they show what was not trained for, so that none of these numbers is "
     "to be relied on"
@@ -187,7 +188,7 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     where = _at(np.median(last.values[n_last - run :]), limit)
     words = f"the last {trips} {are} {where} of healthy, {beyond}"
     if judged.weak and last.flagged[n_last - run :].any():
-        return words if last.all_flagged else f"{words}, but {it} {are} flagged and may be wrong"
+        return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
     if judged.weak:
         return f"{words}, but without an interval that would make it sure"
     if severity == Severity.UNKNOWN:
@@ -277,8 +278,11 @@ def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
         flags.append(ALL_FLAGGED)
     elif trend.flagged_first or trend.flagged_last:
         ends = {"first": trend.flagged_first, "last": trend.flagged_last}
+        if any(FLAGGED in part for part in parts) and trend.flagged_last == 1:
+            ends["last"] = 0
         words = [f"{n} of the {end} {trend.n_ends}" for end, n in ends.items() if n]
-        flags.append(f"{' and '.join(words)} trips {_is(sum(ends.values()))} flagged")
+        if words:
+            flags.append(f"{' and '.join(words)} trips {_is(sum(ends.values()))} flagged")
     return "; ".join([*parts, *flags])
 
 

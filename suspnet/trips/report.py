@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import re
 import statistics
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -175,6 +176,7 @@ def render(template: str, **values: Any) -> str:
         "thousands": _thousands,
         "symbol": _symbol,
         "range": _range,
+        "unbroken": _unbroken,
     }
     labels = {str(severity): label for severity, label in SEVERITIES.items()}
     return environment.get_template(template).render(labels=labels, **values)
@@ -291,3 +293,8 @@ def _symbol(name: str) -> Markup:
 def _range(pair: tuple[float, float]) -> str:
     """Return lower and upper limit, in %."""
     return " to ".join(f"{100 * one:g}" for one in pair)
+
+
+def _unbroken(words: str) -> str:
+    """Return words in which no line ends between a number and its unit, or within a number."""
+    return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)

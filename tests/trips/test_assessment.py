@@ -174,8 +174,7 @@ def ends_with(*last, n=N_TRIPS):
             read(ends_with(3.0), flagged=[29]),
             "notice",
             "the last trip is at 300 % of healthy, above the notice limit of 110 %, but it is "
-            "flagged and may be wrong; too few trips so far to call it a lasting change; "
-            "1 of the last 5 trips is flagged",
+            "flagged and may be wrong; too few trips so far to call it a lasting change",
         ),
         (
             read(ends_with(1.3), half=np.nan),

@@ -23,12 +23,19 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
 from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
+from suspnet.trips.limits import DEFAULT_LIMITS
 from suspnet.trips.trend import LEAST_PERCENT
 from suspnet.trips.trip import evaluate_trip
 
 TRIPS = TripSettings()
 SETTINGS = FleetSettings(TRIPS)
 FIGURES = {"trend", "responses", "signals", "quality"}
+
+
+def read(folder, models, out, settings=SETTINGS):
+    """Return the results of a folder of one suspension."""
+    (one,) = evaluate_fleet(folder, models, out, settings, progress=False)
+    return one.results
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +70,7 @@ def broken(manifests, tmp_path_factory):
 def done(broken, model, tmp_path_factory):
     """The folder written of `broken`, and the results."""
     folder = tmp_path_factory.mktemp("done")
-    return folder, evaluate_fleet(broken, [model], folder, SETTINGS, progress=False)
+    return folder, read(broken, [model], folder)
 
 
 @pytest.fixture
@@ -108,7 +115,7 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_workers_change_nothing(manifests, model, alone, no_figures, tmp_path, workers):
     settings = FleetSettings(TRIPS, workers=workers)
-    results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+    results = read(manifests[0].parent, [model], tmp_path, settings)
     # BLAS may sum in another order where it has other threads
     found, expected = estimates(results), estimates(alone)
     assert list(found) == list(expected)
@@ -121,7 +128,7 @@ def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
     with distributed.LocalCluster(**options, dashboard_address=":0") as cluster:
         settings = FleetSettings(TRIPS, cluster=cluster.scheduler_address)
-        results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+        results = read(manifests[0].parent, [model], tmp_path, settings)
     assert estimates(results) == estimates(alone)
 
 
@@ -199,10 +206,18 @@ def test_metrics_and_figures(done, broken, alone):
     assert metrics["rms_error_percent"] == pytest.approx(expected)
     assert [one["parameter"] for one in metrics["trends"]] == list(OUTPUTS)
     assert [one["n_trips"] for one in metrics["trends"]] == [4] * 5
-    for one in metrics["trends"]:  # four trips tell no change, but a level far from healthy
-        level = np.median([alone[i].estimates[one["parameter"]] for i in (0, 1, 3, 4)])
-        off = one["parameter"] != "M_s" and abs(level - 1) > 0.1
-        assert one["stands_out"] == off
+    for one in metrics["trends"]:  # four trips tell no change, but levels beyond limits
+        limits, newest = DEFAULT_LIMITS.get(one["parameter"]), alone[4].estimates[one["parameter"]]
+        assert not one["changed"]
+        if limits and not limits.notice[0] <= newest <= limits.notice[1]:
+            assert one["severity"] in ("unknown", "notice", "act")
+            assert "the last" in one["words"]
+        if not limits:
+            assert one["severity"] == "none"
+    assert metrics["severity"] == max(
+        (one["severity"] for one in metrics["trends"]),
+        key=["none", "unknown", "notice", "act"].index,
+    )
     details = metrics["details"]
     assert details["trips"] == str(broken)
     assert details["model"] == "msvr, trained on 2000 curves of VerticalVehicle"
@@ -260,7 +275,7 @@ def test_nothing_works_at_all(broken, model, tmp_path):
     folder.mkdir()
     shutil.copy(broken / "nonsense.yaml", folder)
     shutil.copy(broken / "dead.yaml", folder)
-    results = evaluate_fleet(folder, [model], tmp_path / "out", SETTINGS, progress=False)
+    results = read(folder, [model], tmp_path / "out")
     assert [r.status for r in results] == ["error", "error"]
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["n_estimated"] == 0
@@ -273,7 +288,7 @@ def test_nothing_works_at_all(broken, model, tmp_path):
 def test_reference_of_the_first_trips(manifests, model, alone, no_figures, tmp_path):
     folder = manifests[0].parent
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
-    results = evaluate_fleet(folder, [model], tmp_path, settings, progress=False)
+    results = read(folder, [model], tmp_path, settings)
     for name in OUTPUTS:
         reference = 1.0 if name == "M_s" else sorted(r.raw[name] for r in alone[:3])[1]
         for result, by_itself in zip(results, alone, strict=True):
@@ -286,14 +301,14 @@ def test_reference_of_the_first_trips(manifests, model, alone, no_figures, tmp_p
     assert details["healthy is"] == "the median of the first 3 trips (k and c)"
     settings = replace(settings, n_reference=N_TRIPS + 1)
     with pytest.raises(ValueError, match=r"asks for 7 first trips, 6 have an estimate"):
-        evaluate_fleet(folder, [model], tmp_path, settings, progress=False)
+        read(folder, [model], tmp_path, settings)
 
 
 def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, tmp_path):
     """The first trips are those of least mileage, here d, b and c."""
     _, absolute = done
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
-    results = evaluate_fleet(broken, [model], tmp_path, settings, progress=False)
+    results = read(broken, [model], tmp_path, settings)
     assert [r.trip for r in results] == [r.trip for r in absolute]
     expected = sorted(r.raw["k_p"] for r in absolute if r.trip in ("d", "b", "c"))[1]
     for before, after in zip(absolute, results, strict=True):
@@ -307,29 +322,30 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
     changed(manifests[0], folder, "fast")
     changed(manifests[1], folder, "middle", speed=60.0)
     models = [model_at(50.0), model]
-    results = evaluate_fleet(folder, models, tmp_path / "out", SETTINGS, progress=False)
+    results = read(folder, models, tmp_path / "out")
     assert [r.status for r in results] == ["ok", "no estimate"]
     assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
     details = json.loads((tmp_path / "out" / "metrics.json").read_text())["details"]
     assert details["speeds"] == "50 m/s, 70 m/s"
 
 
-def test_change_below_what_the_model_resolves_does_not_stand_out(model, monkeypatch):
+def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
     """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
     results = made_up(with_curves=False)
     other = model_at(50.0)
 
-    def stand_out(*errors):
+    def changed_ones(*errors):
         models = [
             replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
             for one, e in zip((model, other), errors, strict=False)
         ]
-        return {t.parameter for t in fleet._trends(results, OUTPUTS, models) if t.stands_out}
+        found = fleet._assessments(results, OUTPUTS, models, DEFAULT_LIMITS)
+        return {one.parameter for one in found if one.trend.changed}
 
     assert LEAST_PERCENT < 0.2
-    assert stand_out(None) == stand_out(0.1) == {"k_p", "c_s"}
-    assert stand_out(1.0) == stand_out(0.1, 1.0) == stand_out(1.0, 0.1) == {"c_s"}
-    assert stand_out(50.0) == set()
+    assert changed_ones(None) == changed_ones(0.1) == {"k_p", "c_s"}
+    assert changed_ones(1.0) == changed_ones(0.1, 1.0) == changed_ones(1.0, 0.1) == {"c_s"}
+    assert changed_ones(50.0) == set()
 
 
 # failure
@@ -351,7 +367,7 @@ def test_interrupted_run_leaves_only_whole_files(
     monkeypatch.setattr(target, place, fail)
     out = tmp_path / "out"
     with pytest.raises(type(error), match=str(error)):
-        evaluate_fleet(folder, [model], out, SETTINGS, progress=False)
+        read(folder, [model], out)
     monkeypatch.undo()
     left = {p.name for p in out.rglob("*") if p.is_file() and "tfevents" not in p.name}
     assert "report.html" not in left
@@ -369,7 +385,7 @@ def test_ctrl_c_in_a_trip_ends_the_run(manifests, model, monkeypatch, tmp_path):
 
     monkeypatch.setattr(fleet, "evaluate_trip", interrupt)
     with pytest.raises(KeyboardInterrupt, match="stop"):
-        evaluate_fleet(manifests[0].parent, [model], tmp_path / "out", SETTINGS, progress=False)
+        read(manifests[0].parent, [model], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -460,7 +476,7 @@ def test_coverage_is_the_naive_one(alone):
 def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
     seen = {}
     monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-1]))
+    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-2]))
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",
@@ -471,7 +487,7 @@ def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monk
     settings = replace(
         SETTINGS, trips=TripSettings(level=0.95), reference="first_trips", n_reference=3
     )
-    results = evaluate_fleet(manifests[0].parent, [model], tmp_path, settings, progress=False)
+    results = read(manifests[0].parent, [model], tmp_path, settings)
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["n_flagged"] == 1
     assert metrics["coverage_percent"] == pytest.approx(coverage_percent(results, OUTPUTS))
@@ -479,7 +495,7 @@ def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monk
     n = len(model.intervals.conformal.scores)
     assert metrics["details"]["intervals"].startswith(f"95 %, calibrated on {n} simulated curves")
     assert metrics["details"]["healthy is"].endswith("(k and c), 1 of them flagged")
-    assert metrics["trends"][0]["verdict"].endswith("; 1 of the first 3 trips is flagged")
+    assert metrics["trends"][0]["words"].endswith("; 1 of the first 3 trips is flagged")
 
 
 def test_model_without_calibration_gives_no_intervals(manifests, model, no_figures, tmp_path):
@@ -487,7 +503,7 @@ def test_model_without_calibration_gives_no_intervals(manifests, model, no_figur
     folder.mkdir()
     changed(manifests[0], folder)
     plain = replace(model, intervals=None, ood=None)
-    (result,) = evaluate_fleet(folder, [plain], tmp_path / "out", SETTINGS, progress=False)
+    (result,) = read(folder, [plain], tmp_path / "out")
     assert result.status == "ok"
     assert np.isnan(result.interval("k_p")).all()
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())

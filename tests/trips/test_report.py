@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.trips import figures, health_figure, report
-from suspnet.trips.trend import trend
+from suspnet.trips.assessment import assess, last_trips
+from suspnet.trips.limits import DEFAULT_LIMITS
+from suspnet.trips.trend import flagged_trend
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}
@@ -47,11 +49,14 @@ class Page(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
 
-def trends_of(results):
-    mileage = [r.mileage_km for r in results]
-    return [
-        trend(name, mileage, [r.estimates.get(name, np.nan) for r in results]) for name in OUTPUTS
-    ]
+def assessed(results, limits=DEFAULT_LIMITS):
+    mileage, flags = [r.mileage_km for r in results], [bool(r.flags) for r in results]
+    found = []
+    for name in OUTPUTS:
+        values = [r.estimates.get(name, np.nan) for r in results]
+        last = last_trips(mileage, values, [r.interval(name) for r in results], flags)
+        found.append(assess(flagged_trend(name, mileage, values, flags), last, limits.get(name)))
+    return found
 
 
 def small_figure():
@@ -63,8 +68,8 @@ def small_figure():
 def write(path, results, drawn=None, details=None, title="Suspension report", level=0.9):
     drawn = {"trend": small_figure()} if drawn is None else drawn
     details = {"model": "msvr"} if details is None else details
-    trends = trends_of(results)
-    report.write_report(path, title, results, OUTPUTS, drawn, trends, details, level)
+    given = [OUTPUTS, drawn, assessed(results), details, level, DEFAULT_LIMITS]
+    report.write_report(path, title, results, *given)
     text = path.read_text(encoding="utf-8")
     return text, Page(text)
 
@@ -102,10 +107,12 @@ def test_headline_and_verdicts_appear(whole):
     assert "bogie 1, left" in words
     assert "10 000 to 300 000 km" in words
     assert "30, of which 28 with an estimate" in words
-    assert "2 of 4 parameters stand out:" in words
-    for one in trends_of(results):
-        assert one.verdict in words
-    assert words.count("▲ falls") == 2
+    assert "Act: 1 of 4 parameters is beyond the act limit:" in words
+    for one in assessed(results):
+        assert one.words in words
+    assert words.count("▲") == 4  # k_p and c_s, and where the mark is explained
+    assert "falls by 1.1 % at about 240 000 km, within its limits" in words
+    assert "80 to 125 70 to 140" in words  # the limits of a damper
 
 
 def test_numbers_are_percent_of_healthy_and_km_per_hour(whole):
@@ -179,10 +186,10 @@ def test_hostile_names_are_escaped(tmp_path):
 @pytest.mark.parametrize(
     ("results", "sentence"),
     [
-        ([trip()], "too few trips with an estimate to tell"),
-        ([trip(i, missing=True) for i in range(3)], "too few trips with an estimate to tell"),
-        ([], "too few trips with an estimate to tell"),
-        ([trip(i) for i in range(12)], "Nothing stands out: no parameter changed"),
+        ([trip()], "beyond its limits; there are too few trips to tell of a change"),
+        ([trip(i, missing=True) for i in range(3)], "No trip has an estimate"),
+        ([], "No trip has an estimate"),
+        ([trip(i) for i in range(12)], "Nothing stands out. No parameter is beyond its limits"),
         (
             [trip(i) if i > 4 else trip(i, estimates={"k_p": 1.0}) for i in range(12)],
             "some parameters have too few trips to tell",
@@ -236,7 +243,7 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
     text, page = write(tmp_path / "r.html", results)
     assert "2 of 12 trips are flagged: what they show was not trained for; see" in page.text
     assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
-    assert page.named("div")[0]["class"] == "result note"
+    assert page.named("div")[0]["class"] == "result plain"  # else it would be good
     assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
     assert page.text.count(f"⚑ {FLAG}") == 2
     row = text[text.index("trip_003") : text.index("trip_004")]
@@ -297,3 +304,34 @@ def test_a_folder_that_is_a_file_is_reported(tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(OSError, match="taken"):
         write(tmp_path / "taken" / "report.html", [trip()])
+
+
+@pytest.mark.parametrize(
+    ("k_s", "tone"), [(1.0, "good"), (1.15, "notice"), (1.5, "act"), (0.99, "plain")]
+)
+def test_colour_and_label_are_those_of_the_severity(tmp_path, k_s, tone):
+    """A change of 1 % over the last six trips and a loss of the air spring do not look alike."""
+    n_last = 6 if k_s == 0.99 else 2
+    results = [
+        replace(
+            r, estimates=dict.fromkeys(OUTPUTS, 1.0) | {"k_s": k_s if i >= 12 - n_last else 1.0}
+        )
+        for i, r in enumerate(measured())
+    ]
+    text, page = write(tmp_path / "r.html", results)
+    assert page.named("div")[0]["class"] == f"result {tone}"
+    label = {"act": "Act", "notice": "Notice"}.get(tone)
+    assert (f'<span class="label {tone}">{label}</span>' in text) == bool(label)
+    assert ("the last 2 trips are at" in page.text) == bool(label)
+    assert ("Nothing stands out" in page.text) == (tone == "good")
+    assert ("falls by 1.0 % " in page.text) == (tone == "plain")
+
+
+def test_flags_on_all_trips_contradict_nothing(tmp_path):
+    """It was "2 of 4 parameters stand out: k_p: no change beyond the spread"."""
+    results = [flagged(r, k_p=0.6) for r in measured()]
+    _, page = write(tmp_path / "r.html", results)
+    assert page.named("div")[0]["class"] == "result notice"
+    assert "Notice: 1 of 4 parameters is to be looked at:" in page.text
+    assert "below the act limit of 80 %; so it was from the first trips on; all" in page.text
+    assert "All 12 trips are flagged" in page.text
