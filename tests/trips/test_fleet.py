@@ -22,8 +22,8 @@ from suspnet.model.recording import TripSettings
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
-from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.limits import DEFAULT_LIMITS
+from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.trend import LEAST_PERCENT
 from suspnet.trips.trip import evaluate_trip
 
