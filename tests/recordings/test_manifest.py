@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from suspnet.recordings.manifest import (
     CHANNELS,
     Channel,
+    Place,
     SpeedSource,
     TripError,
     TripManifest,
     find_manifests,
     read_manifest,
+    read_place,
     write_manifest,
 )
 
@@ -266,3 +268,42 @@ def test_two_channels_from_one_column_are_refused(folder):
     content["channels"]["axle_box"]["column"] = "a"
     with pytest.raises(TripError, match="two `channels` have the same file and column"):
         read_manifest(write(folder, yaml.safe_dump(content)))
+
+
+# where on the vehicle
+
+
+def test_bogie_and_side_are_optional_and_kept(folder):
+    plain = read_manifest(write(folder, TRIP))
+    assert (plain.bogie, plain.side) == (None, None)
+    placed = replace(plain, bogie="trailing", side="left")
+    assert read_manifest(write_manifest(placed)) == placed
+    assert read_place(placed.path) == Place("car 7, leading bogie, right", "trailing", "left")
+    assert "bogie: trailing" in placed.path.read_text().split("channels")[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "to", "rule"),
+    [
+        ("bogie", "front", r"one of \['leading', 'trailing'\], got 'front'"),
+        ("bogie", 1, r"one of \['leading', 'trailing'\], got 1"),
+        ("side", ["left"], r"one of \['left', 'right'\], got \['left'\]"),
+    ],
+)
+def test_wrong_place_is_named(folder, key, to, rule):
+    path = changed(folder, key, to=to)
+    with pytest.raises(TripError, match=f"`{key}` must be {rule}"):
+        read_manifest(path)
+    assert read_place(path) == Place("car 7, leading bogie, right")
+
+
+@pytest.mark.parametrize("text", ["<b>: [", "just text", "[]", "suspension: 7", "\0"])
+def test_manifest_that_does_not_say_its_place_has_none(folder, text):
+    assert read_place(write(folder, text)) is None
+    assert read_place(folder / "nowhere.yaml") is None
+
+
+def test_place_of_a_manifest_needs_nothing_else(folder):
+    assert read_place(write(folder, "suspension: ' a '\nside: left")) == Place("a", "", "left")
+    words = [str(Place("a", "leading", "left")), str(Place("a")), str(Place())]
+    assert words == ["a, leading bogie, left", "a", "unknown"]
