@@ -43,11 +43,20 @@ class _Summary(Callback):
 
 
 class Table6(_Summary):
-    """Table VI: published and measured side by side, as JSON, CSV, Markdown and a figure."""
+    """Table VI: published and measured side by side, as JSON, CSV, Markdown and a figure.
+
+    Parameters
+    ----------
+    note : str
+        What is unequal among the methods; printed below the table.
+    """
+
+    def __init__(self, note: str = "") -> None:
+        self._note = note
 
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write table6.json, .csv, .md and .png and print the table."""
-        write_table6(runs, folder)
+        write_table6(runs, folder, self._note)
 
 
 class Table5(_Summary):
@@ -56,12 +65,16 @@ class Table5(_Summary):
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write experiment/best.yaml and table5.json and print the best settings."""
         tuned: dict[str, dict[str, Any]] = {}
+        edges = []
         for run in runs:
             if "search" in run:
+                told = run["search"]["edges"].values()
+                edges += [f"{run['group']}, {run['model']}: {words}" for words in told]
                 best = run["search"]["best"].items()
                 numbers = {key: value for key, value in best if isinstance(value, int | float)}
                 tuned.setdefault(run["group"], {})[run["model"]] = numbers
         content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
+        content += "".join(f"# {words}\n" for words in edges)
         path = write_atomically(
             folder / "experiment" / "best.yaml",
             f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
@@ -100,8 +113,8 @@ class Ablation(Callback):
         write_ablation(Path(config.hydra.sweep.dir))
 
 
-def write_table6(runs: Sequence[Run], folder: Path) -> None:
-    """Write and print the comparison of runs with Table VI of the paper."""
+def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
+    """Write and print the comparison of runs with Table VI of the paper, and a note below it."""
     records = table6_records(runs)
     by_protocol = {
         name: [r for r in records if r["protocol"] == name]
@@ -110,6 +123,7 @@ def write_table6(runs: Sequence[Run], folder: Path) -> None:
     text = "\n".join(
         f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
     )
+    text += f"{note}\n" if note else ""
     write_json(folder / "table6.json", records)
     write_atomically(folder / "table6.csv", records_csv(records))
     write_atomically(folder / "table6.md", text)
@@ -128,4 +142,5 @@ def _search_record(run: Run) -> dict[str, Any]:
         "best": search["best"],
         "cv_rmse": min(search["rmse"]),
         "n_settings": len(search["rmse"]),
+        "edges": list(search["edges"].values()),
     }
