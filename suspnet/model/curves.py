@@ -58,7 +58,7 @@ def estimate_curves(
     values = predicted
     if method.refined and refined is not None:
         values, deviations = refined.of(task.outputs)
-        told = np.isfinite(deviations).all(axis=1)
+        told = np.asarray(np.isfinite(deviations).all(axis=1))
         if not told.any():
             identified(task, refined)
         values = np.where(told[:, None], values, np.nan)
