@@ -61,7 +61,7 @@ def check_choice(name: str, value: object, allowed: Collection[object]) -> None:
 def _rule(low: float, high: float, open_low: bool, open_high: bool) -> str:
     """Return the rule in words."""
     if high == math.inf:
-        return f"be finite and {'>' if open_low else '>='} {low:g}"
+        return f"be finite and in ({low:g}, inf)" if open_low else f"be finite and >= {low:g}"
     if low == -math.inf:
         return f"be finite and {'<' if open_high else '<='} {high:g}"
     return f"lie between {low:g} and {high:g}"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("suspnet", "configs", "pyproject.toml", "setup.py", "README.md", "LICENSE")
+SOURCES = ("suspnet", "configs", "pyproject.toml", "README.md", "LICENSE")
 BUILD = "from setuptools import build_meta as b; b.build_wheel('dist'); b.build_sdist('dist')"
 PROGRAMS = ("suspnet-train", "suspnet-evaluate", "suspnet-simulate")
 TINY = ["model=linear", "data.n_train=200", "data.n_test=50", "data.n_calibrate=null"]

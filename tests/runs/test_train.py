@@ -8,7 +8,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from suspnet.model.checkpoint import load_model
-from suspnet.runs.fit import Problem
+from suspnet.problem import Problem
 from suspnet.runs.train import train
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -59,7 +59,7 @@ def test_every_method_is_calibrated_under_every_protocol(model, protocol, group,
     model = load_model(tmp_path)
     assert model.task.outputs == tuple(outputs)
     assert model.intervals is not None
-    assert model.scope is not None
+    assert model.ood is not None
 
 
 def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
