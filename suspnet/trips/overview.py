@@ -98,7 +98,7 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
     write_table(pa.Table.from_pylist(rows), output / "overview")
     page = render("overview.html", rows=rows, outputs=outputs, finding=finding(rows))
     write_atomically(output / "overview.html", page)
-    shown = ("suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
+    shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
     return f"{finding(rows)}\n{table}"
 

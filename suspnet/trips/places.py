@@ -58,9 +58,14 @@ def find_groups(folder: Path) -> list[Group]:
         if part.name.startswith("."):
             continue
         try:
-            found = _split(part, find_manifests(part))
+            manifests = find_manifests(part)
         except OSError as error:
             found = [Group(part, Place(part.name), error=_words(error))]
+        else:
+            found = _split(part, manifests)
+            if all(group.place == Place() for group in found):
+                words = f"none of its *.yaml files ({len(manifests)}) names a suspension"
+                found = [Group(part, Place(part.name), error=words)]
         groups += found
         names += [part.name if len(found) == 1 else f"{part.name}_{g.place}" for g in found]
     if not any(group.manifests for group in groups):

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import open_dict
 from trip_fixtures import RATES_HZ, changed, signal
+from trip_records import HALF_WIDTHS
+from trip_records import trip as record
 
 from suspnet.cli import evaluate, simulate, train
 from suspnet.recordings.manifest import CHANNELS
@@ -192,6 +195,100 @@ def test_whole_way_as_a_user_with_two_workers_and_dask(tmp_path):
     ended = command(*program, "hydra.run.dir=bad", "monitor.workers=2", cwd=tmp_path)
     assert ended.returncode == SOME_WITHOUT_ESTIMATE
     assert "2 of 3 trips have an estimate" in ended.stdout
+
+
+# alarms and exit codes
+
+
+def as_alarming(path, *_):
+    """Read no recording: the folder's name says how stiff k_s is in all its trips, in %."""
+    made_up = record(0, with_curves=False, half_widths=HALF_WIDTHS, manifest=str(path))
+    k_s = float(path.parent.name) / 100
+    return replace(made_up, estimates=made_up.estimates | {"k_s": k_s})
+
+
+@pytest.fixture
+def fleets(no_figures, monkeypatch, tmp_path):
+    """Return a folder of three folders of a trip: healthy, to be looked at and to act on."""
+    monkeypatch.setattr(fleet, "evaluate_trip", as_alarming)
+    for name in ("100", "115", "150"):
+        (tmp_path / "fleets" / name).mkdir(parents=True)
+        (tmp_path / "fleets" / name / "trip.yaml").write_text(f"suspension: car {name}")
+    return tmp_path / "fleets"
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "words"),
+    [
+        ("100", evaluate.FINE, "No parameter is beyond its limits; there are too few trips"),
+        ("115", evaluate.NOTICE, "Notice: 1 of 4 parameters is to be looked at:"),
+        ("150", evaluate.ACT, "Act: 1 of 4 parameters is beyond the act limit:"),
+        (".", evaluate.ACT, "3 suspensions: 1 to act on, 1 to be looked at, 1 without alarm."),
+    ],
+)
+def test_verdict_is_printed_and_an_alarm_has_an_exit_code(
+    run, fleets, tmp_path, caplog, name, code, words
+):
+    with caplog.at_level("INFO", logger="suspnet"):
+        ended = run_program(
+            evaluate, tmp_path / "out", f"run={run}", f"trips={fleets / name}", *EVALUATE
+        )
+    assert ended == code
+    assert words in caplog.text
+
+
+def test_limits_are_set_from_the_command_line(run, fleets, tmp_path):
+    given = [f"run={run}", f"trips={fleets / '150'}", *EVALUATE]
+    wide = "monitor.limits.k_s.act=[0.4,1.6]"
+    assert run_program(evaluate, tmp_path / "a", *given, wide) == evaluate.NOTICE
+    assert run_program(evaluate, tmp_path / "b", *given, "monitor.limits.k_s=null") == evaluate.FINE
+    words = run_program(evaluate, tmp_path / "c", *given, "monitor.limits.k_s.act=[1.2,1.6]")
+    assert words.startswith("error: `limits.k_s`: limits `act` must be [lower, upper] about 1")
+
+
+def multirun(monkeypatch, folder, *overrides):
+    """Run evaluate.py -m in this process, as from the command line; return its exit code."""
+    given = ["evaluate.py", "-m", f"hydra.sweep.dir={folder}", *EVALUATE, *overrides]
+    monkeypatch.setattr(sys, "argv", given)
+    with pytest.raises(SystemExit) as ended:
+        evaluate.main()
+    return ended.value.code
+
+
+@pytest.mark.parametrize(
+    ("names", "codes", "worst"),
+    [
+        (("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+        (("100", "nowhere", "150"), ["0", "1", "4"], evaluate.ACT),
+    ],
+)
+def test_multirun_runs_all_jobs_and_ends_with_the_worst_code(
+    run, fleets, monkeypatch, capsys, tmp_path, names, codes, worst
+):
+    """It ran the first job only and ended with 0."""
+    trips = ",".join(str(fleets / name) for name in names)
+    folder = tmp_path / "sweep"
+    assert multirun(monkeypatch, folder, f"run={run}", f"trips={trips}") == worst
+    files = sorted(folder.glob("*/exit_code"), key=lambda file: int(file.parent.name.split("_")[0]))
+    assert [file.read_text().strip() for file in files] == codes
+    words = capsys.readouterr().err
+    assert words.count("error: there is no folder") == names.count("nowhere")
+    assert "Traceback" not in words
+
+
+def test_worst_code_is_the_most_urgent_one():
+    assert [evaluate.worst(codes) for codes in ([], [0, 2], [2, 3], [3, 1], [1, 4], [0, 77])] == [
+        *(0, 2, 3, 1, 4, 1)
+    ]
+    assert set(evaluate.BY_URGENCY) == {*range(5)}
+
+
+def test_exit_codes_are_those_of_the_help():
+    with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
+        words = compose("evaluate", return_hydra_config=True).hydra.help.header
+    told = " ".join(words.split()).partition("Exit codes, the worst last: ")[2]
+    places = [told.index(f"{code} ") for code in evaluate.BY_URGENCY]
+    assert places == sorted(places)
 
 
 # bad recordings

@@ -49,13 +49,16 @@ def test_each_subfolder_is_read_and_what_cannot_be_is_told(tmp_path):
     write(tmp_path / "mixed", "b", suspension="y")
     write(tmp_path / ".hidden", "a")
     (tmp_path / "empty").mkdir()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").write_text("seed: 0")
     (tmp_path / "notes.txt").write_text("")
     groups = {group.name: group for group in find_groups(tmp_path)}
-    assert list(groups) == ["empty", "mixed_x", "mixed_y", "one", "two"]
+    assert list(groups) == ["empty", "mixed_x", "mixed_y", "one", "run", "two"]
     assert groups["one"].place == Place("car one")
     assert groups["empty"].manifests == ()
     assert "holds no *.yaml file; each trip needs one" in groups["empty"].error
-    assert not any(group.error for name, group in groups.items() if name != "empty")
+    assert groups["run"].error == "none of its *.yaml files (1) names a suspension"
+    assert [name for name, group in groups.items() if group.error] == ["empty", "run"]
 
 
 def test_subfolders_beside_manifests_are_told_not_read(tmp_path, caplog):

@@ -1,0 +1,212 @@
+"""Several suspensions: each its own report and model, and one overview with the worst first."""
+
+import csv
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pyarrow.parquet as pq
+import pytest
+from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
+from trip_records import HALF_WIDTHS, trip
+
+from suspnet.model import ModelFileError
+from suspnet.model.recording import TripSettings
+from suspnet.recordings.manifest import Place
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trips import fleet, output
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet, models_of
+from suspnet.trips.limits import DEFAULT_LIMITS, Severity
+from suspnet.trips.overview import Evaluated, write_overview
+
+SETTINGS = FleetSettings(TripSettings())
+
+
+@pytest.fixture(scope="module")
+def models():
+    """A model of either bogie; that of the trailing one is the other's, under another name."""
+    leading = model_at()
+    return [leading, replace(leading, generator=replace(leading.generator, bogie="trailing"))]
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    monkeypatch.setattr(output, "write_report", lambda *_: None)
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """Read no recording: a trip's name says how stiff its k_s is, in %."""
+
+    def read(path, *_):
+        k_s = float(path.stem.rpartition("_")[2]) / 100
+        result = trip(0, with_curves=False, half_widths=HALF_WIDTHS)
+        return replace(result, manifest=str(path), estimates=result.estimates | {"k_s": k_s})
+
+    monkeypatch.setattr(fleet, "evaluate_trip", read)
+
+
+def write(folder, *stiffness, suspension="car 7", **where):
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [f"{key}: {value}" for key, value in ({"suspension": suspension} | where).items()]
+    for i, percent in enumerate(stiffness):
+        (folder / f"trip_{i}_{percent}.yaml").write_text("\n".join(lines))
+
+
+def bogie_of(folder):
+    return json.loads((folder / "metrics.json").read_text())["details"]["bogie"]
+
+
+# the whole way
+
+
+def test_each_suspension_has_its_model_and_the_worst_is_first(
+    models, made_up, no_figures, tmp_path, caplog
+):
+    folder, out = tmp_path / "trips", tmp_path / "out"
+    write(folder / "good", 100, suspension="car 1", bogie="leading", side="left")
+    write(folder / "failed", 100, 150, suspension="car 2", bogie="trailing", side="right")
+    write(folder / "worn", 88, 87, suspension="car 3", bogie="leading")
+    write(folder / "unnamed", 100, suspension="car 4")  # fits neither model alone
+    (folder / "empty").mkdir()
+    with caplog.at_level("INFO", logger="suspnet"):
+        done = evaluate_fleet(folder, models, out, SETTINGS, progress=False)
+    assert [one.name for one in done] == ["failed", "worn", "empty", "unnamed", "good"]
+    assert [str(one.severity) for one in done] == ["act", "notice", "unknown", "unknown", "none"]
+    assert bogie_of(out / "failed") == "trailing"
+    assert bogie_of(out / "worn") == bogie_of(out / "good") == "leading"
+    assert not (out / "unnamed").exists()
+    assert "the models are for both bogies: name `bogie: leading` or" in done[3].error
+    assert "empty is not read: " in caplog.text
+    assert (
+        "Act: 1 of 4 parameters is beyond the act limit:\n  act      k_s: the last" in caplog.text
+    )
+    assert "5 suspensions: 1 to act on, 1 to be looked at, 2 not judged, 1 without" in caplog.text
+    table = pq.read_table(out / "overview.parquet").to_pylist()
+    with (out / "overview.csv").open(newline="") as stream:
+        text = list(csv.DictReader(stream))
+    assert [row["suspension"] for row in table] == ["car 2", "car 3", "empty", "car 4", "car 1"]
+    assert [row["severity"] for row in text] == [str(one.severity) for one in done]
+    first = table[0]
+    assert (first["parameter"], first["bogie"], first["side"]) == ("k_s", "trailing", "right")
+    assert first["k_s_last"] == 1.5
+    assert (first["n_trips"], first["n_estimated"], first["report"]) == (2, 2, "failed/report.html")
+    assert "150 % of healthy, above the act limit" in first["reason"]
+    assert table[2]["reason"].startswith("not read: ")
+    assert table[2]["report"] == ""
+
+
+def test_bogie_and_side_are_in_the_table_of_trips(models, made_up, no_figures, tmp_path):
+    write(tmp_path / "trips", 100, bogie="trailing", side="right")
+    (one,) = evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", SETTINGS, False)
+    assert one.is_complete
+    (row,) = pq.read_table(tmp_path / "out" / "trips.parquet").to_pylist()
+    assert (row["bogie"], row["side"]) == ("trailing", "right")
+    assert not (tmp_path / "out" / "overview.csv").exists()
+
+
+def test_recordings_of_two_suspensions_in_one_folder_are_read_apart(
+    models, no_figures, tmp_path_factory, tmp_path
+):
+    manifests, folder = small_fleet(tmp_path_factory), tmp_path / "trips"
+    folder.mkdir()
+    changed(manifests[0], folder, "a", suspension="x", bogie="leading")
+    changed(manifests[1], folder, "b", suspension="y", bogie="leading")
+    changed(
+        manifests[2],
+        folder,
+        "c",
+        suspension="x",
+        bogie="leading",
+        channels={"body": {"file": "no"}},
+    )
+    done = evaluate_fleet(folder, models[:1], tmp_path / "out", SETTINGS, progress=False)
+    read = {str(one.place): [(r.trip, r.status) for r in one.results] for one in done}
+    assert read == {
+        "x, leading bogie": [("a", "ok"), ("c", "error")],
+        "y, leading bogie": [("b", "ok")],
+    }
+    assert {one.name: one.is_complete for one in done} == {
+        "x_leading_bogie": False,
+        "y_leading_bogie": True,
+    }
+
+
+# the models
+
+
+def test_models_are_chosen_by_bogie(models):
+    assert models_of(models, Place("a", "trailing")) == models[1:]
+    assert models_of(models[:1], Place("a")) == models[:1]
+    with pytest.raises(
+        ModelFileError, match=r"of the trailing bogie, .* generator\.bogie=trailing"
+    ):
+        models_of(models[:1], Place("a", "trailing"))
+    with pytest.raises(ModelFileError, match="the models are for both bogies"):
+        models_of(models, Place("a"))
+
+
+def test_none_left_is_an_error(models, made_up, no_figures, tmp_path):
+    for name in ("one", "two"):
+        write(tmp_path / "trips" / name, 100, suspension=name)
+    with pytest.raises(
+        ValueError, match=r"none of its 2 suspensions can be read \(one: the models"
+    ):
+        evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", SETTINGS, progress=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_disk_that_is_full_is_no_fault_of_a_suspension(models, made_up, monkeypatch, tmp_path):
+    def fail(*_):
+        raise OSError("disk full")
+
+    write(tmp_path / "trips" / "one", 100, bogie="leading")
+    write(tmp_path / "trips" / "two", 100, bogie="leading")
+    monkeypatch.setattr(fleet, "write_tables", fail)
+    with pytest.raises(OSError, match="disk full"):
+        evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", SETTINGS, progress=False)
+
+
+def test_limits_of_the_settings_are_those_that_judge(models, made_up, no_figures, tmp_path):
+    write(tmp_path / "trips", 150)
+    for limits, severity in (
+        (DEFAULT_LIMITS, Severity.ACT),
+        ({"k_s": {"notice": [0.9, 1.1], "act": [0.5, 2.0]}}, Severity.NOTICE),
+        ({"k_s": None}, Severity.NONE),
+    ):
+        settings = FleetSettings(TripSettings(), limits=limits)
+        (one,) = evaluate_fleet(tmp_path / "trips", models[:1], tmp_path / "out", settings, False)
+        assert one.severity == severity
+
+
+# the page
+
+
+class Links(HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.rows = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        if tag == "a":
+            self.links.append(dict(attributes)["href"])
+        if tag == "tr":
+            self.rows.append(dict(attributes).get("class"))
+
+
+def test_page_links_each_report_and_escapes_names(tmp_path):
+    hostile = "<script>alert('x')</script> & \"y\""
+    done = [
+        Evaluated("a b#?", Place(hostile, "leading", "left"), [trip(0, with_curves=False)]),
+        Evaluated("broken", Place("broken"), error=hostile),
+    ]
+    words = write_overview(done, OUTPUTS, tmp_path)
+    assert words.startswith("2 suspensions: 2 not judged.")
+    text = (tmp_path / "overview.html").read_text()
+    page = Links(text)
+    assert "<script" not in text
+    assert page.links == ["a%20b%23%3F/report.html"]
+    assert page.rows == [None, "plain", "plain"]
+    assert "nan" not in text.lower().split()
