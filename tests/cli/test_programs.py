@@ -240,11 +240,22 @@ def table6(tmp_path_factory):
         "model=linear,msvr",
         *FEW,
         "progress=false",
-        "hydra.sweep.dir=sweep",
         cwd=folder,
     )
     assert ended.returncode == 0, ended.stderr
-    return folder / "sweep", ended.stdout
+    (sweep,) = (folder / "outputs" / "table6").iterdir()
+    return sweep, ended.stdout
+
+
+def test_runs_of_a_multirun_are_named_by_what_differs(table6):
+    folder, _ = table6
+    assert folder.name.partition("_model_")[2] == "n_train_300_n_test_100_n_calibrate_100"
+    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == [
+        "0_multi_location_primary_linear",
+        "1_multi_location_primary_msvr",
+        "2_multi_location_secondary_linear",
+        "3_multi_location_secondary_msvr",
+    ]
 
 
 def test_table6_has_a_record_for_each_output_metric_and_model(table6):
