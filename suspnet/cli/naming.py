@@ -88,5 +88,6 @@ def _word(key: str, value: str, is_choice: bool) -> str:
 
 def _joined(words: Iterable[str]) -> str:
     """Return words as the end of a folder's name that needs no quotes on a command line."""
-    plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in words)
+    bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
+    plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)
     return "".join(f"_{word}" for word in plain if word)[:MAX_CHARACTERS]
