@@ -1,7 +1,7 @@
 """Every configuration composes, instantiates and agrees with its class."""
 
 import inspect
-from dataclasses import MISSING, fields, is_dataclass, replace
+from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object, instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli.options import TABLES
+from suspnet.cli.options import TABLES, read_vehicles
 from suspnet.cli.program import check_targets
 from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
@@ -41,7 +41,7 @@ OPTIONS = [
     for name in names
     if group not in ("ablation", "experiment")  # they differ from the defaults on purpose
 ]
-OF_THE_OPTION = {"Protocol", "Scenario", "Vehicle"}
+OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""
 
 
@@ -110,7 +110,16 @@ def default(target, key, value):
     if is_dataclass(target):
         (field,) = (field for field in fields(target) if field.name == key)
         value = value if field.default_factory is MISSING else field.default_factory()
-    return list(value) if isinstance(value, tuple) else value
+    return plain(value)
+
+
+def plain(value):
+    """Return a value as YAML holds it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, dict):
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, tuple) else value
 
 
 def test_mappings_that_are_spelled_out_say_what_their_class_does_without():
