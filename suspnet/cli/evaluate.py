@@ -85,13 +85,13 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 @program.task
 def compose(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
+    if OmegaConf.is_missing(config, "run"):
+        raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:
         program.n_threads(config.threads)
         program.save_config(config, program.run_folder())
         instantiate(config.study, folder=program.run_folder())
         return FINE
-    if OmegaConf.is_missing(config, "run"):
-        raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     runs, output = find_runs(Path(config.run)), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:

@@ -1,10 +1,11 @@
-"""Names of run folders: what differs from the configuration as shipped, and from run to run."""
+"""What differs from the configuration as shipped and from run to run; folders are named by it."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -16,6 +17,8 @@ UNNAMED = {
     *("workers", "data.cache_dir"),
 }
 """Keys that no folder is named by: they are told elsewhere or change no number."""
+OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")
+"""Keys that change the vehicle's frequency responses."""
 MAX_CHARACTERS = 100
 """Length of a name beyond which it is cut; file systems allow 255 for the whole folder."""
 
@@ -39,6 +42,21 @@ def swept() -> list[str]:
     keys = [str(key) for key in whole.sweeper.get("params") or ()]
     keys += [override.get_key_element() for override in typed if override.is_sweep_override()]
     return list(dict.fromkeys(keys))
+
+
+def varied(config: DictConfig) -> dict[str, Any]:
+    """Return what a multirun varies, with its values in this job, by key."""
+    choices = HydraConfig.get().runtime.choices
+    return {
+        key: choices[key] if key in choices else OmegaConf.select(config, key) for key in swept()
+    }
+
+
+def is_first_of_its_vehicle() -> bool:
+    """Return whether no earlier job of a multirun has the same vehicle."""
+    hydra = HydraConfig.get()
+    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in swept())
+    return hydra.mode != RunMode.MULTIRUN or hydra.job.num == 0 or vehicles
 
 
 def _changed(*known: str) -> str:
@@ -88,5 +106,6 @@ def _word(key: str, value: str, is_choice: bool) -> str:
 
 def _joined(words: Iterable[str]) -> str:
     """Return words as the end of a folder's name that needs no quotes on a command line."""
-    plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in words)
+    bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
+    plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)
     return "".join(f"_{word}" for word in plain if word)[:MAX_CHARACTERS]

@@ -45,5 +45,5 @@ def read_vehicles() -> dict[str, Vehicle]:
         content = OmegaConf.load(file)
         assert isinstance(content, DictConfig)
         # a road vehicle's file sets a speed and a track beside the vehicle
-        vehicles[file.stem] = instantiate(content.get("vehicle", content))
+        vehicles[file.stem] = instantiate(OmegaConf.select(content, "vehicle", default=content))
     return vehicles

@@ -6,7 +6,7 @@ import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from suspnet.cli import program
+from suspnet.cli import naming, program
 from suspnet.problem import Problem
 from suspnet.runs.train import train
 
@@ -36,6 +36,8 @@ def compose(config: DictConfig) -> None:
         refine=config.refine,
         figures=config.figures,
         config=resolved,
+        varied=naming.varied(config),
+        draw_vehicle=naming.is_first_of_its_vehicle(),
     )
 
 

@@ -92,15 +92,6 @@ class ResponseGenerator(Protocol):
         ...
 
 
-def check_device(device: str) -> None:
-    """Raise ValueError if torch cannot use a device here."""
-    try:
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise ValueError(f"`device`={device!r} cannot be used here: {reason}") from error
-
-
 def check_ratios(ratios: Tensor, n_parameters: int) -> None:
     """Raise ValueError unless `ratios` is a positive, finite (n_vehicles, n_parameters) tensor."""
     if ratios.ndim != 2 or ratios.shape[1] != n_parameters:

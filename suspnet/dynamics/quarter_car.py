@@ -16,13 +16,14 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 from torch import Tensor
 
-from suspnet.dynamics.generator import check_device, check_ratios
+from suspnet.dynamics.generator import check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
+from suspnet.tensors import as_tensor, check_device
 
 FloatArray = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ class QuarterCar:
     def __post_init__(self) -> None:
         check_device(self.device)
 
-    def parameters(self, ratios: Tensor) -> Tensor:
+    def parameters(self, ratios: Tensor | ArrayLike) -> Tensor:
         """Return (k_p, c_p, k_s, c_s, M_s) in SI units, shape (5, n_vehicles, 1).
 
         Raises
@@ -72,11 +73,14 @@ class QuarterCar:
         ValueError
             If `ratios` is not a positive, finite tensor of shape (n_vehicles, 5).
         """
+        ratios = as_tensor(ratios)
         check_ratios(ratios, len(PARAMETERS))
         healthy = torch.tensor(self.vehicle.healthy_values(), dtype=torch.float64)
         return (ratios.to(self.device, torch.float64) * healthy.to(self.device)).T.unsqueeze(-1)
 
-    def transfer_coefficients(self, ratios: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def transfer_coefficients(
+        self, ratios: Tensor | ArrayLike
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return numerator and denominator of G_P and of G_S, ascending powers of s.
 
         G_P = num_p / den_p (Eq. 3 cleared of its inner fraction), G_S = num_s / den_s (Eq. 4).
@@ -102,26 +106,28 @@ class QuarterCar:
         )
         return num_p, den_p, num_s, den_s
 
-    def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
+    def responses(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s at s = 2 pi j f, Eqs. (3) and (4).
 
         Parameters
         ----------
-        ratios : tensor of shape (n_vehicles, 5), [-]
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
+        ratios : tensor or array of shape (n_vehicles, 5), [-]
+        frequencies_hz : tensor or array of shape (n_freq,), [Hz]
 
         Returns
         -------
         G_p, G_s : complex128 tensors of shape (n_vehicles, n_freq), [-]
         """
-        s = 2j * math.pi * frequencies_hz.to(self.device, torch.float64)
+        s = 2j * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
         num_p, den_p, num_s, den_s = (
             _powers(s, c.shape[1], c.to(torch.complex128))
             for c in self.transfer_coefficients(ratios)
         )
         return num_p / den_p, num_s / den_s
 
-    def magnitudes(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) from ratios of real polynomials in omega^2.
 
         For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
@@ -131,7 +137,7 @@ class QuarterCar:
         -------
         tensor of shape (n_vehicles, 2, n_freq), float64, [-]
         """
-        x = (2 * math.pi * frequencies_hz.to(self.device, torch.float64)) ** 2
+        x = (2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)) ** 2
         num_p, den_p, num_s, den_s = (
             _powers(x, c.shape[1], _squared_magnitude(c))
             for c in self.transfer_coefficients(ratios)
@@ -187,14 +193,14 @@ class QuarterCar:
         """Return A, B, C, D with input w and outputs (z_p, z_s), all displacements [m]."""
         return self.motion_system(torch.ones(len(PARAMETERS))).state_space()
 
-    def motion_system(self, ratios: Tensor) -> LinearSystem:
+    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.
 
         Parameters
         ----------
         ratios : tensor of shape (5,), [-]
         """
-        k_p, c_p, k_s, c_s, m_s = self.parameters(ratios[None]).flatten().tolist()
+        k_p, c_p, k_s, c_s, m_s = self.parameters(as_tensor(ratios)[None]).flatten().tolist()
         return LinearSystem(
             mass=np.diag([self.vehicle.bogie_mass_kg, m_s]),
             damping=np.array([[c_p + c_s, -c_s], [-c_s, c_s]]),

@@ -24,19 +24,19 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from suspnet.dynamics.generator import (
     ResponseGenerator,
     check_choice,
-    check_device,
     check_range,
     check_ratios,
 )
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
+from suspnet.tensors import as_tensor, check_device
 
 UNMEASURED = (
     "other_k_p",
@@ -116,7 +116,7 @@ class VerticalVehicle:
         for name, value in self.uncertainty.items():
             check_range(f"uncertainty.{name}", value, low=0, high=1, closed=True)
 
-    def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
+    def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
         """Return the ratios with a random column for each name of ``UNMEASURED``.
 
         Parameters
@@ -132,22 +132,23 @@ class VerticalVehicle:
         widths = dict.fromkeys(UNMEASURED, 0.0) | dict(self.uncertainty)
         if self.other_bogie == "varies":
             widths |= dict.fromkeys(UNMEASURED[:4], self.other_spread)
+        ratios = as_tensor(ratios).to("cpu", torch.float64)
         half = torch.tensor([widths[name] for name in UNMEASURED], dtype=torch.float64)
         source = torch.Generator().manual_seed(seed)
         draws = torch.rand(len(ratios), len(half), generator=source, dtype=torch.float64)
-        columns = self._complete(ratios.to("cpu", torch.float64))[:, len(PARAMETERS) :]
-        return torch.cat(
-            [ratios.cpu().to(torch.float64), columns * (1 + half * (2 * draws - 1))], 1
-        )
+        columns = self._complete(ratios)[:, len(PARAMETERS) :]
+        return torch.cat([ratios, columns * (1 + half * (2 * draws - 1))], 1)
 
-    def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
+    def responses(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> tuple[Tensor, Tensor]:
         """Return complex G_p (axle box to frame sensor) and G_s (frame to body sensor).
 
         Parameters
         ----------
-        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 15), [-]
+        ratios : tensor or array of shape (n_vehicles, 5) or (n_vehicles, 15), [-]
             ``PARAMETERS`` and, if given, ``UNMEASURED``, relative to healthy and nominal.
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
+        frequencies_hz : tensor or array of shape (n_freq,), [Hz]
 
         Returns
         -------
@@ -159,7 +160,7 @@ class VerticalVehicle:
             If `ratios` has another shape or a value that is not positive and finite.
         """
         p = self._numbers(ratios)
-        omega = 2 * math.pi * frequencies_hz.to(self.device, torch.float64)
+        omega = 2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
         wheels = self._wheels(p, omega)
         first, other = _bogie(p, "", omega, wheels[:2]), _bogie(p, "other_", omega, wheels[2:])
         inertia = 2 * p["M_s"] * omega**2
@@ -177,7 +178,7 @@ class VerticalVehicle:
         body = bounce + (1 + forward * self.body_sensor_m / p["half_pivot"]) * pitch
         return frame, body / frame
 
-    def magnitudes(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
         return torch.stack(self.responses(ratios, frequencies_hz), dim=1).abs()
 
@@ -189,7 +190,9 @@ class VerticalVehicle:
         bogie = "other" if elsewhere.body_sensor_m else "measured"
         return frame, f"body above the {bogie} bogie", "second axle box"
 
-    def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    def further_responses(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> Tensor:
         """Return the responses from the axle box to ``further_places``, (n_vehicles, 3, n_freq).
 
         The track reaches the second axle box a wheelbase later, or earlier if it leads.
@@ -199,7 +202,8 @@ class VerticalVehicle:
         assert half_wheelbase_m is not None
         delay_s = 2 * half_wheelbase_m / self.speed_m_per_s
         behind = 1.0 if self.axle == "leading" else -1.0
-        delay = torch.exp(-2j * math.pi * behind * delay_s * frequencies_hz.to(frame.device))
+        bins = as_tensor(frequencies_hz).to(frame.device)
+        delay = torch.exp(-2j * math.pi * behind * delay_s * bins)
         return torch.stack([frame, frame * to_body, delay.expand_as(frame)], dim=1)
 
     @property
@@ -231,7 +235,7 @@ class VerticalVehicle:
             "exactly."
         )
 
-    def motion_system(self, ratios: Tensor) -> LinearSystem:
+    def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.
 
         Coordinates: z, phi of the body, then z_i and psi_i of the measured and the other bogie.
@@ -240,7 +244,7 @@ class VerticalVehicle:
         ----------
         ratios : tensor of shape (5,) or (15,), [-]
         """
-        p = {name: float(v.squeeze()) for name, v in self._numbers(ratios[None]).items()}
+        p = {name: float(v.squeeze()) for name, v in self._numbers(as_tensor(ratios)[None]).items()}
         m_p, m_s = p["bogie_mass"], p["M_s"]
         pitch = m_p * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
         body_pitch = 2 * m_s * (p["body_gyration"] / p["half_pivot"]) ** 2
@@ -268,7 +272,7 @@ class VerticalVehicle:
         rest = torch.ones(len(ratios), len(UNMEASURED) - 4).to(ratios)
         return torch.cat([ratios, same, rest], dim=1)
 
-    def _numbers(self, ratios: Tensor) -> dict[str, Tensor]:
+    def _numbers(self, ratios: Tensor | ArrayLike) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
         v = self.vehicle
         healthy = v.healthy_values()
@@ -276,7 +280,7 @@ class VerticalVehicle:
         nominal = [*healthy, *healthy[:4], v.bogie_mass_kg, *geometry, self.speed_m_per_s]
         names = [*PARAMETERS, *UNMEASURED[:5], "half_wheelbase", "half_pivot"]
         names += ["bogie_gyration", "body_gyration", "speed"]
-        values = self._complete(ratios.to(self.device, torch.float64))
+        values = self._complete(as_tensor(ratios).to(self.device, torch.float64))
         values = values * torch.tensor(nominal, dtype=torch.float64, device=self.device)
         return dict(zip(names, values.T.unsqueeze(-1), strict=True))
 

@@ -12,9 +12,11 @@ from enum import IntEnum
 from typing import Literal
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.features.parabola import windowed_parabola
+from suspnet.tensors import as_tensor
 
 CLIP_FRACTION = 0.3
 """Raw points below this fraction of the smoothed curve are noise; they are raised to it."""
@@ -120,22 +122,22 @@ class Peaks:
 
 
 def findpeaks(
-    magnitude: Tensor,
-    frequencies_hz: Tensor,
+    magnitude: Tensor | ArrayLike,
+    frequencies_hz: Tensor | ArrayLike,
     *,
-    low_hz: Tensor | float = 0.0,
-    high_hz: Tensor | float = math.inf,
+    low_hz: Tensor | ArrayLike = 0.0,
+    high_hz: Tensor | ArrayLike = math.inf,
     fit: PeakFit | None = None,
 ) -> Peaks:
     """Return the largest peak of each curve within its band.
 
     Parameters
     ----------
-    magnitude : tensor of shape (n_curves, n_freq), [-]
+    magnitude : tensor or array of shape (n_curves, n_freq), [-]
         Magnitudes of frequency responses, noise included.
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    frequencies_hz : tensor or array of shape (n_freq,), [Hz]
         Evenly spaced and positive.
-    low_hz, high_hz : float or tensor of shape (n_curves,), [Hz]
+    low_hz, high_hz : float, tensor or array of shape (n_curves,), [Hz]
         The band of each curve in which the maximum is searched.
     fit : PeakFit, optional
         Smoothing, window and shape.
@@ -158,8 +160,9 @@ def findpeaks(
     (4.0, 0.02)
     """
     fit = PeakFit() if fit is None else fit
-    check_grid(magnitude, frequencies_hz)
-    return SmoothedCurves.of(magnitude, frequencies_hz, fit).peaks(fit, low_hz, high_hz)
+    curves, bins = as_tensor(magnitude), as_tensor(frequencies_hz)
+    check_grid(curves, bins)
+    return SmoothedCurves.of(curves, bins, fit).peaks(fit, low_hz, high_hz)
 
 
 def check_grid(magnitude: Tensor, frequencies_hz: Tensor) -> None:
@@ -236,7 +239,7 @@ class SmoothedCurves:
         return cls(frequencies_hz, finite, smoothed, target, weight)
 
     def peaks(
-        self, fit: PeakFit, low_hz: Tensor | float = 0.0, high_hz: Tensor | float = math.inf
+        self, fit: PeakFit, low_hz: Tensor | ArrayLike = 0.0, high_hz: Tensor | ArrayLike = math.inf
     ) -> Peaks:
         """Return the largest peak of each curve within its band, see ``findpeaks``."""
         centre, interior = _largest(self.smoothed, self.frequencies_hz, low_hz, high_hz, fit.tilt)
@@ -252,8 +255,8 @@ class SmoothedCurves:
 def _largest(
     smoothed: Tensor,
     frequencies_hz: Tensor,
-    low_hz: Tensor | float,
-    high_hz: Tensor | float,
+    low_hz: Tensor | ArrayLike,
+    high_hz: Tensor | ArrayLike,
     tilt: float,
 ) -> tuple[Tensor, Tensor]:
     """Return where the tilted curve is largest in its band, and whether that is a maximum."""

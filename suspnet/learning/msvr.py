@@ -22,6 +22,7 @@ from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
 from suspnet.learning.maps import MAPS
+from suspnet.tensors import check_device
 
 PREDICT_ROWS = 8192
 FloatArray = NDArray[np.float64]
@@ -160,6 +161,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         y : array of shape (n_samples,) or (n_samples, n_outputs)
         """
         self._check_parameters()
+        check_device(self.device)
         samples, targets = self._validated(X, y)
         kind = MAPS[self.feature_map]
         everywhere = self.distributed and kind.of_data

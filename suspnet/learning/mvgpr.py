@@ -20,6 +20,7 @@ from torch import Tensor
 
 from suspnet.checks import check_number
 from suspnet.learning.landmarks import rbf_kernel, squared_distances
+from suspnet.tensors import check_device
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
@@ -138,6 +139,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         self._check_parameters()
+        check_device(self.device)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         targets = np.asarray(y, dtype=np.float64)
         self._single_output = targets.ndim == 1

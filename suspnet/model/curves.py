@@ -140,7 +140,7 @@ def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
             raise ValueError(
                 f"refine=true needs curves that tell {name}, and these of protocol "
                 f"{task.protocol!r} do not: see python evaluate.py "
-                f"experiment=identifiability protocol={task.protocol}"
+                f"study=identifiability protocol={task.protocol}"
             )
     return estimates, deviations
 

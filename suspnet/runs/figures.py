@@ -22,17 +22,19 @@ def draw_run(
     run_log: RunLog,
     folder: Path,
     found: SearchResult | None,
+    draw_vehicle: bool,
 ) -> None:
-    """Draw vehicle, features, search and predictions of a run."""
+    """Draw features, search and predictions of a run, and its vehicle if asked."""
     task = model.task
     frequencies_hz = problem.observer.frequencies_hz
     example = problem.curves(outcome.data.ratios[:1], TEST, 0)
     data = outcome.data
     figures = {
-        "bode": plots.bode(problem.generator, frequencies_hz),
-        "degradation": plots.degradation(problem.generator, frequencies_hz),
-        "features": plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs),
+        "features": plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs)
     }
+    if draw_vehicle:
+        figures["bode"] = plots.bode(problem.generator, frequencies_hz)
+        figures["degradation"] = plots.degradation(problem.generator, frequencies_hz)
     if task.extractor.kind == "peaks":
         table = task.extractor.extract(example, frequencies_hz.to(example.device))
         features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))

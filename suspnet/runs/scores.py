@@ -108,7 +108,12 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     return dict(zip(task.outputs, ratios.tolist(), strict=True))
 
 
-def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[str, Any]) -> None:
+def log_hyperparameters(
+    run_log: RunLog,
+    metrics: Metrics,
+    parameters: Mapping[str, Any],
+    varied: Mapping[str, Any] | None = None,
+) -> None:
     """Write the hyperparameters and final scores of a run for TensorBoard's HPARAMS tab."""
     finals = {
         f"{metric}_{output}": values[metric]
@@ -118,7 +123,7 @@ def log_hyperparameters(run_log: RunLog, metrics: Metrics, parameters: Mapping[s
     finals["seconds"] = metrics["seconds"]
     if "search" in metrics:
         finals["cv_rmse"] = min(metrics["search"]["rmse"])
-    run_log.hyperparameters({**parameters, **metrics}, finals)
+    run_log.hyperparameters({**parameters, **metrics}, finals, varied)
 
 
 def report(metrics: Metrics, folder: Path) -> None:

@@ -59,6 +59,16 @@ class Table6(_Summary):
         write_table6(runs, folder, self._note)
 
 
+class Comparison(Table6):
+    """As Table VI, where the runs differ in protocol, group, model or seed."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write what `Table6` does, unless two runs would have the same place in the table."""
+        places = {(r["protocol"], r["group"], r["model"], r["seed"]) for r in runs}
+        if 1 < len(places) == len(runs):
+            super().summarise(runs, folder)
+
+
 class Table5(_Summary):
     """Table V: the best hyperparameters of each method and group, as an override file."""
 

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
@@ -21,21 +22,21 @@ from suspnet.runs.metrics import METRICS
 from suspnet.storage import write_atomically
 
 HYPERPARAMETERS: dict[str, Any] = {
-    "vehicle": "",
-    "protocol": "",
-    "group": "",
     "model": "",
-    "seed": 0,
-    "n_train": 0,
-    "snr_db": 0.0,
-    "feature_map": "",
-    "n_components": 0,
+    "group": "",
     "C": 0.0,
     "sigma": 0.0,
     "epsilon": 0.0,
+    "feature_map": "",
+    "n_components": 0,
     "length_scale": 0.0,
     "signal_variance": 0.0,
     "noise_variance": 0.0,
+    "n_train": 0,
+    "snr_db": 0.0,
+    "seed": 0,
+    "protocol": "",
+    "vehicle": "",
 }
 """Columns of the HPARAMS tab, each with a value of its type."""
 METRIC_COLUMNS = (
@@ -43,6 +44,13 @@ METRIC_COLUMNS = (
     "cv_rmse",
     "seconds",
 )
+SECTIONS = {
+    "comparison": ("table6", "sensitivity", "ablation"),
+    "estimates": ("parity", "residuals"),
+    "training": ("features", "peaks", "convergence", "search"),
+    "vehicle": ("bode", "degradation"),
+}
+"""Figures by the section they are shown in; TensorBoard shows sections in alphabetical order."""
 
 
 class RunLog:
@@ -87,24 +95,54 @@ class RunLog:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
-        self._writer.add_image(name, pixels, dataformats="HWC")
+        sections = [f"{s}/{name}" for s, names in SECTIONS.items() if name.startswith(names)]
+        self._writer.add_image([*sections, name][0], pixels, dataformats="HWC")
         if folder is not None:
             stream = io.BytesIO()
             Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG")
             write_atomically(folder / f"{name}.png", stream.getvalue())
 
-    def hyperparameters(self, values: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
+    def hyperparameters(
+        self,
+        values: Mapping[str, Any],
+        metrics: Mapping[str, float],
+        varied: Mapping[str, Any] | None = None,
+    ) -> None:
         """Write hyperparameters and final metrics for the HPARAMS tab.
 
         `SummaryWriter.add_hparams` would open a folder of its own below the run's; these summaries
         go into the run's own file, so that a run is one row of the table and one line of the
         parallel coordinates. TensorBoard takes the columns from whichever run it meets first, so
-        every run declares the same ones and fills in those it has.
+        every run of a multirun declares the same ones and fills in those it has. It shows those
+        said to differ first, here the model and what the multirun varies, in alphabetical order.
+
+        Parameters
+        ----------
+        values, metrics : mappings
+        varied : mapping, optional
+            What a multirun varies, by its key in the configuration.
         """
-        shown = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
-        columns = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
-        experiment, _, end = hparams(dict(HYPERPARAMETERS), columns)
-        _, start, _ = hparams(shown, columns)
+        varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
+        finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
+        experiment, _, end = hparams(HYPERPARAMETERS | varied, finals)
+        content = experiment.value[0].metadata.plugin_data
+        columns = HParamsPluginData.FromString(content.content)
+        for info in columns.experiment.hparam_infos:
+            info.differs = info.name in ("model", *varied)
+        content.content = columns.SerializeToString()
+        known = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
+        _, start, _ = hparams(known | varied, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)
         self.scalars("final", metrics, 0)
+
+
+def _column(key: str) -> str:
+    """Return the column of a key of the configuration: n_train of data.n_train."""
+    last = key.rpartition(".")[2]
+    return last if last in HYPERPARAMETERS else key
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TensorBoard can hold it."""
+    return value if isinstance(value, bool | int | float | str) else str(value)

@@ -45,6 +45,8 @@ def train(
     refine: bool = False,
     figures: bool = True,
     config: Mapping[str, Any] | None = None,
+    varied: Mapping[str, Any] | None = None,
+    draw_vehicle: bool = True,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
@@ -65,6 +67,10 @@ def train(
         Whether to draw figures of the run.
     config : mapping, optional
         The resolved configuration, for the records; its `ablation_name` goes into metrics.json.
+    varied : mapping, optional
+        What a multirun varies, by its key in the configuration: TensorBoard's first columns.
+    draw_vehicle : bool
+        Whether figures of the vehicle are among the run's; once is enough in a multirun.
 
     Returns
     -------
@@ -98,9 +104,9 @@ def train(
             metrics["ablation"] = config["ablation_name"]
         accuracy = {"test_rms_percent": rms_percent(problem.task, outcome)}
         save_model(folder, replace(model, training=training | accuracy))
-        log_hyperparameters(run_log, metrics, training["parameters"])
+        log_hyperparameters(run_log, metrics, training["parameters"], varied)
         if figures:
-            draw_run(problem, model, outcome, run_log, folder / "figures", found)
+            draw_run(problem, model, outcome, run_log, folder / "figures", found, draw_vehicle)
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)
     report(metrics, folder)

@@ -1,6 +1,7 @@
 """Every configuration composes, instantiates and agrees with its class."""
 
 import inspect
+from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,12 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object, instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli.options import TABLES
+from suspnet.cli.options import TABLES, read_vehicles
 from suspnet.cli.program import check_targets
 from suspnet.data import Protocol
+from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
+from suspnet.dynamics.vehicle import GEOMETRY
+from suspnet.dynamics.vertical_vehicle import UNMEASURED
 from suspnet.features import PeakFeatures
 from suspnet.learning import METHODS
 
@@ -37,7 +41,7 @@ OPTIONS = [
     for name in names
     if group not in ("ablation", "experiment")  # they differ from the defaults on purpose
 ]
-OF_THE_OPTION = {"Protocol", "Scenario", "Vehicle"}
+OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""
 
 
@@ -75,29 +79,55 @@ def test_programs_and_bases_show_the_same_defaults():
     base = OmegaConf.to_container(OmegaConf.load(CONFIGS / "base" / "protocol.yaml"))
     first = OmegaConf.to_container(OmegaConf.load(CONFIGS / "scenarios.yaml")).pop("healthy")
     for node in (base, first):
-        check_arguments(node, differing=())
+        check_arguments(node, of_the_option=())
 
 
-def check_arguments(config, differing=OF_THE_OPTION):
+def check_arguments(config, of_the_option=OF_THE_OPTION):
     """Assert that every object of a configuration has the arguments and defaults of its class."""
-    nodes = targets(config)
-    assert nodes or "_target_" not in str(config)
-    for node in nodes:
-        target = get_object(node["_target_"])
-        given = {key: value for key, value in node.items() if key not in ("_target_", "_convert_")}
-        parameters = inspect.signature(target).parameters
-        if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
-            assert {key for key in parameters if key != "options"} <= set(given)
-        else:
-            missing = set(parameters) - set(given)
-            assert not missing - {"folder"}, target  # the program gives a study its folder
-            assert set(given) <= set(parameters), target
-        if target.__name__ in differing:
+    for node in targets(config):
+        target = get_object(node.pop("_target_"))
+        node.pop("_convert_", None)
+        if target is best_generator:
+            target = VerticalVehicle  # which it hands its settings to
+        parameters = dict(inspect.signature(target).parameters)
+        parameters.pop("folder", None)  # which the program gives a study
+        optional = GEOMETRY if target is Vehicle else ()
+        assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
+        if target.__name__ in of_the_option:
             continue
-        for key, value in given.items():
-            default = getattr(parameters.get(key), "default", inspect.Parameter.empty)
-            if default is not inspect.Parameter.empty and "${" not in str(value):
-                assert value == default, (target, key)
+        defaults = {key: default(target, key, p.default) for key, p in parameters.items()}
+        for key, value in node.items():
+            if defaults[key] is inspect.Parameter.empty or "${" in str(value):
+                continue
+            if isinstance(value, dict) and not defaults[key]:
+                continue  # spelled out; nothing stands for the same, see the next tests
+            if (target.__name__, key) != ("FleetSettings", "workers"):  # none unasked in a library
+                assert value == defaults[key], (target, key)
+
+
+def default(target, key, value):
+    """Return the default of an argument as YAML holds it."""
+    if is_dataclass(target):
+        (field,) = (field for field in fields(target) if field.name == key)
+        value = value if field.default_factory is MISSING else field.default_factory()
+    return plain(value)
+
+
+def plain(value):
+    """Return a value as YAML holds it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, dict):
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, tuple) else value
+
+
+def test_mappings_that_are_spelled_out_say_what_their_class_does_without():
+    config = composed(name="simulate")
+    fleet, vehicle = instantiate(config.fleet), instantiate(config.generator)
+    assert fleet.loggers() == replace(fleet, sensors=None).loggers()
+    assert set(vehicle.uncertainty) < set(UNMEASURED)
+    assert not any(vehicle.uncertainty.values())
 
 
 @pytest.mark.parametrize("name", NAMES["protocol"])
@@ -114,6 +144,15 @@ def test_every_ablation_composes_with_trusted_targets(name):
     assert instantiate(config.protocol).task(config.group).outputs
     assert type(instantiate(config.model)) is METHODS["msvr"]
     assert instantiate(config.data).n_calibrate is None
+
+
+def test_vehicles_are_read_from_their_files():
+    vehicles = read_vehicles()
+    assert list(vehicles) == NAMES["vehicle"]
+    for name in ("am96", "sedan"):
+        assert vehicles[name] == instantiate(composed(f"vehicle={name}").vehicle)
+    found = instantiate(composed("study=reliability", "run=x", name="evaluate").study.others)
+    assert found == vehicles
 
 
 @pytest.mark.parametrize("name", NAMES["vehicle"])
@@ -167,12 +206,12 @@ def test_search_grid_spans_table_v():
     assert len(grids.msvr.C) * len(grids.msvr.sigma) * len(grids.msvr.epsilon) >= 60
 
 
-@pytest.mark.parametrize("name", NAMES["experiment"])
-def test_every_experiment_composes_with_trusted_targets(name):
-    study = "study" in OmegaConf.load(CONFIGS / "experiment" / f"{name}.yaml")
-    config = composed(f"experiment={name}", name="evaluate" if study else "train")
-    assert config.job == name
-    check_targets(config)
+@pytest.mark.parametrize("group", ["experiment", "study"])
+def test_every_experiment_and_study_composes_with_trusted_targets(group):
+    for name in NAMES[group]:
+        config = composed(f"{group}={name}", name=PROGRAM.get(group, "train"))
+        assert config.job == name
+        check_targets(config)
 
 
 def test_command_line_beats_experiment():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from cli_runner import FEW, ROOT, SMALL, command, run_main
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, train
 
@@ -83,7 +84,7 @@ def test_tensorboard_holds_iterations_figures_and_hyperparameters(run):
     )
     n_iter = metrics["training"]["fitted"]["n_iter"]
     assert [e.step for e in events.Scalars("msvr/objective")] == list(range(1, n_iter + 1))
-    assert {"bode", "features", "parity", "residuals"} <= set(tags["images"])
+    assert {"vehicle/bode", "training/features", "estimates/parity"} <= set(tags["images"])
     assert "config/text_summary" in tags["tensors"]
     plugin = events.summary_metadata["_hparams_/session_start_info"].plugin_data
     assert plugin.plugin_name == "hparams"
@@ -240,11 +241,48 @@ def table6(tmp_path_factory):
         "model=linear,msvr",
         *FEW,
         "progress=false",
-        "hydra.sweep.dir=sweep",
         cwd=folder,
     )
     assert ended.returncode == 0, ended.stderr
-    return folder / "sweep", ended.stdout
+    (sweep,) = (folder / "outputs" / "table6").iterdir()
+    return sweep, ended.stdout
+
+
+def test_runs_of_a_multirun_are_named_by_what_differs(table6):
+    folder, _ = table6
+    assert folder.name.partition("_model_")[2] == "n_train_300_n_test_100_n_calibrate_100"
+    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == [
+        "0_multi_location_primary_linear",
+        "1_multi_location_primary_msvr",
+        "2_multi_location_secondary_linear",
+        "3_multi_location_secondary_msvr",
+    ]
+
+
+def test_tensorboard_shows_the_comparison_first_and_the_vehicle_once(table6):
+    folder, _ = table6
+    events = {
+        path.parent: EventAccumulator(str(path.parent)).Reload()
+        for path in folder.rglob("events.*")
+    }
+    images = {path: found.Tags()["images"] for path, found in events.items()}
+    assert min(image for found in images.values() for image in found) == "comparison/table6"
+    assert images.pop(folder) == ["comparison/table6"]
+    assert [path.name[:2] for path, found in images.items() if "vehicle/bode" in found] == ["0_"]
+    assert all("estimates/parity" in found for found in images.values())
+
+
+def test_tensorboard_shows_what_a_multirun_varies_before_other_hyperparameters(table6):
+    folder, _ = table6
+    for run in folder.glob("[0-9]_*"):
+        summaries = EventAccumulator(str(run)).Reload().summary_metadata
+        content = summaries["_hparams_/experiment"].plugin_data.content
+        columns = HParamsPluginData.FromString(content).experiment.hparam_infos
+        assert {column.name for column in columns if column.differs} == {"model", "group"}
+        content = summaries["_hparams_/session_start_info"].plugin_data.content
+        values = HParamsPluginData.FromString(content).session_start_info.hparams
+        group, model = run.name.split("_")[-2:]
+        assert (values["group"].string_value, values["model"].string_value) == (group, model)
 
 
 def test_table6_has_a_record_for_each_output_metric_and_model(table6):

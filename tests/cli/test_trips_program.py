@@ -131,7 +131,7 @@ def test_trips_are_those_of_the_scenario(trips):
     assert [path.stem for path in manifests] == ["trip_001", "trip_002", "trip_003"]
     assert len(signal(manifests[0], "axle_box")) == 5 * 60 * RATES_HZ[0]
     assert "mileage_km: 308000.0" in manifests[2].read_text()
-    assert "k_p: 0.99" in manifests[2].read_text()  # configs/scenario/worn_spring.yaml
+    assert "k_p: 0.99" in manifests[2].read_text()  # configs/scenarios.yaml
     assert "k_p: 1.0" in manifests[1].read_text()
 
 

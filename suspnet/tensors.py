@@ -1,0 +1,30 @@
+"""Tensors at the boundary: from whatever a caller has, on a device that torch can use."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+
+def as_tensor(values: Tensor | ArrayLike) -> Tensor:
+    """Return a tensor as it is, and anything else that NumPy can read as a float64 copy.
+
+    Examples
+    --------
+    >>> as_tensor([1, 2])
+    tensor([1., 2.], dtype=torch.float64)
+    """
+    if isinstance(values, Tensor):
+        return values
+    return torch.from_numpy(np.array(values, dtype=np.float64, order="C"))
+
+
+def check_device(device: str) -> None:
+    """Raise ValueError if torch cannot use a device here."""
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"`device`={device!r} cannot be used here: {reason}") from error
