@@ -161,8 +161,7 @@ def _intervals(
     assert scales is not None
     kinds = {
         "conformal": tuple(
-            intervals.limits(outcome.predicted, scales, LEVEL, joint)
-            for joint in (False, True)
+            intervals.limits(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
         )
     }
     if isinstance(model.estimator, MVGPR) and not model.refined:
