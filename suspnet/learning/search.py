@@ -135,44 +135,23 @@ class GridSearch:
         folds = [
             rows for _, rows in KFold(self.n_folds, shuffle=True, random_state=self.seed).split(X)
         ]
-        actual = [output_scaling.undo(Y[rows]) for rows in folds]
-        result, errors = SearchResult([], []), _Errors()
-
-        def measure(settings: list[dict[str, Any]]) -> None:
-            first = len(result.settings)
-            result.settings.extend(settings)
-            result.rmse.extend([math.inf] * len(settings))
-            for group in _groups(estimator, settings):
-                predict: Predictor | None = None
-                for k in group:
-                    setting = settings[k]
-                    try:
-                        with warnings.catch_warnings():
-                            warnings.simplefilter("ignore", ConvergenceWarning)
-                            predict = predict or _predictor(estimator, setting, X, Y, folds)
-                            predicted = [output_scaling.undo(v) for v in predict(setting)]
-                        errors[setting] = list(map(root_mean_squared_error, actual, predicted))
-                        result.rmse[first + k] = float(np.mean(errors[setting]))
-                    except ValueError as error:
-                        result.failures.append(f"{setting}: {error}")
-                    if on_setting is not None:
-                        on_setting(setting, result.rmse[first + k])
-
-        measure(list(ParameterGrid(dict(self._grid(name)))))
+        trials = _Trials(estimator, X, Y, folds, output_scaling, on_setting)
+        result = trials.result
+        trials.measure(list(ParameterGrid(dict(self._grid(name)))))
         if not np.isfinite(result.rmse).any():
             raise ValueError(
                 f"no setting of the search could be fitted; first: {result.failures[0]}"
             )
         levels = _levels(self._grid(name))
         for _ in range(self.widen):
-            wider, _ = self._beyond(name, levels, result.best, errors)
+            wider, _ = self._beyond(name, levels, trials)
             if not wider:
                 break
             for key, value in wider.items():
                 levels[key] = sorted([*levels[key], value])
             near = _neighbours(levels, result.best)
-            measure([setting for setting in near if setting not in result.settings])
-        wider, told = self._beyond(name, levels, result.best, errors)
+            trials.measure([setting for setting in near if setting not in result.settings])
+        wider, told = self._beyond(name, levels, trials)
         why = (
             f"the box was widened {self.widen} times" if self.widen else "the box is that asked for"
         )
@@ -181,16 +160,17 @@ class GridSearch:
         return result
 
     def _beyond(
-        self, name: str, levels: Levels, best: Mapping[str, Any], errors: _Errors
+        self, name: str, levels: Levels, trials: _Trials
     ) -> tuple[dict[str, float], dict[str, str]]:
         """Return the next value beyond each edge the optimum is on, and what a cap forbids."""
         wider, told = {}, {}
+        best = trials.result.best
         for key, values in levels.items():
             value = best[key]
             if value not in (values[0], values[-1]):
                 continue
             inner = values[1] if value == values[0] else values[-2]
-            if errors.is_flat(best, {**best, key: inner}):
+            if trials.is_flat({**best, key: inner}):
                 continue
             beyond = float(f"{value * (value / inner):.6g}")
             cap = self.caps.get(name, {}).get(key, {})
@@ -206,29 +186,53 @@ class GridSearch:
         return self.grids[name]
 
 
-class _Errors:
-    """The RMSE of each fold of each setting that could be fitted."""
+@dataclass
+class _Trials:
+    """The settings measured so far, with the RMSE of each fold."""
 
-    def __init__(self) -> None:
-        self._folds: dict[str, list[float]] = {}
+    estimator: Any
+    X: FloatArray
+    Y: FloatArray
+    folds: Sequence[NDArray[np.int64]]
+    output_scaling: Scaling
+    on_setting: Callable[[dict[str, Any], float], None] | None
+    result: SearchResult = field(default_factory=lambda: SearchResult([], []))
+    errors: list[FloatArray] = field(default_factory=list)
 
-    def __setitem__(self, setting: Mapping[str, Any], folds: list[float]) -> None:
-        self._folds[_key(setting)] = folds
+    def measure(self, settings: Sequence[dict[str, Any]]) -> None:
+        """Add settings and their RMSE to the result; tell the listener of each."""
+        result, first = self.result, len(self.result.settings)
+        result.settings.extend(settings)
+        result.rmse.extend([math.inf] * len(settings))
+        self.errors.extend([np.full(len(self.folds), math.inf)] * len(settings))
+        actual = [self.output_scaling.undo(self.Y[rows]) for rows in self.folds]
+        for group in _groups(self.estimator, settings):
+            predict: Predictor | None = None
+            for k in group:
+                setting = settings[k]
+                try:
+                    with warnings.catch_warnings():
+                        warnings.simplefilter("ignore", ConvergenceWarning)
+                        predict = predict or _predictor(
+                            self.estimator, setting, self.X, self.Y, self.folds
+                        )
+                        predicted = [self.output_scaling.undo(v) for v in predict(setting)]
+                    errors = np.array(list(map(root_mean_squared_error, actual, predicted)))
+                    self.errors[first + k] = errors
+                    result.rmse[first + k] = float(errors.mean())
+                except ValueError as error:
+                    result.failures.append(f"{setting}: {error}")
+                if self.on_setting is not None:
+                    self.on_setting(setting, result.rmse[first + k])
 
-    def __getitem__(self, setting: Mapping[str, Any]) -> list[float]:
-        return self._folds[_key(setting)]
-
-    def is_flat(self, best: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-        """Return whether `other` is hardly worse than `best`: see the rule of this module."""
-        if _key(other) not in self._folds:
+    def is_flat(self, other: dict[str, Any]) -> bool:
+        """Return whether `other` is hardly worse than the best: see the rule of this module."""
+        places = [self.result.settings.index(one) for one in (self.result.best, other)]
+        best, rise = self.errors[places[0]], self.errors[places[1]] - self.errors[places[0]]
+        if not np.isfinite(rise).all():
             return False
-        rise = np.array(self[other]) - np.array(self[best])
         scatter = float(rise.std(ddof=1)) / math.sqrt(len(rise))
-        return float(rise.mean()) <= max(FLAT * float(np.mean(self[best])), scatter)
-
-
-def _key(setting: Mapping[str, Any]) -> str:
-    return repr(sorted(setting.items()))
+        return float(rise.mean()) <= max(FLAT * float(best.mean()), scatter)
 
 
 def _words(key: str, value: float, why: str) -> str:
