@@ -16,15 +16,13 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from torch import Tensor
 
 from suspnet.dynamics.generator import check_device, check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
-
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)
