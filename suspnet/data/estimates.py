@@ -15,7 +15,6 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.data.misfit import EstimateMisfit
@@ -25,8 +24,8 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.features.cross_spectra import METHODS, CrossSpectra, Method
 from suspnet.features.welch import Welch
+from suspnet.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Responses = Callable[[Tensor, Tensor], Tensor]
 LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
 """The band reaches from this multiple of the first natural frequency to that of the second."""

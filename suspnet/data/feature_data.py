@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from suspnet.types import FloatArray
+from suspnet.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -30,10 +29,10 @@ class FeatureData:
     inputs: FloatArray
     outputs: FloatArray
     ratios: FloatArray
-    reasons: NDArray[np.int64]
+    reasons: IntArray
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> BoolArray:
         """True where every feature was found, shape (n_curves,)."""
         return np.asarray(np.isfinite(self.inputs).all(axis=1))
 
@@ -54,7 +53,7 @@ class FeatureData:
         """Return the first curves."""
         return self.subset(np.arange(len(self.inputs)) < n_curves)
 
-    def subset(self, rows: NDArray[np.bool_]) -> FeatureData:
+    def subset(self, rows: BoolArray) -> FeatureData:
         """Return the curves for which `rows` is true, perhaps none."""
         return FeatureData(
             self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]

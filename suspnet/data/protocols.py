@@ -9,14 +9,13 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from suspnet.dynamics.vehicle import PARAMETERS
 from suspnet.features import CurveFeatures, FeatureSet, PeakFeatures
+from suspnet.types import FloatArray
 
 RESPONSES = ("G_p", "G_s")
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,10 @@ import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.features.cross_spectra import CrossSpectra
-
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 
 def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator) -> CrossSpectra:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from suspnet.types import ComplexArray, FloatArray
+
 LARGEST_CONDITION = 1e10
 """Above this condition number of the eigenvectors two modes coincide and cannot be told apart."""
 SERIES_BELOW = 0.1

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from torch import Tensor
 
@@ -24,8 +24,7 @@ from suspnet.dynamics.generator import check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
 from suspnet.tensors import as_tensor, check_device
-
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
 from suspnet.dynamics.track_spectra import (
@@ -18,6 +18,7 @@ from suspnet.dynamics.track_spectra import (
     check_positive,
     track_spectrum,
 )
+from suspnet.types import FloatArray
 
 __all__ = [
     "TRACKS",
@@ -29,7 +30,6 @@ __all__ = [
     "track_spectrum",
 ]
 
-FloatArray = NDArray[np.float64]
 
 BLOCK = 1 << 15  # positions interpolated at once: the working arrays stay in the cache
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 MM2_IN_M2 = 1e-6
 

@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics.generator import (
@@ -37,6 +37,7 @@ from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
 from suspnet.tensors import as_tensor, check_device
+from suspnet.types import FloatArray
 
 UNMEASURED = (
     "other_k_p",
@@ -52,7 +53,6 @@ UNMEASURED = (
 )
 """What may differ from its nominal value besides ``PARAMETERS``: further columns of ratios."""
 SIDES = ("leading", "trailing")
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -23,14 +23,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.features.extraction import FeatureTable
+from suspnet.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 MISSING = 1
 """Reason of a curve that is not finite or lies on other bins."""
 FLOOR = 10.0
@@ -222,7 +220,7 @@ class CurveFeatures:
         """Return features relative to the healthy vehicle's: their difference."""
         return values - healthy
 
-    def missing(self, reasons: NDArray[np.int64]) -> str:
+    def missing(self, reasons: IntArray) -> str:
         """Return what is wrong with a curve, in words, from one row of the reasons."""
         return "curve (not finite)" if reasons.any() else ""
 

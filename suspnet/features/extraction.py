@@ -12,9 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol, Self
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.features.peaks import (
@@ -25,8 +23,8 @@ from suspnet.features.peaks import (
     check_grid,
     findpeaks,
 )
+from suspnet.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
 MEASURES = ("position", "height", "width")
 LOWER_PEAK_ENDS = 1.2
@@ -114,7 +112,7 @@ class FeatureSet(Protocol):
         """Return features relative to the healthy vehicle's."""
         ...
 
-    def missing(self, reasons: NDArray[np.int64]) -> str:
+    def missing(self, reasons: IntArray) -> str:
         """Return what is missing of one curve and why, in words."""
         ...
 
@@ -185,7 +183,7 @@ class PeakFeatures:
         """Return features relative to the healthy vehicle's: their quotient."""
         return values / healthy
 
-    def missing(self, reasons: NDArray[np.int64]) -> str:
+    def missing(self, reasons: IntArray) -> str:
         """Return which peaks are missing and why, in words, from one row of the reasons."""
         return ", ".join(
             f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.signal import get_window
 from torch import Tensor
 
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
+
 NEGLIGIBLE = 1e-4
 """Window effects on further bins, relative to the first, that are left out."""
 

@@ -7,16 +7,16 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn import linear_model, svm
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from suspnet.checks import check_number
+from suspnet.types import FloatArray
 
 PREDICT_ROWS = 1024
-FloatArray = NDArray[np.float64]
 
 
 class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]

@@ -10,13 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 from torch import Tensor
 
 from suspnet.checks import check_number
+from suspnet.types import FloatArray
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
@@ -175,7 +174,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         self.max_iter = max_iter
         self.tol = tol
 
-    def state(self) -> dict[str, NDArray[np.float64]]:
+    def state(self) -> dict[str, FloatArray]:
         """Return nothing: the parameters are all there is, it learns no arrays."""
         return {}
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
@@ -23,9 +23,9 @@ from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
 from suspnet.learning.maps import MAPS
 from suspnet.tensors import check_device
+from suspnet.types import FloatArray, IntArray
 
 PREDICT_ROWS = 8192
-FloatArray = NDArray[np.float64]
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Parameters that the Gram matrix does not depend on."""
 
@@ -187,7 +187,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return self
 
     def cross_predictor(
-        self, X: ArrayLike, y: ArrayLike, folds: Sequence[NDArray[np.int64]]
+        self, X: ArrayLike, y: ArrayLike, folds: Sequence[IntArray]
     ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
         """Return a predictor of each fold's samples by a model fitted to all other folds.
 

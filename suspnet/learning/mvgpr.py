@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.exceptions import ConvergenceWarning
@@ -21,11 +21,11 @@ from torch import Tensor
 from suspnet.checks import check_number
 from suspnet.learning.landmarks import rbf_kernel, squared_distances
 from suspnet.tensors import check_device
+from suspnet.types import FloatArray
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
 PREDICT_ROWS = 1024
-FloatArray = NDArray[np.float64]
 
 
 def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from suspnet.learning.ranks import AllReduce, identity
-
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)

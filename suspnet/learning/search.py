@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import root_mean_squared_error
@@ -25,8 +24,8 @@ from sklearn.model_selection import KFold, ParameterGrid
 from suspnet.checks import check_number
 from suspnet.learning.msvr import MSVR, SAME_GRAM_PARAMETERS
 from suspnet.learning.scaling import Scaling
+from suspnet.types import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
 Levels = dict[str, list[float]]
 FLAT = 0.005
@@ -277,7 +276,7 @@ def _predictor(
     first: Mapping[str, Any],
     X: FloatArray,
     Y: FloatArray,
-    folds: Sequence[NDArray[np.int64]],
+    folds: Sequence[IntArray],
 ) -> Predictor:
     """Return what predicts each fold by a model of all the others, for settings like `first`."""
     candidate = clone(estimator).set_params(**first)

@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.data.estimates import EstimateObserver, EstimateSettings
@@ -27,6 +26,7 @@ from suspnet.model.curves import complete_ratios
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod, ModelFileError
 from suspnet.theory.information import output_bounds
+from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 from suspnet.uncertainty.refine import Refined, refine
 
@@ -43,7 +43,6 @@ CONFIRMED = 1.05
 """Calibrations that widen the deviations of refined estimates by less find nothing but noise."""
 SMOOTHED_BINS = 5
 """Neighbouring bins over which a trip's measured covariance is averaged."""
-FloatArray = NDArray[np.float64]
 
 
 def estimate_spectra(method: FittedMethod, spectra: CrossSpectra, level: float) -> Estimate:

@@ -9,8 +9,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from suspnet.recordings.faults import (
-    FloatArray,
-    Mask,
     fill,
     find_clipping,
     find_constant,
@@ -21,6 +19,7 @@ from suspnet.recordings.faults import (
     paint,
     runs,
 )
+from suspnet.types import BoolArray, FloatArray
 
 KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift")
 
@@ -141,7 +140,7 @@ class Cleaner:
         self._levels: list[FloatArray] = []
         self._sum = self._sum_of_squares = 0.0
 
-    def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, Mask]]:
+    def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Yield values without NaN [m/s2] and where they are bad, in blocks of another size.
 
         Parameters
@@ -164,7 +163,7 @@ class Cleaner:
 
     def _check(
         self, window: FloatArray, longest_constant: int
-    ) -> tuple[FloatArray, Mask, dict[tuple[str, bool], Mask], FloatArray]:
+    ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
         """Return filled values, bad samples, masks by kind and repair, and local levels."""
         settings = self.settings
         gap = find_gaps(window)
@@ -191,7 +190,7 @@ class Cleaner:
         }
         return fill(filled, bad | spike), bad, masks, centre
 
-    def _count(self, kind: str, repaired: bool, mask: Mask) -> None:
+    def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
         count = int(np.count_nonzero(mask))
         if count:
             before, first = self._found.get(
@@ -199,7 +198,7 @@ class Cleaner:
             )
             self._found[kind, repaired] = (before + count, first)
 
-    def _add(self, values: FloatArray, bad: Mask) -> None:
+    def _add(self, values: FloatArray, bad: BoolArray) -> None:
         n_bad = int(np.count_nonzero(bad))
         self.n_samples += len(values)
         self.n_bad += n_bad

@@ -8,11 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
-Mask = NDArray[np.bool_]
+from suspnet.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
 """Loggers write 3.4e38 or infinity where they have no value; what is larger is a gap."""
@@ -30,12 +27,12 @@ the rounded top of a slow wave is as flat but is reached in small steps. A spike
 this, too: the last digit of a sensor at rest flickers."""
 
 
-def find_gaps(values: FloatArray) -> Mask:
+def find_gaps(values: FloatArray) -> BoolArray:
     """Return where there is no value: NaN, infinite or absurd; shape (n_samples,)."""
     return np.asarray(~(np.abs(values) < LARGEST_M_PER_S2))
 
 
-def find_constant(values: FloatArray, longest: int) -> Mask:
+def find_constant(values: FloatArray, longest: int) -> BoolArray:
     """Return the runs of more than `longest` identical values, shape (n_samples,).
 
     NaN is not identical to NaN.
@@ -47,14 +44,14 @@ def find_constant(values: FloatArray, longest: int) -> Mask:
     return paint(len(values), starts, stops + 1)
 
 
-def find_saturation(values: FloatArray, limit: float) -> Mask:
+def find_saturation(values: FloatArray, limit: float) -> BoolArray:
     """Return where the magnitude reaches a limit, shape (n_samples,)."""
     if -limit < values.min() and values.max() < limit:
         return np.zeros(len(values), dtype=np.bool_)
     return np.asarray(np.abs(values) >= limit)
 
 
-def find_clipping(values: FloatArray, shortest: int) -> Mask:
+def find_clipping(values: FloatArray, shortest: int) -> BoolArray:
     """Return runs of at least `shortest` equal values at the extremes of `values`, (n_samples,).
 
     For sensors of unknown range. A run counts if the signal jumps to or from it.
@@ -93,7 +90,7 @@ def local_level(values: FloatArray, segment: int) -> tuple[FloatArray, FloatArra
 
 def find_spikes(
     values: FloatArray, segment: int, centre: FloatArray, reach: FloatArray, longest: int
-) -> Mask:
+) -> BoolArray:
     """Return the isolated spikes of at most `longest` samples, shape (n_samples,).
 
     Parameters
@@ -131,9 +128,7 @@ def _smallest_step(values: FloatArray) -> float:
     return float(steps.min(where=steps > 0, initial=math.inf))
 
 
-def _height(
-    values: FloatArray, starts: IndexArray, stops: IndexArray
-) -> tuple[FloatArray, FloatArray]:
+def _height(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return how far runs stand out from both sides, and how far the sides do from themselves."""
     width = int((stops - starts).max())
     peak = values[np.minimum(starts[:, None] + np.arange(width), stops[:, None] - 1)]
@@ -149,8 +144,8 @@ def _height(
 
 
 def runs(
-    mask: Mask, at_least: int = 1, at_most: int | None = None
-) -> tuple[IndexArray, IndexArray]:
+    mask: BoolArray, at_least: int = 1, at_most: int | None = None
+) -> tuple[IntArray, IntArray]:
     """Return first and one past the last index of the runs of True that have such a length."""
     if not mask.any():
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
@@ -162,7 +157,7 @@ def runs(
     return starts[kept], stops[kept]
 
 
-def paint(n_samples: int, starts: IndexArray, stops: IndexArray) -> Mask:
+def paint(n_samples: int, starts: IntArray, stops: IntArray) -> BoolArray:
     """Return True from each start up to its stop, which may be the next start; (n_samples,)."""
     steps = np.zeros(n_samples + 1, dtype=np.int8)
     steps[starts] += 1
@@ -170,7 +165,7 @@ def paint(n_samples: int, starts: IndexArray, stops: IndexArray) -> Mask:
     return np.cumsum(steps[:-1], dtype=np.int8).view(np.bool_)
 
 
-def fill(values: FloatArray, holes: Mask) -> FloatArray:
+def fill(values: FloatArray, holes: BoolArray) -> FloatArray:
     """Return values with holes filled linearly, and at the ends by the nearest value.
 
     If all are holes they stay as they are, but for gaps, which become zero.

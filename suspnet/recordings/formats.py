@@ -12,11 +12,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-from numpy.typing import NDArray
 from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatReadError
 
 from suspnet.recordings.manifest import TripError
+from suspnet.types import FloatArray
 
 try:
     import h5py
@@ -35,7 +35,6 @@ PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**18, 2**20
 LISTED = 20
 """The most columns that an error message lists."""
 
-FloatArray = NDArray[np.float64]
 Block = tuple[FloatArray, ...]
 Take = Callable[[slice], Any]
 

@@ -11,7 +11,6 @@ from itertools import chain
 import numpy as np
 
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
-from suspnet.recordings.faults import FloatArray, Mask
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
@@ -23,6 +22,7 @@ from suspnet.recordings.manifest import (
 )
 from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
 from suspnet.recordings.timeline import Timeline, check_rate, check_rising
+from suspnet.types import BoolArray, FloatArray
 
 SHORTEST_S = 60.0
 """A shorter recording says nothing about a suspension."""
@@ -60,7 +60,7 @@ class Recording:
     manifest: TripManifest
     rate_hz: float
     signals: FloatArray
-    usable: Mask
+    usable: BoolArray
     speed_m_per_s: FloatArray
     faults: tuple[Fault, ...]
     duration_s: float
@@ -218,7 +218,7 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
     return np.arange(first, last + 1) / rate_hz
 
 
-def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, Mask]:
+def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, BoolArray]:
     decimated = stream.decimated
     return interpolate(
         decimated.values,

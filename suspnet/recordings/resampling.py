@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
-from suspnet.recordings.faults import FloatArray, IndexArray, Mask
+from suspnet.types import BoolArray, FloatArray, IntArray
 
 PASS, STOP = 0.25, 0.75
 """Ends of the pass band and of the transition band, as fractions of the wanted rate."""
@@ -47,13 +47,13 @@ class Decimated:
     """
 
     values: FloatArray
-    touched: Mask
+    touched: BoolArray
     first: int
     factor: int
 
 
 def decimate(
-    blocks: Iterable[tuple[FloatArray, Mask]], input_rate_hz: float, rate_hz: float
+    blocks: Iterable[tuple[FloatArray, BoolArray]], input_rate_hz: float, rate_hz: float
 ) -> Decimated:
     """Return a stream of (values, bad) low-passed and decimated by the first stage.
 
@@ -91,8 +91,8 @@ def support(oversampling: float) -> int:
 
 
 def interpolate(
-    values: FloatArray, touched: Mask, positions: FloatArray, oversampling: float
-) -> tuple[FloatArray, Mask]:
+    values: FloatArray, touched: BoolArray, positions: FloatArray, oversampling: float
+) -> tuple[FloatArray, BoolArray]:
     """Return the low-passed signal at any positions, and where a bad sample took part.
 
     Parameters
@@ -145,7 +145,7 @@ def _sinc_table(half: int, oversampling: float) -> FloatArray:
     return np.asarray(sinc[columns - np.arange(PHASES + 1)[:, None]])
 
 
-def _touched(bad: Mask, first: IndexArray, length: int) -> Mask:
+def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:
     """Return which of the windows of `length` samples from `first` hold a bad one."""
     if not bad.any():
         return np.zeros(len(first), dtype=np.bool_)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from suspnet.recordings.faults import FloatArray, IndexArray
 from suspnet.recordings.manifest import TripError
+from suspnet.types import FloatArray, IntArray
 
 GAP_STEPS = 1.5
 """A time step longer than this many usual ones is a gap."""
@@ -77,7 +77,7 @@ class Timeline:
             filled[np.arange(len(times)) + shift] = values
             yield filled
 
-    def _count(self, steps: FloatArray, gaps: IndexArray) -> None:
+    def _count(self, steps: FloatArray, gaps: IntArray) -> None:
         n_first = 0 if self._n_steps else 1  # the very first sample follows no step
         self._n_steps += len(steps) - n_first - len(gaps)
         self._seconds += float(steps.sum() - steps[gaps].sum())

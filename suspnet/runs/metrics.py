@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_error
 
+from suspnet.types import BoolArray, FloatArray
+
 METRICS = ("mape_percent", "rmse")
-FloatArray = NDArray[np.float64]
 Limits = tuple[FloatArray, FloatArray]
 
 
@@ -67,6 +67,6 @@ def interval_scores(
     }
 
 
-def covers(actual: FloatArray, limits: Limits) -> NDArray[np.bool_]:
+def covers(actual: FloatArray, limits: Limits) -> BoolArray:
     """Return whether each value lies within its limits, (n_samples, n_outputs)."""
     return np.asarray((limits[0] <= actual) & (actual <= limits[1]))

@@ -11,12 +11,11 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
-from numpy.typing import NDArray
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.runs.tables import MODEL_TITLES, table6_caption
+from suspnet.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
 SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)

@@ -28,8 +28,8 @@ from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripMani
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.sensors import Sensor
 from suspnet.storage import write_atomically
+from suspnet.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 BLOCK = 1 << 18
 """Samples simulated at once."""
 LEAD_IN_S = 20.0

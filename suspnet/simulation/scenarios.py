@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from suspnet.dynamics import PARAMETERS
-
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)

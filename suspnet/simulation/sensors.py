@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from suspnet.types import FloatArray
 
 STANDARD_GRAVITY = 9.80665
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

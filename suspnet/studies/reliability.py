@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.stats import norm
 from tabulate import tabulate
 from torch import Tensor
@@ -35,6 +34,7 @@ from suspnet.runs.tables import MODEL_TITLES, records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.studies import figures
+from suspnet.types import BoolArray, FloatArray
 from suspnet.uncertainty.ood import KINDS
 
 log = logging.getLogger(__name__)
@@ -42,7 +42,6 @@ N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
 """Ratios to healthy that lie outside any training range."""
 IN_RANGE = "in range"
-FloatArray = NDArray[np.float64]
 Record = dict[str, Any]
 
 
@@ -187,9 +186,7 @@ def _gp_limits(
     return model.output_scaling.undo(mean - half), model.output_scaling.undo(mean + half)
 
 
-def _slices(
-    task: Task, ratios: FloatArray, within: NDArray[np.bool_]
-) -> dict[str, dict[str, list[float]]]:
+def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict[str, list[float]]]:
     """Return the coverage [%] of each output in each fifth of each parameter that varies."""
     slices: dict[str, dict[str, list[float]]] = {}
     for name in task.varied:
@@ -203,7 +200,7 @@ def _slices(
     return slices
 
 
-def _share(within: NDArray[np.bool_]) -> float:
+def _share(within: BoolArray) -> float:
     return 100 * float(within.mean()) if len(within) else math.nan
 
 
@@ -233,7 +230,7 @@ def _odd_sets(
             yield f"vehicle {name}", (ratios, observer.observe(torch.as_tensor(ratios), 1))
 
 
-def _shares(found: NDArray[np.bool_]) -> dict[str, float]:
+def _shares(found: BoolArray) -> dict[str, float]:
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.theory.options import Option
+from suspnet.types import FloatArray
 
 VERDICTS = ((1.0, "well"), (5.0, "fairly"), (20.0, "poorly"))
 """Limits of the 95th percentile over the range, [%]; beyond them the verdict is "not"."""
@@ -26,7 +26,6 @@ SINGULAR = 1e-12
 """An eigenvalue below this fraction of the largest is rounding: there is no information."""
 WORTH_HAVING = 0.9
 """What lowers a bound to more than this fraction is not said to help."""
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.data.observation import Observer
@@ -20,6 +19,7 @@ from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.extraction import FeatureSet
 from suspnet.theory.information import cramer_rao, output_bounds
+from suspnet.types import FloatArray
 
 N_DRAWS, DRAWS_PER_FEATURE = 64, 4
 """Noisy curves of each vehicle from which the covariance is estimated, at least."""
@@ -29,7 +29,6 @@ LEAST_FOUND = 0.5
 """Fraction of a vehicle's noisy curves that must have every feature."""
 ROWS = 1024
 """Curves made at once."""
-FloatArray = NDArray[np.float64]
 
 
 def feature_information(

@@ -13,20 +13,19 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.special import erfcx
 from torch import Tensor
 
 from suspnet.data.observation import Observer
 from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS
+from suspnet.types import FloatArray
 
 ROWS = 256
 NODES = 24
 """Of the quadrature over the noise."""
 WIDEST = 1e4
 """Bounds of so many times the range tell as little as larger ones, which rounding would spoil."""
-FloatArray = NDArray[np.float64]
 
 
 def fisher_information(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.data.curves import CurveObserver, CurveSettings
@@ -17,10 +16,10 @@ from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS
 from suspnet.theory.information import cramer_rao, fisher_information
 from suspnet.theory.sensor_information import THREE_SENSORS, places, recording_information
+from suspnet.types import FloatArray
 
 MASS = "M_s"
 SECOND_SET = "a second set of sensors"
-FloatArray = NDArray[np.float64]
 Kind = Literal["baseline", "less", "more", "other", "estimate"]
 
 

@@ -31,17 +31,17 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.data.estimates import EstimateObserver
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.types import FloatArray
 
 ROWS = 128
 ROUNDING = 1e-24
 """What is left of a slope's square that lies along a: no information."""
 THREE_SENSORS = ("axle box", "bogie", "body")
-FloatArray = NDArray[np.float64]
 
 
 def places(generator: ResponseGenerator) -> tuple[str, ...]:

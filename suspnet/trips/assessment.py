@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from suspnet.trips.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
+from suspnet.types import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
 LARGE_PERCENT = 10.0
 """A change of this size or more is told by the level it leads to, in % of healthy."""
 TOLD_PERCENT = 2.0
@@ -40,7 +40,7 @@ class LastTrips:
     values: FloatArray
     low: FloatArray
     high: FloatArray
-    flagged: NDArray[np.bool_]
+    flagged: BoolArray
     all_flagged: bool = False
 
 

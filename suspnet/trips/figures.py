@@ -11,12 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from suspnet.runs.plots import SUSPENSIONS
 from suspnet.trips.records import OK, TripCurves, TripResult
+from suspnet.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
 BAND = 1.96

@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
 from suspnet.trips.limits import Limits
 from suspnet.trips.records import TripResult
 from suspnet.trips.trend import PAYLOAD
+from suspnet.types import FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
 FLAGGED_COLOUR = "tab:purple"
 LIMIT_COLOURS = {"notice": "tab:orange", "act": "tab:red"}

@@ -8,9 +8,10 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.types import BoolArray, IntArray
 
 N_LAST = 5
 """Number of last trips that are held against the limits."""
@@ -124,11 +125,11 @@ class Judged:
         A notice that rests on newest trips that are flagged or have no interval.
     """
 
-    severity: NDArray[np.int64]
-    side: NDArray[np.int64]
-    run: NDArray[np.int64]
-    count: NDArray[np.int64]
-    weak: NDArray[np.bool_]
+    severity: IntArray
+    side: IntArray
+    run: IntArray
+    count: IntArray
+    weak: BoolArray
 
 
 def judge(

@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from suspnet.types import ComplexArray, FloatArray
+
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
 
 
@@ -70,7 +70,7 @@ class TripCurves:
     """
 
     frequencies_hz: FloatArray
-    responses: NDArray[np.complex128]
+    responses: ComplexArray
     coherences: FloatArray
     deviations: FloatArray
     overview_s: FloatArray

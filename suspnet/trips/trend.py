@@ -8,10 +8,11 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
+
 LEVEL = 0.01
 """How often a parameter that does not change may be said to change."""
 MULTIPLE = 2.0

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from suspnet.learning import MSVR, Scaling
+from suspnet.types import FloatArray
 from suspnet.uncertainty.conformal import Conformal
 
-FloatArray = NDArray[np.float64]
 SMALLEST_SHARE = 1e-3
 """Residuals below this share of their median are taken as that: a logarithm needs a floor."""
 PENALTY = 0.1

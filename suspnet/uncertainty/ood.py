@@ -14,10 +14,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
 from suspnet.data.protocols import Task
+from suspnet.types import BoolArray, FloatArray
 from suspnet.uncertainty.refine import Refined
 
 KINDS = ("missing", "cloud", "range", "misfit")
@@ -31,7 +31,6 @@ standard deviations."""
 EDGE_DEVIATIONS = 2.33
 """A parameter is outside its range if it is so by this many of its standard deviations: 1 % of
 those on the very edge."""
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Flags:
         For each curve; empty where nothing was found.
     """
 
-    found: NDArray[np.bool_]
+    found: BoolArray
     reasons: tuple[str, ...]
 
     @classmethod
@@ -55,7 +54,7 @@ class Flags:
         return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
 
     @property
-    def flagged(self) -> NDArray[np.bool_]:
+    def flagged(self) -> BoolArray:
         """Whether anything was found, shape (n_curves,)."""
         return np.asarray(self.found.any(axis=1))
 
@@ -188,7 +187,7 @@ class OODDetector:
         return cls(reference, float(thresholds[0]), float(thresholds[1]))
 
 
-def _outside(task: Task, name: str, refined: Refined) -> NDArray[np.bool_]:
+def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
     low, high = np.log(_range(task, name))
     ratios, deviations = refined.of((name,))
     margin = EDGE_DEVIATIONS * deviations[:, 0]

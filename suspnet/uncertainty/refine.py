@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from suspnet.data.observation import Misfit
@@ -21,8 +20,8 @@ from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
 from suspnet.learning.least_squares import levenberg_marquardt
 from suspnet.theory.information import cramer_rao
+from suspnet.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""
 FIRST_DAMPING = 1e-6
@@ -59,7 +58,7 @@ class Refined:
     ratios: FloatArray
     deviations: FloatArray
     misfit: FloatArray
-    converged: NDArray[np.bool_]
+    converged: BoolArray
 
     def of(self, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
         """Return ratios and deviations of some of the parameters, each (n_curves, n_names)."""
@@ -73,7 +72,7 @@ class Refined:
         merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
         return cls(parts[0].names, **merged)
 
-    def improved(self, rows: NDArray[np.int64], other: Refined) -> Refined:
+    def improved(self, rows: IntArray, other: Refined) -> Refined:
         """Return the estimates with those rows of `other` that have a smaller misfit."""
         better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
         chosen = rows[better]
@@ -165,7 +164,7 @@ class _Search:
             solution.converged.cpu().numpy(),
         )
 
-    def nearest(self, rows: NDArray[np.int64], n_scattered: int) -> Tensor:
+    def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
         """Return the nearest of `n_scattered` vehicles to each of some curves, (n_rows, 5)."""
         low, high = self._limits[0] - math.log(SCATTER), self._limits[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
