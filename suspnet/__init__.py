@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from suspnet._version import __version__ as __version__
+
 if TYPE_CHECKING:
     from suspnet.data import CurveSettings, EstimateSettings, Protocol, Task
     from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
     from suspnet.problem import Problem
     from suspnet.recordings import Recording, TripError, load_recording, read_manifest
     from suspnet.recordings.segments import NoEstimateError
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "suspnet.data": ("CurveSettings", "EstimateSettings", "Protocol", "Task"),

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-import suspnet
+from suspnet._version import __version__
 from suspnet.checks import check_number
 from suspnet.data.feature_data import FeatureData
 from suspnet.data.observation import Observation, Observer
@@ -233,7 +233,7 @@ class Problem:
             "n_curves": self._wanted(stream),
             "seed": self.seed,
             "stream": stream,
-            "version": suspnet.__version__,
+            "version": __version__,
             "code": _code_hash(),
         }
         if not self.task.extractor.is_fitted:
@@ -254,7 +254,7 @@ def _read_cache(path: Path) -> FeatureData | None:
 
 
 def _code_hash() -> str:
-    package = Path(suspnet.__file__).parent
+    package = Path(__file__).parent
     files = [package / "problem.py"]
     for part in ("dynamics", "features", "data"):
         files += sorted((package / part).glob("*.py"))

@@ -18,8 +18,8 @@ from omegaconf import DictConfig, OmegaConf
 from suspnet.cli import program
 from suspnet.model.checkpoint import load_model
 from suspnet.runs.evaluate import evaluate, find_runs
-from suspnet.runs.sweeps import write_table6
 from suspnet.storage import write_atomically
+from suspnet.studies.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 from suspnet.trips.limits import Severity
 from suspnet.trips.overview import Evaluated

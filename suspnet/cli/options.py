@@ -8,13 +8,12 @@ from hydra.core.config_store import ConfigStore
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-import suspnet
 from suspnet.dynamics import Vehicle
 
 
 def _configs() -> str:
     """Return the folder of the configurations: in the package if installed, else the checkout's."""
-    packaged = Path(suspnet.__file__).parent / "configs"
+    packaged = Path(__file__).parents[1] / "configs"
     return str(packaged if packaged.is_dir() else packaged.parents[1] / "configs")
 
 

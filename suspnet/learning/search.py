@@ -192,7 +192,7 @@ class _Trials:
     estimator: Any
     X: FloatArray
     Y: FloatArray
-    folds: Sequence[NDArray[np.int64]]
+    folds: Sequence[IntArray]
     output_scaling: Scaling
     on_setting: Callable[[dict[str, Any], float], None] | None
     result: SearchResult = field(default_factory=lambda: SearchResult([], []))

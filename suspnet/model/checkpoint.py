@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-import suspnet
+from suspnet._version import __version__
 from suspnet.data import OBSERVATIONS, Task
 from suspnet.dynamics import GENERATORS, Vehicle
 from suspnet.features import FEATURE_SETS
@@ -55,7 +55,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     content = dump_arrays(arrays)
     description = {
         "schema_version": SCHEMA_VERSION,
-        "suspnet_version": suspnet.__version__,
+        "suspnet_version": __version__,
         "model": model.name,
         "parameters": parameters(model.estimator),
         "inputs": _scaling_json(model.task.inputs, model.input_scaling),

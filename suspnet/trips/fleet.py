@@ -15,7 +15,7 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 from tqdm import tqdm
 
-import suspnet
+from suspnet._version import __version__
 from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.recording import TripSettings
@@ -301,7 +301,7 @@ def _details(
     return {
         "trips": str(folder),
         "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
-        "suspnet": suspnet.__version__,
+        "suspnet": __version__,
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",

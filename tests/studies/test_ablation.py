@@ -16,7 +16,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from omegaconf import OmegaConf
 
 from suspnet.cli import train
-from suspnet.runs.sweeps import Ablation
 from suspnet.runs.tables import records_csv
 from suspnet.studies import ablation as study
 from suspnet.studies.ablation_tables import (
@@ -26,6 +25,7 @@ from suspnet.studies.ablation_tables import (
     ablation_records,
     changes,
 )
+from suspnet.studies.sweeps import Ablation
 from suspnet.theory.feature_information import feature_loss
 
 CONFIGS = ROOT / "configs"
