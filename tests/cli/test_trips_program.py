@@ -250,6 +250,7 @@ def multirun(monkeypatch, folder, *overrides):
     """Run evaluate.py -m in this process, as from the command line; return its exit code."""
     given = ["evaluate.py", "-m", f"hydra.sweep.dir={folder}", *EVALUATE, *overrides]
     monkeypatch.setattr(sys, "argv", given)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "")  # the program sets it: set it back
     with pytest.raises(SystemExit) as ended:
         evaluate.main()
     return ended.value.code
