@@ -165,7 +165,7 @@ def test_curve_fit_comes_close_to_the_limit(tmp_path):
         ("model.C=-1", r"`C` must be finite and in \(0, inf\), got -1"),
         ("model.C=abc", "`C` must be a number, got 'abc'"),
         ("device=cuda:99", "`device`='cuda:99' cannot be used here"),
-        ("seed=-1", "`seed` must be a whole number"),
+        ("seed=-1", "`seed` must be finite and >= 0, got -1"),
         ("threads=0", "`threads` must be a positive whole number"),
         ("model._target_=os.system", "must lie in suspnet"),
     ],
