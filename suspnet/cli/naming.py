@@ -57,9 +57,9 @@ def varied(config: DictConfig) -> dict[str, Any]:
 
 def is_first_of_its_vehicle() -> bool:
     """Return whether no earlier job of a multirun has the same vehicle."""
-    hydra = HydraConfig.get()
-    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in swept())
-    return hydra.mode != RunMode.MULTIRUN or hydra.job.num == 0 or vehicles
+    keys = swept()
+    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in keys)
+    return not keys or vehicles or HydraConfig.get().job.num == 0
 
 
 def _changed(*known: str) -> str:
