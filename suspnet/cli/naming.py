@@ -37,7 +37,10 @@ def swept() -> list[str]:
     config = HydraConfig.get()
     if config.mode != RunMode.MULTIRUN:
         return []
-    whole = OmegaConf.load(Path(config.sweep.dir) / "multirun.yaml").hydra
+    file = Path(config.sweep.dir) / "multirun.yaml"
+    if not file.is_file():  # composed for one job of a multirun, not by a multirun
+        return []
+    whole = OmegaConf.load(file).hydra
     typed = OverridesParser.create().parse_overrides(list(whole.overrides.task))
     keys = [str(key) for key in whole.sweeper.get("params") or ()]
     keys += [override.get_key_element() for override in typed if override.is_sweep_override()]
@@ -54,9 +57,9 @@ def varied(config: DictConfig) -> dict[str, Any]:
 
 def is_first_of_its_vehicle() -> bool:
     """Return whether no earlier job of a multirun has the same vehicle."""
-    hydra = HydraConfig.get()
-    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in swept())
-    return hydra.mode != RunMode.MULTIRUN or hydra.job.num == 0 or vehicles
+    keys = swept()
+    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in keys)
+    return not keys or vehicles or HydraConfig.get().job.num == 0
 
 
 def _changed(*known: str) -> str:
@@ -80,6 +83,8 @@ def _swept_by(_root_: DictConfig) -> str:
     Hydra copies the cache of resolvers to each job of a multirun, so that all agree on its folder.
     """
     cache = OmegaConf.get_cache(_root_)["swept_by"]
+    if "hydra" not in _root_:
+        return ""
     if "name" not in cache:
         config = _root_.hydra
         words = []
