@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from suspnet.checks import check_number
 from suspnet.data import CurveSettings, Observation, Protocol, Task
 from suspnet.dynamics import ResponseGenerator
 from suspnet.problem import TEST
@@ -54,12 +55,11 @@ def write_identifiability(
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If there is no such group, or the number of vehicles or the seed is no whole number.
     """
-    for name, value, least in (("n_vehicles", n_vehicles, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ValueError(f"`{name}` must be a whole number >= {least}, got {value!r}")
+    check_number("n_vehicles", n_vehicles, low=1, whole=True)
+    check_number("seed", seed, low=0, whole=True)
     bound = settings.bound(generator.vehicle)
     tasks = [protocol.task(name) for name in (protocol.groups if group is None else [group])]
     found = [identify(generator, task, bound, n_vehicles, seed) for task in tasks]

@@ -461,7 +461,7 @@ def test_program_takes_trips_one_group_and_the_speed_of_the_vehicle(tmp_path):
     ("overrides", "message"),
     [
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
-        (["data.snr_db=300"], "`data.snr_db` must lie in -20 to 200 dB, got 300"),
+        (["data.snr_db=300"], "`data.snr_db` must be a finite number >= -20 and <= 200, got 300"),
         (["group=tertiary"], r"has no group 'tertiary'; choose from \['all'\]"),
         (["n_vehicles=0"], "`n_vehicles` must be a whole number >= 1, got 0"),
         (["seed=-1"], "`seed` must be a whole number >= 0, got -1"),
