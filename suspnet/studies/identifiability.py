@@ -14,8 +14,8 @@ from suspnet.problem import TEST
 from suspnet.runs.tables import records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
-from suspnet.studies import figures
 from suspnet.studies.findings import Findings, group_markdown, plain, records
+from suspnet.studies.identifiability_figure import identifiability_figure
 from suspnet.theory.bounds import VERDICTS, bounds, directions, with_healthy
 from suspnet.theory.information import scale_ambiguity_limit
 from suspnet.theory.options import options
@@ -80,7 +80,7 @@ def write_identifiability(
     rows = [record for part in found for record in records(part)]
     write_atomically(folder / "identifiability.csv", records_csv(rows))
     write_atomically(folder / "identifiability.md", text)
-    figure = figures.identifiability(found)
+    figure = identifiability_figure(found)
     figure.suptitle(title, fontsize="medium")
     with RunLog(folder) as run_log:
         run_log.text("identifiability", text)
