@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Collection
 from numbers import Integral, Real
 from typing import Any
@@ -12,22 +12,24 @@ def check_number(
     name: str,
     value: Any,
     *,
-    low: float = -math.inf,
-    high: float = math.inf,
-    open_low: bool = False,
-    open_high: bool = False,
+    low: float | None = None,
+    above: float | None = None,
+    high: float | None = None,
+    below: float | None = None,
     whole: bool = False,
     optional: bool = False,
 ) -> None:
-    """Raise unless `value` is a finite number between `low` and `high`.
+    """Raise unless `value` is a finite number within the bounds given.
 
     Parameters
     ----------
     name : str
         What the message calls it.
     value : object
-    low, high : float
-        Bounds; they are allowed themselves unless `open_low` or `open_high`.
+    low, above : float, optional
+        Lower bound: ``value >= low``, ``value > above``.
+    high, below : float, optional
+        Upper bound: ``value <= high``, ``value < below``.
     whole : bool
         Only whole numbers.
     optional : bool
@@ -38,30 +40,30 @@ def check_number(
     TypeError
         If it is not a number, or not a whole one where it must be.
     ValueError
-        If it is out of range.
+        If it is NaN, infinite or out of range.
     """
     if optional and value is None:
         return
+    bounds = {">=": low, ">": above, "<=": high, "<": below}
+    stated = " and ".join(
+        f"{sign} {bound:g}" for sign, bound in bounds.items() if bound is not None
+    )
+    rule = f"{'a whole' if whole else 'a finite'} number {stated}".strip() + " or null" * optional
     if isinstance(value, bool) or not isinstance(value, Integral if whole else Real):
-        kind = "a whole number" if whole else "a number"
-        raise TypeError(f"`{name}` must be {kind}{' or null' * optional}, got {value!r}")
-    number = float(value)
-    below = number < low or (open_low and number == low)
-    above = number > high or (open_high and number == high)
-    if not math.isfinite(number) or below or above:
-        raise ValueError(f"`{name}` must {_rule(low, high, open_low, open_high)}, got {value}")
+        raise TypeError(f"`{name}` must be {rule}, got {value!r}")
+    number: Any = value
+    inside = (
+        abs(number) <= sys.float_info.max
+        and (low is None or number >= low)
+        and (above is None or number > above)
+        and (high is None or number <= high)
+        and (below is None or number < below)
+    )
+    if not inside:
+        raise ValueError(f"`{name}` must be {rule}, got {value}")
 
 
 def check_choice(name: str, value: object, allowed: Collection[object]) -> None:
     """Raise ValueError unless a setting is one of those allowed."""
     if value not in allowed:
         raise ValueError(f"`{name}` must be one of {tuple(allowed)}, got {value!r}")
-
-
-def _rule(low: float, high: float, open_low: bool, open_high: bool) -> str:
-    """Return the rule in words."""
-    if high == math.inf:
-        return f"be finite and in ({low:g}, inf)" if open_low else f"be finite and >= {low:g}"
-    if low == -math.inf:
-        return f"be finite and {'<' if open_high else '<='} {high:g}"
-    return f"lie between {low:g} and {high:g}"

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
+from suspnet.checks import check_number
 from suspnet.cli import naming, options
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
@@ -171,8 +172,7 @@ def n_threads(wanted: int | None) -> int:
     """
     if wanted is None:
         return torch.get_num_threads()
-    if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
-        raise ValueError(f"`threads` must be a positive whole number or null, got {wanted!r}")
+    check_number("threads", wanted, low=1, whole=True, optional=True)
     torch.set_num_threads(wanted)
     return wanted
 

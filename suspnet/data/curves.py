@@ -10,6 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from suspnet.checks import check_number
 from suspnet.data.misfit import CurveMisfit
 from suspnet.data.noise import add_noise
 from suspnet.data.observation import check_counts
@@ -52,15 +53,12 @@ class CurveSettings:
 
     def __post_init__(self) -> None:
         check_counts(self)
-        for name in ("snr_db", "low_hz", "high_hz", "step_hz"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise TypeError(f"`data.{name}` must be a number, got {value!r}")
-        if not -20 <= self.snr_db <= 200:
-            raise ValueError(f"`data.snr_db` must lie in -20 to 200 dB, got {self.snr_db}")
-        if not 0 < self.step_hz <= self.low_hz < self.high_hz:
+        check_number("data.snr_db", self.snr_db, low=-20, high=200)
+        for name in ("step_hz", "low_hz", "high_hz"):
+            check_number(f"data.{name}", getattr(self, name), above=0)
+        if not self.step_hz <= self.low_hz < self.high_hz:
             raise ValueError(
-                "need 0 < data.step_hz <= data.low_hz < data.high_hz, got "
+                "need data.step_hz <= data.low_hz < data.high_hz, got "
                 f"{self.step_hz}, {self.low_hz}, {self.high_hz}"
             )
 

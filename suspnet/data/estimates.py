@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.checks import check_choice, check_number
 from suspnet.data.misfit import EstimateMisfit
 from suspnet.data.observation import check_counts
 from suspnet.data.wishart import moving_average_with, sample_spectra
@@ -90,19 +91,12 @@ class EstimateSettings:
 
     def __post_init__(self) -> None:
         check_counts(self)
-        numbers = ("speed_m_per_s", "snr_db", "minutes")
-        limits = {"speed_m_per_s": (0.1, 200), "snr_db": (-20, 200), "minutes": (0, 1e5)}
-        for name in (*numbers, "low_hz", "high_hz"):
-            value = getattr(self, name)
-            if value is None and name not in numbers:
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise TypeError(f"`data.{name}` must be a number, got {value!r}")
-            low, high = limits.get(name, (0, 1e4))
-            if not low < value < high:
-                raise ValueError(f"`data.{name}` must lie between {low} and {high}, got {value}")
-        if self.method not in METHODS:
-            raise ValueError(f"`data.method` must be one of {METHODS}, got {self.method!r}")
+        check_number("data.speed_m_per_s", self.speed_m_per_s, above=0.1, below=200)
+        check_number("data.snr_db", self.snr_db, above=-20, below=200)
+        check_number("data.minutes", self.minutes, above=0, below=1e5)
+        check_number("data.low_hz", self.low_hz, above=0, below=1e4, optional=True)
+        check_number("data.high_hz", self.high_hz, above=0, below=1e4, optional=True)
+        check_choice("data.method", self.method, METHODS)
         if len(self.rates_hz) != 3 or not all(rate > 0 for rate in self.rates_hz):
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
         track_spectrum(self.track, self.short_waves)

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol, Self
 
 from torch import Tensor
 
+from suspnet.checks import check_number
 from suspnet.dynamics import ResponseGenerator, Vehicle
 
 LEAST_CALIBRATION = 100
@@ -146,16 +147,7 @@ def check_counts(settings: Observation) -> None:
     """Raise TypeError or ValueError if a number of curves is none."""
     for name in ("n_train", "n_test"):
         value = getattr(settings, name)
-        if value == "all":
-            continue
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise TypeError(f"`data.{name}` must be a whole number or 'all', got {value!r}")
-        if value < 1:
-            raise ValueError(f"`data.{name}` must be >= 1, got {value}")
+        if value != "all":
+            check_number(f"data.{name}", value, low=1, whole=True)
     n_calibrate = settings.n_calibrate
-    if n_calibrate is None:
-        return
-    if isinstance(n_calibrate, bool) or not isinstance(n_calibrate, int):
-        raise TypeError(f"`data.n_calibrate` must be a whole number or null, got {n_calibrate!r}")
-    if n_calibrate < LEAST_CALIBRATION:
-        raise ValueError(f"`data.n_calibrate` must be >= {LEAST_CALIBRATION}, got {n_calibrate}")
+    check_number("data.n_calibrate", n_calibrate, low=LEAST_CALIBRATION, whole=True, optional=True)

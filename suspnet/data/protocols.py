@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import qmc
 
+from suspnet.checks import check_choice, check_number
 from suspnet.dynamics.vehicle import PARAMETERS
 from suspnet.features import CurveFeatures, FeatureSet, PeakFeatures
 from suspnet.types import FloatArray
@@ -212,17 +213,15 @@ class Protocol:
     curve: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.sampling not in ("grid", "sobol"):
-            raise ValueError(f"`sampling` must be 'grid' or 'sobol', got {self.sampling!r}")
-        if not 0 < self.lower < 1 < self.upper:
-            raise ValueError(f"need 0 < lower < 1 < upper, got {self.lower} and {self.upper}")
-        if self.feature_set not in ("peaks", "curve"):
-            raise ValueError(f"`feature_set` must be 'peaks' or 'curve', got {self.feature_set!r}")
+        check_choice("sampling", self.sampling, ("grid", "sobol"))
+        check_choice("feature_set", self.feature_set, ("peaks", "curve"))
+        check_number("lower", self.lower, above=0, below=1)
+        check_number("upper", self.upper, above=1)
         low, high = self._mass_limits()
-        if not 0 < low < 1 < high:
-            raise ValueError(f"need 0 < mass_lower < 1 < mass_upper, got {low} and {high}")
-        if not (self.step > 0 and self.mass_step > 0):
-            raise ValueError(f"steps must be > 0, got {self.step} and {self.mass_step}")
+        check_number("mass_lower", low, above=0, below=1)
+        check_number("mass_upper", high, above=1)
+        check_number("step", self.step, above=0)
+        check_number("mass_step", self.mass_step, above=0)
         if self.mass_known and self.estimate_mass:
             raise ValueError("the car-body mass is either known or estimated, not both")
         for group in self.groups:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
@@ -99,19 +98,3 @@ def check_ratios(ratios: Tensor, n_parameters: int) -> None:
         raise ValueError(f"`ratios` must have shape (n_vehicles, {n_parameters}), got {shape}")
     if not bool((torch.isfinite(ratios) & (ratios > 0)).all()):
         raise ValueError("`ratios` must be positive and finite; 1 is healthy")
-
-
-def check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
-    """Raise ValueError unless a setting is one of those allowed."""
-    if value not in allowed:
-        raise ValueError(f"`{name}` must be one of {allowed}, got {value!r}")
-
-
-def check_range(
-    name: str, value: object, low: float, high: float = math.inf, closed: bool = False
-) -> None:
-    """Raise TypeError or ValueError unless a setting is a number in low < value < high."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"`{name}` must be a number, got {value!r}")
-    if not (low < value < high or (closed and value == low)):
-        raise ValueError(f"`{name}` must lie between {low} and {high}, got {value}")

@@ -179,18 +179,9 @@ class QuarterCar:
         shapes : array of shape (2, 2)
             Column j is mode j, mass-normalised.
         """
-        mass, _, stiffness = self.matrices()
-        eigenvalues, shapes = eigh(stiffness, mass)
-        return np.sqrt(eigenvalues) / (2 * math.pi), shapes
-
-    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return mass [kg], damping [N s/m] and stiffness [N/m] matrices for (z_p, z_s), (2, 2)."""
         system = self.motion_system(torch.ones(len(PARAMETERS)))
-        return system.mass, system.damping, system.stiffness
-
-    def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return A, B, C, D with input w and outputs (z_p, z_s), all displacements [m]."""
-        return self.motion_system(torch.ones(len(PARAMETERS))).state_space()
+        eigenvalues, shapes = eigh(system.stiffness, system.mass)
+        return np.sqrt(eigenvalues) / (2 * math.pi), shapes
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
+from suspnet.checks import check_number
 from suspnet.dynamics.track_spectra import (
     TRACKS,
     TrackSpectrum,
     acceleration_density,
     band_rms,
     check_band,
-    check_positive,
     track_spectrum,
 )
 from suspnet.types import FloatArray
@@ -62,7 +62,7 @@ class TrackProfile:
     curvature_per_m: FloatArray
 
     def __post_init__(self) -> None:
-        check_positive(step_m=self.step_m)
+        check_number("step_m", self.step_m, above=0)
         for field in fields(self)[1:]:
             values = getattr(self, field.name)
             if values.ndim != 1 or values.shape != self.elevation_m.shape or values.size < 2:
@@ -165,7 +165,8 @@ def make_profile(
         If a length is not positive and finite, if `length_m` is shorter than one step, or if
         `longest_m` is not above two steps or no wave of the period lies between the two.
     """
-    check_positive(length_m=length_m, step_m=step_m)
+    check_number("length_m", length_m, above=0)
+    check_number("step_m", step_m, above=0)
     check_band(2 * step_m, longest_m)
     if length_m < step_m:
         raise ValueError(f"`length_m` must be at least one step of {step_m} m, got {length_m}")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
+from suspnet.checks import check_number
 from suspnet.types import FloatArray
 
 MM2_IN_M2 = 1e-6
@@ -161,7 +162,7 @@ def track_spectrum(
     """
     if name not in TRACKS:
         raise ValueError(f"track spectrum `name` must be one of {sorted(TRACKS)}, got {name!r}")
-    check_positive(short_wave_from_m=short_wave_from_m)
+    check_number("short_wave_from_m", short_wave_from_m, above=0)
     spectrum = TRACKS[name]
     if not short_waves:
         return spectrum
@@ -224,7 +225,7 @@ def acceleration_density(
     ValueError
         If a frequency is negative or not finite, or the speed not positive and finite.
     """
-    check_positive(speed_m_per_s=speed_m_per_s)
+    check_number("speed_m_per_s", speed_m_per_s, above=0)
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     if not (np.isfinite(frequencies) & (frequencies >= 0)).all():
         raise ValueError("`frequencies_hz` must be finite and >= 0, got a negative one, inf or NaN")
@@ -235,17 +236,7 @@ def acceleration_density(
     return density
 
 
-def check_positive(**values: float) -> None:
-    """Raise ValueError unless every value is positive and finite; the keywords name them."""
-    for name, value in values.items():
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"`{name}` must be positive and finite, got {value}")
-
-
 def check_band(shortest_m: float, longest_m: float) -> None:
     """Raise ValueError unless 0 < shortest_m < longest_m < infinity."""
-    check_positive(shortest_m=shortest_m, longest_m=longest_m)
-    if not shortest_m < longest_m:
-        raise ValueError(
-            f"`longest_m` must be above the shortest wavelength, {shortest_m} m, got {longest_m}"
-        )
+    check_number("shortest_m", shortest_m, above=0)
+    check_number("longest_m", longest_m, above=shortest_m)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
+from suspnet.checks import check_number
+
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """What may vary, in the order of every array of parameter ratios (1 = healthy)."""
 
@@ -68,9 +70,8 @@ class Vehicle:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            optional = field.name in GEOMETRY and value is None
-            if field.name not in ("name", "source") and not optional:
-                _check_positive(field.name, value)
+            if field.name not in ("name", "source"):
+                check_number(field.name, value, above=0, optional=field.name in GEOMETRY)
         _check_frequency(self, "primary", self.primary_frequency_hz)
         _check_frequency(self, "secondary", self.secondary_frequency_hz)
         _check_damping(self, "primary", self.primary_damping_ratio)
@@ -124,13 +125,6 @@ _FIELD = {
     "c_s": "secondary_damping_ns_per_m",
     "M_s": "body_mass_kg",
 }
-
-
-def _check_positive(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"vehicle parameter `{name}` must be a number, got {value!r}")
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"vehicle parameter `{name}` must be positive and finite, got {value}")
 
 
 def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:

@@ -27,12 +27,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.dynamics.generator import (
-    ResponseGenerator,
-    check_choice,
-    check_range,
-    check_ratios,
-)
+from suspnet.checks import check_choice, check_number
+from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
@@ -108,13 +104,13 @@ class VerticalVehicle:
         check_choice("axle", self.axle, SIDES)
         check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
         check_choice("other_bogie", self.other_bogie, ("healthy", "same", "varies"))
-        check_range("speed_m_per_s", self.speed_m_per_s, low=0)
-        check_range("other_spread", self.other_spread, low=0, high=1, closed=True)
+        check_number("speed_m_per_s", self.speed_m_per_s, above=0)
+        check_number("other_spread", self.other_spread, low=0, below=1)
         unknown = sorted(set(self.uncertainty) - set(UNMEASURED))
         if unknown:
             raise ValueError(f"`uncertainty` must be named as in {UNMEASURED}, got {unknown}")
         for name, value in self.uncertainty.items():
-            check_range(f"uncertainty.{name}", value, low=0, high=1, closed=True)
+            check_number(f"uncertainty.{name}", value, low=0, below=1)
 
     def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
         """Return the ratios with a random column for each name of ``UNMEASURED``.

@@ -26,6 +26,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from suspnet.checks import check_number
 from suspnet.features.extraction import FeatureTable
 from suspnet.types import FloatArray, IntArray
 
@@ -101,11 +102,8 @@ class CurveFeatures:
         return ("curve",)
 
     def __post_init__(self) -> None:
-        n = self.n_components
-        if n is not None and (isinstance(n, bool) or not isinstance(n, int) or n < 1):
-            raise ValueError(f"`n_components` must be a whole number >= 1 or null, got {n!r}")
-        if not 0 < self.explained < 1:
-            raise ValueError(f"`explained` must lie between 0 and 1, got {self.explained}")
+        check_number("n_components", self.n_components, low=1, whole=True, optional=True)
+        check_number("explained", self.explained, above=0, below=1)
 
     @property
     def names(self) -> tuple[str, ...]:

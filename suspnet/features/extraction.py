@@ -7,7 +7,6 @@ is the car body's frequency, near which abs(G_p) dips.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol, Self
@@ -15,6 +14,7 @@ from typing import ClassVar, Literal, Protocol, Self
 import torch
 from torch import Tensor
 
+from suspnet.checks import check_number
 from suspnet.features.peaks import (
     PeakFit,
     PeakReason,
@@ -160,10 +160,10 @@ class PeakFeatures:
         unknown = [name for name in self.peaks if name not in PEAK_NAMES]
         if unknown or not self.peaks:
             raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
-        if not 0 < self.low_hz < self.high_hz:
-            raise ValueError(f"need 0 < low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
-        if not (math.isfinite(self.window) and self.window > 0):
-            raise ValueError(f"`window` must be > 0, got {self.window}")
+        for name in ("low_hz", "high_hz", "window"):
+            check_number(name, getattr(self, name), above=0)
+        if not self.low_hz < self.high_hz:
+            raise ValueError(f"need low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
 
     kind: ClassVar[str] = "peaks"
     positive: ClassVar[bool] = True

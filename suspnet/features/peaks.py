@@ -15,6 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from suspnet.checks import check_choice, check_number
 from suspnet.features.parabola import windowed_parabola
 from suspnet.tensors import as_tensor
 
@@ -79,14 +80,10 @@ class PeakFit:
     top: float = 0.7
 
     def __post_init__(self) -> None:
-        if self.shape not in ("lorentzian", "gaussian"):
-            raise ValueError(f"`shape` must be 'lorentzian' or 'gaussian', got {self.shape!r}")
+        check_choice("shape", self.shape, ("lorentzian", "gaussian"))
         for name in ("smoothing_hz", "window_below", "window_above", "top"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"`{name}` must be > 0, got {value}")
-        if self.n_fits < 1:
-            raise ValueError(f"`n_fits` must be >= 1, got {self.n_fits}")
+            check_number(name, getattr(self, name), above=0)
+        check_number("n_fits", self.n_fits, low=1, whole=True)
 
 
 @dataclass(frozen=True)

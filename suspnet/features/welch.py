@@ -10,6 +10,7 @@ import torch
 from scipy.signal import get_window
 from torch import Tensor
 
+from suspnet.checks import check_number
 from suspnet.types import FloatArray
 
 NEGLIGIBLE = 1e-4
@@ -40,14 +41,8 @@ class Welch:
     window: str = "hann"
 
     def __post_init__(self) -> None:
-        for name in ("segment_s", "overlap"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise TypeError(f"`{name}` must be a number, got {value!r}")
-        if not 0 < self.segment_s < math.inf:
-            raise ValueError(f"`segment_s` must be > 0, got {self.segment_s}")
-        if not 0 <= self.overlap < 1:
-            raise ValueError(f"`overlap` must lie in 0 <= overlap < 1, got {self.overlap}")
+        check_number("segment_s", self.segment_s, above=0)
+        check_number("overlap", self.overlap, low=0, below=1)
         get_window(self.window, 8)
 
     def sizes(self, rate_hz: float) -> tuple[int, int]:

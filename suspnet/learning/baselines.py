@@ -92,7 +92,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit one machine for each column of `y`, (n_samples,) or (n_samples, n_outputs)."""
         for name in ("C", "sigma", "tol"):
-            check_number(name, getattr(self, name), low=0, open_low=True)
+            check_number(name, getattr(self, name), above=0)
         check_number("epsilon", self.epsilon, low=0)
         check_number("max_iter", self.max_iter, low=1, whole=True)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)

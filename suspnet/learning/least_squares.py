@@ -169,7 +169,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
         check_number("n_starts", n_starts, low=1, whole=True)
         check_number("max_iter", max_iter, low=1, whole=True)
-        check_number("tol", tol, low=0, open_low=True)
+        check_number("tol", tol, above=0)
         self.n_starts = n_starts
         self.max_iter = max_iter
         self.tol = tol

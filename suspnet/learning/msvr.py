@@ -328,11 +328,11 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         )
 
     def _check_parameters(self) -> None:
-        check_number("C", self.C, low=0, open_low=True)
-        check_number("sigma", self.sigma, low=0, open_low=True)
+        check_number("C", self.C, above=0)
+        check_number("sigma", self.sigma, above=0)
         check_number("epsilon", self.epsilon, low=0)
         check_number("tol", self.tol, low=0)
-        check_number("kernel_tol", self.kernel_tol, low=0, open_low=True)
+        check_number("kernel_tol", self.kernel_tol, above=0)
         check_number("max_iter", self.max_iter, low=1, whole=True)
         check_number("n_components", self.n_components, low=1, whole=True)
         if not isinstance(self.fit_intercept, bool | np.bool_):

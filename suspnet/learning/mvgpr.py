@@ -236,7 +236,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
     def _check_parameters(self) -> None:
         for name in ("length_scale", "signal_variance", "noise_variance"):
-            check_number(name, getattr(self, name), low=0, open_low=True)
+            check_number(name, getattr(self, name), above=0)
         check_number("n_restarts", self.n_restarts, low=0, whole=True)
         check_number("n_optimize", self.n_optimize, low=2, whole=True)
         check_number("max_iter", self.max_iter, low=1, whole=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from suspnet.checks import check_number
 from suspnet.recordings.faults import (
     fill,
     find_clipping,
@@ -69,9 +70,7 @@ class CleaningSettings:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"`{field.name}` must be positive and finite, got {value}")
+            check_number(field.name, getattr(self, field.name), above=0)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from itertools import chain
 
 import numpy as np
 
+from suspnet.checks import check_number
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import (
@@ -123,8 +124,7 @@ def load_recording(
     ValueError
         If `rate_hz` is not positive and finite.
     """
-    if not (math.isfinite(rate_hz) and rate_hz > 0):
-        raise ValueError(f"`rate_hz` must be positive and finite, got {rate_hz}")
+    check_number("rate_hz", rate_hz, above=0)
     with ThreadPoolExecutor(len(CHANNELS)) as pool:
         streams = list(
             pool.map(lambda name: _read_channel(manifest, name, rate_hz, cleaning), CHANNELS)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 from tqdm import tqdm
 
+from suspnet.checks import check_choice, check_number
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.dynamics.journey import Journey, service_journey, steady_journey
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
@@ -96,16 +97,10 @@ class Fleet:
     suspension: str = "simulated"
 
     def __post_init__(self) -> None:
-        if isinstance(self.n_trips, bool) or not isinstance(self.n_trips, int) or self.n_trips < 1:
-            raise ValueError(f"`n_trips` must be a whole number >= 1, got {self.n_trips!r}")
+        check_number("n_trips", self.n_trips, low=1, whole=True)
         for name in ("last_mileage_km", "minutes", "speed_m_per_s"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise TypeError(f"`{name}` must be a number, got {value!r}")
-            if not 0 < value < math.inf:
-                raise ValueError(f"`{name}` must be > 0 and finite, got {value}")
-        if self.journey not in ("steady", "service"):
-            raise ValueError(f"`journey` must be 'steady' or 'service', got {self.journey!r}")
+            check_number(name, getattr(self, name), above=0)
+        check_choice("journey", self.journey, ("steady", "service"))
         track_spectrum(self.track, self.short_waves)
         self.loggers()
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from suspnet.checks import check_number
 from suspnet.dynamics import PARAMETERS
 from suspnet.types import FloatArray
 
@@ -40,12 +41,11 @@ class Scenario:
     mass_high: float = 1.2
 
     def __post_init__(self) -> None:
-        if not 0 <= self.spread < 1:
-            raise ValueError(f"scenario `spread` must lie in 0 <= spread < 1, got {self.spread}")
-        if not 0 < self.mass_low <= self.mass_high:
-            raise ValueError(
-                f"need 0 < mass_low <= mass_high, got {self.mass_low} and {self.mass_high}"
-            )
+        check_number("scenario.spread", self.spread, low=0, below=1)
+        check_number("scenario.mass_low", self.mass_low, above=0)
+        check_number("scenario.mass_high", self.mass_high, above=0)
+        if not self.mass_low <= self.mass_high:
+            raise ValueError(f"need mass_low <= mass_high, got {self.mass_low}, {self.mass_high}")
         for name, change in self.changes.items():
             if name not in PARAMETERS:
                 raise ValueError(f"scenario `changes` must be named as in {PARAMETERS}: {name!r}")
@@ -53,8 +53,12 @@ class Scenario:
                 raise ValueError(
                     f"scenario change of {name!r} needs from_km, to_km, ratio: {sorted(change)}"
                 )
-            if change["from_km"] > change["to_km"] or not change["ratio"] > 0:
-                raise ValueError(f"scenario change of {name!r}: need from_km <= to_km, ratio > 0")
+            where = f"scenario.changes.{name}"
+            check_number(f"{where}.from_km", change["from_km"])
+            check_number(f"{where}.to_km", change["to_km"])
+            check_number(f"{where}.ratio", change["ratio"], above=0)
+            if change["from_km"] > change["to_km"]:
+                raise ValueError(f"`{where}`: need from_km <= to_km, got {dict(change)}")
 
     def ratios(self, mileage_km: FloatArray, seed: int) -> FloatArray:
         """Return the parameters of each trip relative to healthy, shape (n_trips, 5), [-].

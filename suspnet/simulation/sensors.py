@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspnet.checks import check_number
 from suspnet.types import FloatArray
 
 STANDARD_GRAVITY = 9.80665
@@ -52,13 +53,13 @@ class Sensor:
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "dropout_s"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"sensor `{name}` must be > 0, got {getattr(self, name)}")
+            check_number(f"sensor.{name}", getattr(self, name), above=0)
         for name in ("precision", "dropouts_per_h"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"sensor `{name}` must be >= 0, got {getattr(self, name)}")
-        if self.range_g is not None and not self.range_g > 0:
-            raise ValueError(f"sensor `range_g` must be > 0 or null, got {self.range_g}")
+            check_number(f"sensor.{name}", getattr(self, name), low=0)
+        check_number("sensor.range_g", self.range_g, above=0, optional=True)
+        check_number("sensor.snr_db", self.snr_db, optional=True)
+        for name in ("offset_m_per_s2", "drift_m_per_s2_per_h", "clock_offset_s"):
+            check_number(f"sensor.{name}", getattr(self, name))
         if self.precision > 0 and self.range_g is None:
             raise ValueError("sensor `precision` is relative to `range_g`, which is not given")
 

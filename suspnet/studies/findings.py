@@ -15,10 +15,8 @@ from suspnet.theory.bounds import (
     UNIDENTIFIED,
     Bound,
     Direction,
+    best_addition_sentence,
     listed,
-    purchases_sentence,
-    verdicts_sentence,
-    worst,
 )
 from suspnet.theory.options import Option
 
@@ -66,28 +64,25 @@ class Findings:
 
 
 def group_markdown(found: Findings) -> str:
-    """Return three tables and what they say: bounds, directions, and what would help."""
+    """Return three tables: bounds, what is uncertain together, and what would help."""
     task = found.task
     mass = "known" if task.mass_known else "unknown"
     fixed = [name for name in PARAMETERS if name not in task.varied]
     others = f"; {listed(fixed)} stay healthy" if fixed else ""
-    verdicts = verdicts_sentence(found.bounds_now)
-    if found.guess_percent is not None:
-        verdicts += f" The best guess within the range has a MAPE of {found.guess_percent:.3g} %."
     blocks = [
         f"## Group {task.group}: {listed(task.outputs)}",
         f"Measured now: {found.now.title}; the car-body mass is {mass}{others}.",
         _bounds_table(found),
-        verdicts,
         "What is uncertain together at the healthy vehicle, weakest first: changes by one standard "
-        "deviation [%].",
+        "deviation [%]; any: such changes leave the curves unchanged.",
         _directions_table(found.directions),
-        " ".join(direction.sentence() for direction in worst(found.directions)),
-        "What would buy what: median bound over the range [%], in brackets relative to the first "
-        "row.",
+        "What would help: median bound over the range [%], in brackets relative to the first row.",
         _options_table(found),
-        purchases_sentence(found.table),
+        best_addition_sentence(found.table),
     ]
+    if found.guess_percent is not None:
+        guess = f"The best guess within the range has a MAPE of {found.guess_percent:.3g} %."
+        blocks.insert(3, guess)
     loss = [r for bound in found.bounds_now if (r := _ratio(found, bound)) is not None]
     if found.now.kind == "estimate" and loss:
         blocks.append(

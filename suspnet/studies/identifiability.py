@@ -7,14 +7,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from suspnet.checks import check_number
 from suspnet.data import CurveSettings, Observation, Protocol, Task
 from suspnet.dynamics import ResponseGenerator
 from suspnet.problem import TEST
 from suspnet.runs.tables import records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
-from suspnet.studies import figures
 from suspnet.studies.findings import Findings, group_markdown, plain, records
+from suspnet.studies.identifiability_figure import identifiability_figure
 from suspnet.theory.bounds import VERDICTS, bounds, directions, with_healthy
 from suspnet.theory.information import scale_ambiguity_limit
 from suspnet.theory.options import options
@@ -54,12 +55,11 @@ def write_identifiability(
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If there is no such group, or the number of vehicles or the seed is no whole number.
     """
-    for name, value, least in (("n_vehicles", n_vehicles, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ValueError(f"`{name}` must be a whole number >= {least}, got {value!r}")
+    check_number("n_vehicles", n_vehicles, low=1, whole=True)
+    check_number("seed", seed, low=0, whole=True)
     bound = settings.bound(generator.vehicle)
     tasks = [protocol.task(name) for name in (protocol.groups if group is None else [group])]
     found = [identify(generator, task, bound, n_vehicles, seed) for task in tasks]
@@ -80,7 +80,7 @@ def write_identifiability(
     rows = [record for part in found for record in records(part)]
     write_atomically(folder / "identifiability.csv", records_csv(rows))
     write_atomically(folder / "identifiability.md", text)
-    figure = figures.identifiability(found)
+    figure = identifiability_figure(found)
     figure.suptitle(title, fontsize="medium")
     with RunLog(folder) as run_log:
         run_log.text("identifiability", text)

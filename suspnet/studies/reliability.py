@@ -9,14 +9,13 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from scipy.stats import norm
-from tabulate import tabulate
 from torch import Tensor
 from tqdm import tqdm
 
@@ -33,7 +32,8 @@ from suspnet.runs.scores import LEVEL, label
 from suspnet.runs.tables import MODEL_TITLES, records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
-from suspnet.studies import figures
+from suspnet.studies.reliability_figure import reliability_figure
+from suspnet.studies.reliability_findings import Reliability, markdown, records
 from suspnet.types import BoolArray, FloatArray
 from suspnet.uncertainty.ood import KINDS
 
@@ -42,27 +42,6 @@ N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
 """Ratios to healthy that lie outside any training range."""
 IN_RANGE = "in range"
-Record = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """What was measured of one model.
-
-    Attributes
-    ----------
-    name : str
-        Method, protocol and group.
-    intervals : dict
-        As ``interval_scores`` for each kind of interval, with `slices`: the coverage of each
-        output in each fifth of each parameter, {parameter: {output: [..]}}.
-    flags : dict
-        {set of curves: {kind of flag: share [%]}}, with `any`.
-    """
-
-    name: str
-    intervals: dict[str, dict[str, Any]]
-    flags: dict[str, dict[str, float]]
 
 
 def write_reliability(
@@ -120,7 +99,7 @@ def write_reliability(
     write_atomically(folder / "reliability.md", text)
     with RunLog(folder) as run_log:
         run_log.text("reliability", text)
-        run_log.figure("reliability", figures.reliability(found), folder)
+        run_log.figure("reliability", reliability_figure(found), folder)
     log.info("%s\n-> %s/reliability.*", text, folder)
     return found
 
@@ -233,45 +212,3 @@ def _odd_sets(
 def _shares(found: BoolArray) -> dict[str, float]:
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares
-
-
-def records(found: list[Reliability]) -> Iterator[Record]:
-    """Yield one record for each number measured: model, what, of, value [%]."""
-    for one in found:
-        for kind, scores in one.intervals.items():
-            for output, values in scores["outputs"].items():
-                for what, value in values.items():
-                    yield _record(one, f"{kind} {what}", output, value)
-            joint = scores["joint_coverage_percent"]
-            yield _record(one, f"{kind} coverage_percent", "all at once", joint)
-            for name, by_output in scores["slices"].items():
-                for output, values in by_output.items():
-                    for k, value in enumerate(values):
-                        of = f"{output}, {name} in fifth {k + 1}"
-                        yield _record(one, f"{kind} coverage_percent", of, value)
-        for name, shares in one.flags.items():
-            for kind, value in shares.items():
-                yield _record(one, f"flagged_percent {kind}", name, value)
-
-
-def _record(one: Reliability, what: str, of: str, value: float) -> Record:
-    return {"model": one.name, "what": what, "of": of, "percent": value}
-
-
-def markdown(one: Reliability) -> str:
-    """Return what was measured of one model as Markdown."""
-    rows = []
-    for kind, scores in one.intervals.items():
-        for output, values in scores["outputs"].items():
-            sliced = [v for by in scores["slices"].values() for v in by[output] if math.isfinite(v)]
-            row = [values["half_width_percent"], values["coverage_percent"]]
-            rows.append([kind, output, *row, min(sliced), max(sliced)])
-        rows.append([kind, "all at once", None, scores["joint_coverage_percent"], None, None])
-    title = f"{100 * LEVEL:g} % interval"
-    header = [title, "output", "+- %", "covers %", "least slice %", "largest slice %"]
-    formats = ("", "", ".3g", ".2f", ".1f", ".1f")
-    first = tabulate(rows, header, tablefmt="github", floatfmt=formats, missingval="-")
-    flags = [[name, *shares.values()] for name, shares in one.flags.items()]
-    header = ["curves", "flagged %", "peak missing", "beyond cloud", "out of range", "misfit"]
-    second = tabulate(flags, header, tablefmt="github", floatfmt=".2f")
-    return f"## {one.name}\n\n{first}\n\n{second}\n"

@@ -130,19 +130,6 @@ class Direction:
             return f"{listed(list(parts))} move against each other"
         return f"{listed(up)} {'move together' if len(up) > 1 else 'moves'} against {listed(down)}"
 
-    def sentence(self) -> str:
-        """Return the words, and how uncertain that leaves the parameters."""
-        names = list(self.taking_part)
-        if math.isfinite(self.deviation_percent):
-            changes = self.changes_percent
-            sizes = ", ".join(f"{name} by {abs(changes[name]):.2g} %" for name in names)
-            return f"{self.words()}: one standard deviation changes {sizes}."
-        if len(names) == 1:
-            return f"{names[0]} cannot be seen: it leaves the curves unchanged."
-        alike = len({part > 0 for part in self.taking_part.values()}) == 1
-        how = "they move together" if alike else self.words()
-        return f"{listed(names)} cannot be told apart: {how} and leave the curves unchanged."
-
 
 def directions(information: FloatArray, parameters: Sequence[str]) -> list[Direction]:
     """Return the eigenvectors of the information on logarithmic parameters, weakest first.
@@ -168,24 +155,7 @@ def directions(information: FloatArray, parameters: Sequence[str]) -> list[Direc
     return found
 
 
-def worst(found: Sequence[Direction]) -> list[Direction]:
-    """Return the directions that leave the curves unchanged, else the two weakest."""
-    blind = [direction for direction in found if math.isinf(direction.deviation_percent)]
-    return blind or list(found[:2])
-
-
-def verdicts_sentence(found: Sequence[Bound]) -> str:
-    """Return one sentence that says which parameters are identified how well."""
-    parts = []
-    for verdict in (*(word for _, word in VERDICTS), UNIDENTIFIED):
-        names = [bound.parameter for bound in found if bound.verdict == verdict]
-        how = "not identified" if verdict == UNIDENTIFIED else f"identified {verdict}"
-        if names:
-            parts.append(f"{listed(names)} {'are' if len(names) > 1 else 'is'} {how}")
-    return f"{'; '.join(parts)}."
-
-
-def purchases_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
+def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
     """Return one sentence that names, for each parameter, the addition that lowers its bound most.
 
     Parameters

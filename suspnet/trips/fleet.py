@@ -16,6 +16,7 @@ from joblib import Parallel, delayed, parallel_config
 from tqdm import tqdm
 
 from suspnet._version import __version__
+from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.recording import TripSettings
@@ -76,14 +77,9 @@ class FleetSettings:
     limits: Mapping[str, Any] = field(default_factory=lambda: dict(DEFAULT_LIMITS))
 
     def __post_init__(self) -> None:
-        if self.reference not in ("vehicle", "first_trips"):
-            raise ValueError(
-                f"`reference` must be 'vehicle' or 'first_trips', got {self.reference!r}"
-            )
+        check_choice("reference", self.reference, ("vehicle", "first_trips"))
         for name in ("n_reference", "workers"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ValueError(f"`{name}` must be a whole number >= 1, got {value!r}")
+            check_number(name, getattr(self, name), low=1, whole=True)
         object.__setattr__(self, "limits", read_limits(self.limits))
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.checks import check_number
 from suspnet.dynamics import PARAMETERS
 from suspnet.types import BoolArray, IntArray
 
@@ -57,12 +58,11 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("notice", "act"):
             pair = tuple(getattr(self, name))
-            if len(pair) != 2 or any(
-                isinstance(one, bool) or not isinstance(one, int | float) for one in pair
-            ):
-                raise TypeError(f"limits `{name}` must be two numbers, lower and upper: {pair}")
-            if not 0 <= pair[0] < 1 < pair[1]:
-                raise ValueError(f"limits `{name}` must be [lower, upper] about 1, got {pair}")
+            if len(pair) != 2:
+                raise TypeError(f"`{name}` must be two numbers, lower and upper, got {pair}")
+            check_number(f"{name}[0]", pair[0], low=0, below=1)
+            if pair[1] != np.inf:
+                check_number(f"{name}[1]", pair[1], above=1)
             object.__setattr__(self, name, pair)
         if not (self.act[0] <= self.notice[0] and self.notice[1] <= self.act[1]):
             raise ValueError(f"limits `notice` {self.notice} must lie within `act` {self.act}")

@@ -19,6 +19,7 @@ from typing import Self
 
 import numpy as np
 
+from suspnet.checks import check_number
 from suspnet.types import FloatArray
 
 
@@ -72,8 +73,7 @@ class Conformal:
 
 
 def _quantiles(scores: FloatArray, level: float) -> FloatArray:
-    if not 0 < level < 1:
-        raise ValueError(f"`level` must lie between 0 and 1, got {level}")
+    check_number("level", level, above=0, below=1)
     n = len(scores)
     k = max(1, math.ceil((n + 1) * level - 1e-9))
     if k > n:

@@ -193,13 +193,13 @@ def test_unknown_names_are_rejected_when_the_protocol_is_made(key, names, messag
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"sampling": "random"}, "`sampling` must be 'grid' or 'sobol'"),
-        ({"lower": 0.0}, "need 0 < lower < 1 < upper"),
-        ({"lower": 1.0}, "need 0 < lower < 1 < upper"),
-        ({"upper": 0.9}, "need 0 < lower < 1 < upper"),
-        ({"lower": math.nan}, "need 0 < lower < 1 < upper"),
-        ({"step": 0.0}, "steps must be > 0"),
-        ({"mass_step": -0.1}, "steps must be > 0"),
+        ({"sampling": "random"}, "`sampling` must be one of .*'random'"),
+        ({"lower": 0.0}, "`lower` must be a finite number > 0 and < 1, got 0.0"),
+        ({"lower": 1.0}, "`lower` must be a finite number > 0 and < 1, got 1.0"),
+        ({"upper": 0.9}, "`upper` must be a finite number > 1, got 0.9"),
+        ({"lower": math.nan}, "`lower` must be a finite number > 0 and < 1, got nan"),
+        ({"step": 0.0}, "`step` must be a finite number > 0, got 0.0"),
+        ({"mass_step": -0.1}, "`mass_step` must be a finite number > 0, got -0.1"),
         ({"mass_known": True, "estimate_mass": True}, "known or estimated, not both"),
     ],
 )

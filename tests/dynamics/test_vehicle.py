@@ -139,14 +139,14 @@ def test_unit_slip_is_rejected_and_named(names, factor, message):
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_value_that_is_not_positive_and_finite_is_rejected(name, value):
-    with pytest.raises(ValueError, match=f"`{name}` must be positive and finite"):
+    with pytest.raises(ValueError, match=f"`{name}` must be a finite number > 0"):
         Vehicle("wrong", **NUMBERS | {name: value})
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", ["1725", True, None, [1725.0]])
 def test_value_that_is_not_a_number_is_rejected(name, value):
-    with pytest.raises(TypeError, match=f"`{name}` must be a number"):
+    with pytest.raises(TypeError, match=f"`{name}` must be a finite number > 0"):
         Vehicle("wrong", **NUMBERS | {name: value})
 
 
@@ -156,5 +156,5 @@ def test_degraded_rejects_unknown_names(am96):
 
 
 def test_degraded_rejects_a_negative_ratio(am96):
-    with pytest.raises(ValueError, match="`primary_stiffness_n_per_m` must be positive"):
+    with pytest.raises(ValueError, match="`primary_stiffness_n_per_m` must be a finite number > 0"):
         am96.degraded(k_p=-0.5)

@@ -392,15 +392,21 @@ def test_vehicle_without_geometry_is_rejected(name):
         ({"axle": "both"}, r"`axle` must be one of .*'both'"),
         ({"frame_sensor": "roof"}, r"`frame_sensor` must be one of .*'roof'"),
         ({"other_bogie": "broken"}, r"`other_bogie` must be one of .*'broken'"),
-        ({"speed_m_per_s": 0.0}, r"`speed_m_per_s` must lie between 0 and inf, got 0.0"),
-        ({"speed_m_per_s": -1.0}, r"`speed_m_per_s` must lie between 0 and inf"),
-        ({"speed_m_per_s": math.nan}, r"`speed_m_per_s` must lie between 0 and inf"),
-        ({"speed_m_per_s": math.inf}, r"`speed_m_per_s` must lie between 0 and inf"),
-        ({"other_spread": 1.0}, r"`other_spread` must lie between 0 and 1, got 1.0"),
-        ({"other_spread": -0.1}, r"`other_spread` must lie between 0 and 1"),
+        ({"speed_m_per_s": 0.0}, r"`speed_m_per_s` must be a finite number > 0, got 0.0"),
+        ({"speed_m_per_s": -1.0}, r"`speed_m_per_s` must be a finite number > 0"),
+        ({"speed_m_per_s": math.nan}, r"`speed_m_per_s` must be a finite number > 0"),
+        ({"speed_m_per_s": math.inf}, r"`speed_m_per_s` must be a finite number > 0"),
+        ({"other_spread": 1.0}, r"`other_spread` must be a finite number >= 0 and < 1, got 1.0"),
+        ({"other_spread": -0.1}, r"`other_spread` must be a finite number >= 0 and < 1"),
         ({"uncertainty": {"k_p": 0.1}}, r"`uncertainty` must be named as in .*\['k_p'\]"),
-        ({"uncertainty": {"speed": 1.0}}, r"`uncertainty.speed` must lie between 0 and 1, got 1.0"),
-        ({"uncertainty": {"speed": -0.1}}, r"`uncertainty.speed` must lie between 0 and 1"),
+        (
+            {"uncertainty": {"speed": 1.0}},
+            r"`uncertainty.speed` must be a finite number >= 0 and < 1, got 1.0",
+        ),
+        (
+            {"uncertainty": {"speed": -0.1}},
+            r"`uncertainty.speed` must be a finite number >= 0 and < 1",
+        ),
         ({"device": "cuda:99"}, r"`device`='cuda:99' cannot be used here"),
     ],
 )
@@ -411,9 +417,11 @@ def test_settings_out_of_range_are_rejected(changes, message):
 
 @pytest.mark.parametrize("value", [True, "fast", None])
 def test_settings_that_are_no_numbers_are_rejected(value):
-    with pytest.raises(TypeError, match="`speed_m_per_s` must be a number"):
+    with pytest.raises(TypeError, match="`speed_m_per_s` must be a finite number > 0"):
         VerticalVehicle(AM96, speed_m_per_s=value)
-    with pytest.raises(TypeError, match=r"`uncertainty\.speed` must be a number"):
+    with pytest.raises(
+        TypeError, match=r"`uncertainty\.speed` must be a finite number >= 0 and < 1"
+    ):
         VerticalVehicle(AM96, uncertainty={"speed": value})
 
 

@@ -202,7 +202,7 @@ def test_narrower_windows_give_noisier_features(quarter_car):
 
 @pytest.mark.parametrize("window", [0.0, -1.0, math.nan, math.inf])
 def test_windows_out_of_range_are_rejected(window):
-    with pytest.raises(ValueError, match="`window` must be > 0"):
+    with pytest.raises(ValueError, match="`window` must be a finite number > 0"):
         PeakFeatures(window=window)
 
 
@@ -245,7 +245,9 @@ def test_unknown_peaks_are_rejected(peaks):
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 15.0), (5.0, 5.0), (5.0, 1.0), (math.nan, 1.0)])
 def test_empty_band_is_rejected(low, high):
-    with pytest.raises(ValueError, match="need 0 < low_hz < high_hz"):
+    with pytest.raises(
+        ValueError, match=r"need low_hz < high_hz|`low_hz` must be a finite number > 0, got"
+    ):
         PeakFeatures(low_hz=low, high_hz=high)
 
 

@@ -314,10 +314,10 @@ def test_two_frequencies_are_too_few():
     ("setting", "message"),
     [
         ({"shape": "triangle"}, "`shape` must be"),
-        ({"smoothing_hz": 0.0}, "`smoothing_hz` must be > 0"),
-        ({"window_below": -1.0}, "`window_below` must be > 0"),
-        ({"window_above": math.nan}, "`window_above` must be > 0"),
-        ({"n_fits": 0}, "`n_fits` must be >= 1"),
+        ({"smoothing_hz": 0.0}, "`smoothing_hz` must be a finite number > 0"),
+        ({"window_below": -1.0}, "`window_below` must be a finite number > 0"),
+        ({"window_above": math.nan}, "`window_above` must be a finite number > 0"),
+        ({"n_fits": 0}, "`n_fits` must be a whole number >= 1"),
     ],
 )
 def test_fit_settings_out_of_range_are_rejected(setting, message):

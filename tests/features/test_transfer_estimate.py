@@ -509,11 +509,11 @@ def test_average_of_nothing_is_rejected():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"segment_s": 0.0}, "`segment_s` must be > 0, got 0.0"),
-        ({"segment_s": math.inf}, "`segment_s` must be > 0, got inf"),
-        ({"segment_s": math.nan}, "`segment_s` must be > 0, got nan"),
-        ({"overlap": 1.0}, "`overlap` must lie in 0 <= overlap < 1, got 1.0"),
-        ({"overlap": -0.1}, "`overlap` must lie in 0 <= overlap < 1"),
+        ({"segment_s": 0.0}, "`segment_s` must be a finite number > 0, got 0.0"),
+        ({"segment_s": math.inf}, "`segment_s` must be a finite number > 0, got inf"),
+        ({"segment_s": math.nan}, "`segment_s` must be a finite number > 0, got nan"),
+        ({"overlap": 1.0}, "`overlap` must be a finite number >= 0 and < 1, got 1.0"),
+        ({"overlap": -0.1}, "`overlap` must be a finite number >= 0 and < 1"),
         ({"window": "hanning_typo"}, "[Ww]indow"),
     ],
 )
@@ -525,5 +525,5 @@ def test_settings_out_of_range_are_rejected(changes, message):
 @pytest.mark.parametrize("name", ["segment_s", "overlap"])
 @pytest.mark.parametrize("value", [True, "20", None])
 def test_settings_that_are_no_numbers_are_rejected(name, value):
-    with pytest.raises(TypeError, match=f"`{name}` must be a number"):
+    with pytest.raises(TypeError, match=f"`{name}` must be a finite number"):
         Welch(**{name: value})

@@ -115,14 +115,14 @@ def test_svr_constructor_only_stores():
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"C": 0}, ValueError, r"`C` must be finite and in \(0, inf\), got 0"),
-        ({"C": np.nan}, ValueError, r"`C` must be finite and in \(0, inf\), got nan"),
-        ({"C": "abc"}, TypeError, "`C` must be a number, got 'abc'"),
-        ({"C": True}, TypeError, "`C` must be a number, got True"),
-        ({"sigma": -1.0}, ValueError, "`sigma` must be finite"),
-        ({"tol": 0.0}, ValueError, "`tol` must be finite"),
-        ({"max_iter": 0}, ValueError, "`max_iter` must be finite and >= 1"),
-        ({"epsilon": -1e-3}, ValueError, "`epsilon` must be finite and >= 0"),
+        ({"C": 0}, ValueError, r"`C` must be a finite number > 0, got 0"),
+        ({"C": np.nan}, ValueError, r"`C` must be a finite number > 0, got nan"),
+        ({"C": "abc"}, TypeError, "`C` must be a finite number .*, got 'abc'"),
+        ({"C": True}, TypeError, "`C` must be a finite number .*, got True"),
+        ({"sigma": -1.0}, ValueError, "`sigma` must be a finite number > 0"),
+        ({"tol": 0.0}, ValueError, "`tol` must be a finite number > 0"),
+        ({"max_iter": 0}, ValueError, "`max_iter` must be a whole number >= 1"),
+        ({"epsilon": -1e-3}, ValueError, "`epsilon` must be a finite number >= 0"),
     ],
 )
 def test_svr_refuses_wrong_settings(settings, error, message):

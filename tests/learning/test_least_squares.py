@@ -267,10 +267,10 @@ def test_curve_fit_is_the_same_each_time():
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"n_starts": 0}, ValueError, "`n_starts` must be finite and >= 1"),
+        ({"n_starts": 0}, ValueError, "`n_starts` must be a whole number >= 1"),
         ({"n_starts": 1.5}, TypeError, "`n_starts` must be a whole number"),
-        ({"max_iter": True}, TypeError, "`max_iter` must be a whole number, got True"),
-        ({"tol": 0.0}, ValueError, r"`tol` must be finite and in \(0, inf\)"),
+        ({"max_iter": True}, TypeError, "`max_iter` must be a whole number >= 1, got True"),
+        ({"tol": 0.0}, ValueError, r"`tol` must be a finite number > 0"),
     ],
 )
 def test_curve_fit_refuses_wrong_settings(settings, error, message):

@@ -140,8 +140,8 @@ def test_unknown_method_is_an_error():
 @pytest.mark.parametrize(
     ("n_folds", "error", "message"),
     [
-        (1, ValueError, "`n_folds` must be finite and >= 2, got 1"),
-        (2.5, TypeError, "`n_folds` must be a whole number, got 2.5"),
+        (1, ValueError, "`n_folds` must be a whole number >= 2, got 1"),
+        (2.5, TypeError, "`n_folds` must be a whole number >= 2, got 2.5"),
     ],
 )
 def test_fewer_than_two_folds_are_refused(n_folds, error, message):
@@ -370,7 +370,7 @@ def test_optimum_of_a_real_method_is_found_from_a_small_box(estimator):
     [
         ({"high": 1.0}, 1, ValueError, r"cap of m\.C must have a `reason`"),
         ({"highest": 1.0, "reason": "slow"}, 1, ValueError, r"cap of m\.C must have .* got"),
-        ({}, -1, ValueError, "`widen` must be finite and >= 0"),
+        ({}, -1, ValueError, "`widen` must be a whole number >= 0"),
         ({}, 1.5, TypeError, "`widen` must be a whole number"),
     ],
 )

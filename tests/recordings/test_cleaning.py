@@ -320,5 +320,5 @@ def test_input_is_not_changed():
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf")])
 @pytest.mark.parametrize("name", ["spike_deviations", "gap_samples", "constant_s"])
 def test_settings_must_be_positive(name, value):
-    with pytest.raises(ValueError, match=rf"`{name}` must be positive and finite, got {value}"):
+    with pytest.raises(ValueError, match=rf"`{name}` must be a finite number > 0, got {value}"):
         CleaningSettings(**{name: value})

@@ -298,5 +298,5 @@ def test_rates_are_checked(trip):
         load(trip(times={"bogie": np.arange(200_000) / 1950}, bogie={"time": "t"}))
     with pytest.raises(TripError, match="channel 'body' has 50 Hz; at least 100 Hz are needed"):
         load(trip(body={"rate_hz": 50.0}))
-    with pytest.raises(ValueError, match="`rate_hz` must be positive and finite, got 0"):
+    with pytest.raises(ValueError, match="`rate_hz` must be a finite number > 0, got 0"):
         load(trip(), rate_hz=0.0)

@@ -96,16 +96,19 @@ def test_ratios_are_those_of_their_seed(seed, spread):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"spread": 1.0}, "`spread` must lie in 0 <= spread < 1, got 1.0"),
-        ({"spread": -0.1}, "`spread` must lie in 0 <= spread < 1"),
-        ({"spread": math.nan}, "`spread` must lie in 0 <= spread < 1"),
-        ({"mass_low": 0.0}, "need 0 < mass_low <= mass_high, got 0.0 and 1.2"),
-        ({"mass_low": 1.3}, "need 0 < mass_low <= mass_high, got 1.3 and 1.2"),
+        ({"spread": 1.0}, "`scenario.spread` must be a finite number >= 0 and < 1, got 1.0"),
+        ({"spread": -0.1}, "`scenario.spread` must be a finite number >= 0 and < 1"),
+        ({"spread": math.nan}, "`scenario.spread` must be a finite number >= 0 and < 1"),
+        ({"mass_low": 0.0}, "`scenario.mass_low` must be a finite number > 0, got 0.0"),
+        ({"mass_low": 1.3}, "need mass_low <= mass_high, got 1.3, 1.2"),
         ({"changes": {"k_x": FADE}}, "`changes` must be named as in .*'k_x'"),
         ({"changes": {"k_p": {"ratio": 0.5}}}, r"'k_p' needs from_km, to_km, ratio: \['ratio'\]"),
         ({"changes": {"k_p": FADE | {"per": 1}}}, "'k_p' needs from_km, to_km, ratio"),
-        ({"changes": {"k_p": FADE | {"to_km": 9e4}}}, "'k_p': need from_km <= to_km, ratio > 0"),
-        ({"changes": {"k_p": FADE | {"ratio": 0.0}}}, "'k_p': need from_km <= to_km, ratio > 0"),
+        ({"changes": {"k_p": FADE | {"to_km": 9e4}}}, "k_p`: need from_km <= to_km, got .*90000"),
+        (
+            {"changes": {"k_p": FADE | {"ratio": 0.0}}},
+            "k_p.ratio` must be a finite number > 0, got 0",
+        ),
     ],
 )
 def test_impossible_scenarios_are_rejected(options, message):

@@ -157,13 +157,16 @@ def test_noise_follows_the_signal():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"rate_hz": 0.0}, "`rate_hz` must be > 0, got 0.0"),
-        ({"rate_hz": math.nan}, "`rate_hz` must be > 0, got nan"),
-        ({"dropout_s": 0.0}, "`dropout_s` must be > 0"),
-        ({"dropouts_per_h": -1.0}, "`dropouts_per_h` must be >= 0, got -1.0"),
-        ({"precision": -0.1}, "`precision` must be >= 0"),
-        ({"range_g": 0.0}, "`range_g` must be > 0 or null"),
-        ({"precision": 0.001}, "`precision` is relative to `range_g`, which is not given"),
+        ({"rate_hz": 0.0}, "`sensor.rate_hz` must be a finite number > 0, got 0.0"),
+        ({"rate_hz": math.nan}, "`sensor.rate_hz` must be a finite number > 0, got nan"),
+        ({"dropout_s": 0.0}, "`sensor.dropout_s` must be a finite number > 0"),
+        (
+            {"dropouts_per_h": -1.0},
+            "`sensor.dropouts_per_h` must be a finite number >= 0, got -1.0",
+        ),
+        ({"precision": -0.1}, "`sensor.precision` must be a finite number >= 0"),
+        ({"range_g": 0.0}, "`sensor.range_g` must be a finite number > 0 or null"),
+        ({"precision": 0.001}, "sensor `precision` is relative to `range_g`, which is not given"),
     ],
 )
 def test_settings_out_of_range_are_rejected(changes, message):

@@ -325,25 +325,25 @@ def test_loggers_are_those_of_table_2_unless_given():
         ({"n_trips": 0}, "`n_trips` must be a whole number >= 1, got 0"),
         ({"n_trips": True}, "`n_trips` must be a whole number >= 1"),
         ({"n_trips": 2.0}, "`n_trips` must be a whole number >= 1"),
-        ({"minutes": 0.0}, "`minutes` must be > 0 and finite, got 0.0"),
-        ({"last_mileage_km": -1.0}, "`last_mileage_km` must be > 0 and finite"),
-        ({"speed_m_per_s": math.inf}, "`speed_m_per_s` must be > 0 and finite"),
-        ({"speed_m_per_s": math.nan}, "`speed_m_per_s` must be > 0 and finite"),
-        ({"journey": "scenic"}, "`journey` must be 'steady' or 'service', got 'scenic'"),
+        ({"minutes": 0.0}, "`minutes` must be a finite number > 0, got 0.0"),
+        ({"last_mileage_km": -1.0}, "`last_mileage_km` must be a finite number > 0"),
+        ({"speed_m_per_s": math.inf}, "`speed_m_per_s` must be a finite number > 0"),
+        ({"speed_m_per_s": math.nan}, "`speed_m_per_s` must be a finite number > 0"),
+        ({"journey": "scenic"}, "`journey` must be one of .*'steady', 'service'.*, got 'scenic'"),
         ({"track": "moon"}, "track spectrum `name` must be one of .*'moon'"),
         ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
         ({"sensors": {"roof": {}}}, r"`sensors` must be named as in .*\['roof'\]"),
-        ({"sensors": {"body": {"rate_hz": 0.0}}}, "sensor `rate_hz` must be > 0"),
+        ({"sensors": {"body": {"rate_hz": 0.0}}}, "`sensor.rate_hz` must be a finite number > 0"),
     ],
 )
 def test_settings_out_of_range_are_rejected(changes, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         fleet(**changes)
 
 
 @pytest.mark.parametrize("name", ["last_mileage_km", "minutes", "speed_m_per_s"])
 def test_settings_that_are_no_numbers_are_rejected(name):
-    with pytest.raises(TypeError, match=f"`{name}` must be a number, got '3'"):
+    with pytest.raises(TypeError, match=f"`{name}` must be a finite number > 0, got '3'"):
         fleet(**{name: "3"})
 
 

@@ -19,18 +19,17 @@ from suspnet.problem import TEST, Problem
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
-from suspnet.studies import figures
 from suspnet.studies.reliability import (
     IN_RANGE,
     N_SLICES,
     _gp_limits,
     _odd_sets,
     _slices,
-    markdown,
     measure,
-    records,
     write_reliability,
 )
+from suspnet.studies.reliability_figure import reliability_figure
+from suspnet.studies.reliability_findings import markdown, records
 from suspnet.uncertainty.ood import KINDS
 from tests.vehicles import AM96
 
@@ -200,7 +199,7 @@ def test_model_without_calibration_and_its_own_seed_are_refused(trained, tmp_pat
 
 
 def test_figure_draws_every_slice_and_set(measured):
-    figure = figures.reliability([measured])
+    figure = reliability_figure([measured])
     left, right = figure.axes
     dots = sum(len(line.get_xdata()) for line in left.lines if line.get_marker() == "o")
     assert dots == N_SLICES * 2 * 3  # two outputs over three parameters

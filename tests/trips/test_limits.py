@@ -238,10 +238,10 @@ def test_severities_are_in_order_and_have_names():
     ("notice", "act", "message"),
     [
         ((0.9,), (0.8, 1.2), "`notice` must be two numbers, lower and upper"),
-        ((0.9, "x"), (0.8, 1.2), "`notice` must be two numbers"),
-        ((0.9, 1.1), (True, 1.2), "`act` must be two numbers"),
-        ((1.1, 1.2), (0.8, 1.3), r"`notice` must be \[lower, upper\] about 1"),
-        ((0.9, 1.1), (0.8, np.nan), r"`act` must be \[lower, upper\] about 1"),
+        ((0.9, "x"), (0.8, 1.2), r"`notice\[1\]` must be a finite number > 1, got 'x'"),
+        ((0.9, 1.1), (True, 1.2), r"`act\[0\]` must be a finite number >= 0 and < 1, got True"),
+        ((1.1, 1.2), (0.8, 1.3), r"`notice\[0\]` must be a finite number >= 0 and < 1, got 1\.1"),
+        ((0.9, 1.1), (0.8, np.nan), r"`act\[1\]` must be a finite number > 1, got nan"),
         ((0.7, 1.1), (0.8, 1.2), r"`notice` \(0\.7, 1\.1\) must lie within `act`"),
     ],
 )

@@ -230,7 +230,7 @@ def test_shapes_that_do_not_fit_are_rejected(first, second):
 @pytest.mark.parametrize("level", [0.0, 1.0, -0.1, 90.0, math.nan])
 def test_level_out_of_range_is_rejected(level):
     conformal = Conformal(np.ones((20, 2)))
-    with pytest.raises(ValueError, match="`level` must lie between 0 and 1, got"):
+    with pytest.raises(ValueError, match="`level` must be a finite number > 0 and < 1, got"):
         conformal.factors(level)
-    with pytest.raises(ValueError, match="`level` must lie between 0 and 1, got"):
+    with pytest.raises(ValueError, match="`level` must be a finite number > 0 and < 1, got"):
         conformal.joint_factor(level)

@@ -265,5 +265,5 @@ def test_arrays_that_do_not_fit_are_rejected(intervals, name, array, message):
 
 
 def test_level_out_of_range_is_rejected(intervals):
-    with pytest.raises(ValueError, match="`level` must lie between 0 and 1, got 90"):
+    with pytest.raises(ValueError, match="`level` must be a finite number > 0 and < 1, got 90"):
         intervals.limits(np.ones((1, 2)), np.ones((1, 2)), 90)

@@ -1,29 +1,22 @@
-"""Figures of the studies; each function returns a new Figure."""
+"""The figure of the identifiability study."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import OUR_COLOUR, SYMBOLS
 from suspnet.studies.findings import Findings
 from suspnet.theory.bounds import UNIDENTIFIED, VERDICTS, Bound
 from suspnet.theory.options import Option
 
-if TYPE_CHECKING:
-    from suspnet.studies.reliability import Reliability
 
-NOMINAL, TOLERANCE = 90.0, 1.5
-"""Coverage aimed at, and by how much a slice may miss it [%]."""
-
-
-def identifiability(groups: Sequence[Findings]) -> Figure:
+def identifiability_figure(groups: Sequence[Findings]) -> Figure:
     """Draw how well each parameter is identified, and what measuring less or more would change."""
     height = 1.6 + 0.36 * max(len(found.table) for found in groups)
     figure = Figure(figsize=(11.2, height * len(groups)), layout="constrained")
@@ -42,12 +35,12 @@ def _draw_bounds(axis: Axes, bounds: Sequence[Bound]) -> None:
     finite = [p for bound in bounds for p in bound.percentiles if math.isfinite(p)]
     low, high = min([0.1, *finite]) / 2, max([50.0, *finite]) * 2
     edge = low
-    for k, (limit, word) in enumerate([*VERDICTS, (high, UNIDENTIFIED)]):
-        axis.axhspan(edge, limit, color="black", alpha=0.06 * k, lw=0)
+    for k, (threshold, word) in enumerate([*VERDICTS, (high, UNIDENTIFIED)]):
+        axis.axhspan(edge, threshold, color="black", alpha=0.06 * k, lw=0)
         axis.annotate(
-            word, (0.99, limit / 1.05), xycoords=("axes fraction", "data"), ha="right", va="top"
+            word, (0.99, threshold / 1.05), xycoords=("axes fraction", "data"), ha="right", va="top"
         )
-        edge = limit
+        edge = threshold
     for x, bound in enumerate(bounds):
         p05, p25, median, p75, p95 = np.minimum(bound.percentiles, high / 1.6)
         if math.isfinite(bound.median_percent):
@@ -80,43 +73,5 @@ def _draw_options(axis: Axes, table: Sequence[tuple[Option, Sequence[Bound]]]) -
 
 
 def _symbolic(words: str) -> str:
+    """Return words with the two responses set as mathematics."""
     return words.replace("G_p", "$G_p$").replace("G_s", "$G_s$")
-
-
-def reliability(found: Sequence[Reliability]) -> Figure:
-    """Coverage of every slice of every parameter, and share of flagged curves of every set."""
-    height = max(3.2, 0.9 + 0.2 * len(found[0].flags))
-    figure = Figure(figsize=(10.0, height * len(found)), layout="constrained")
-    axes = figure.subplots(len(found), 2, squeeze=False, width_ratios=(1.3, 1))
-    for one, (left, right) in zip(found, axes, strict=True):
-        _draw_slices(left, one)
-        left.set_title(one.name, fontsize="medium")
-        _draw_flags(right, one)
-    return figure
-
-
-def _draw_slices(axis: Axes, one: Reliability) -> None:
-    """Draw a line for each output over the fifths of each parameter; dashed is a GP's own."""
-    axis.axhspan(NOMINAL - TOLERANCE, NOMINAL + TOLERANCE, color="0.9")
-    axis.axhline(NOMINAL, color=LIMIT_COLOUR, lw=0.8)
-    for style, scores in zip(("o-", "s--"), one.intervals.values(), strict=False):
-        for place, by_output in enumerate(scores["slices"].values()):
-            for j, (output, values) in enumerate(by_output.items()):
-                x = [place + (k - 2) * 0.17 for k in range(len(values))]
-                named = SYMBOLS[output] if place == 0 and style == "o-" else None
-                axis.plot(x, values, style, color=f"C{j}", ms=3, lw=1, label=named)
-    names = list(next(iter(one.intervals.values()))["slices"])
-    axis.set_xticks(range(len(names)), [f"fifths of {SYMBOLS[name]}" for name in names])
-    axis.set_ylabel(f"coverage of {NOMINAL:g} % intervals [%]")
-    axis.margins(y=0.25)
-    axis.legend(ncols=4, fontsize="small", loc="lower center")
-
-
-def _draw_flags(axis: Axes, one: Reliability) -> None:
-    names = list(one.flags)[::-1]
-    values = [one.flags[name]["any"] for name in names]
-    axis.barh(names, values, color=[OUR_COLOUR if v > 1 else "0.6" for v in values])
-    for place, value in enumerate(values):
-        axis.text(min(value, 100) + 1, place, f"{value:.3g}", va="center", fontsize="x-small")
-    axis.tick_params(axis="y", labelsize="x-small")
-    axis.set(xlabel="flagged [%]", xlim=(0, 112))
