@@ -9,7 +9,7 @@ import stat
 import numpy as np
 import pytest
 
-from suspnet.data import storage
+from suspnet import storage
 from suspnet.storage import (
     DamagedFileError,
     content_hash,
