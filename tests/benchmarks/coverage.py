@@ -23,7 +23,7 @@ from hydra.utils import instantiate
 from tabulate import tabulate
 
 from suspnet.model.checkpoint import load_model
-from suspnet.runs.fit import Problem
+from suspnet.problem import Problem
 from suspnet.runs.train import train
 from suspnet.studies.reliability import IN_RANGE, Reliability, measure
 

@@ -37,8 +37,8 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
     from hydra import compose, initialize_config_dir
     from hydra.utils import instantiate
 
-    from suspnet.data import TEST, TRAIN
-    from suspnet.runs.fit import Problem, scalings
+    from suspnet.problem import TEST, TRAIN, Problem
+    from suspnet.runs.fit import scalings
 
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         config = compose(
