@@ -4,7 +4,7 @@ python tests/benchmarks/against_n.py
 
 Three inputs, uniform with variance 1, two smooth outputs, noise 0.05 on the training targets; the
 error is that against the truth on 5,000 points. C = 10, sigma = 1, epsilon = 1e-3. Writes
-against_n.csv and against_n.png, shown in README.
+against_n.csv and against_n.png, shown in docs/speed.md.
 """
 
 import csv

@@ -1,0 +1,155 @@
+"""Write the tables of README and docs from the results that the scripts here left.
+
+python tests/benchmarks/docs_tables.py
+
+A table stands between the lines <!-- table NAME --> and <!-- end --> of a page. One whose results
+are missing stays as it is, and is named.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import coverage
+from cells import Parser, Row
+from tabulate import tabulate
+
+from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
+from suspnet.storage import write_atomically
+
+ROOT = Path(__file__).parents[2]
+RESULTS = Path(__file__).parent / "results"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+EFFECTS = {
+    "none": "as trained",
+    "inertias": "inertias 10 % off",
+    "rubber": "rubber springs",
+    "bending": "body bending at 9 Hz",
+    "all": "all effects together",
+}
+"""Effects of the table of foreign vehicles, in words."""
+
+
+def markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Return a table as Markdown, each number as it is written."""
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def table6_rows(rows: Sequence[Row], protocol: str) -> list[Row]:
+    """Return the MAPE rows of Table VI of one protocol; ValueError if there are none."""
+    found = [r for r in rows if (r["protocol"], r["metric"]) == (protocol, "mape_percent")]
+    if not found:
+        raise ValueError(f"no rows of protocol {protocol}")
+    return found
+
+
+def table6(rows: Sequence[Row], protocol: str = "multi_location") -> str:
+    """Return Table VI, published beside measured, with its settings but no times."""
+    chosen = table6_rows(rows, protocol)
+    settings = table6_caption(chosen).partition("; time taken")[0]
+    return f"{table6_markdown(chosen)}\n\n{settings}"
+
+
+def table6_paper(rows: Sequence[Row]) -> str:
+    """Return Table VI in the paper's own set-up."""
+    return table6(rows, "paper")
+
+
+def table6_short(rows: Sequence[Row]) -> str:
+    """Return what was measured of Table VI, the bound, and the paper's figures of MSVR."""
+    chosen = table6_rows(rows, "multi_location")
+    models = [name for name in MODEL_TITLES if any(r["model"] == name for r in chosen)]
+    lines = []
+    for output in dict.fromkeys(r["output"] for r in chosen):
+        by_model = {r["model"]: r for r in chosen if r["output"] == output}
+        measured = [f"{by_model[name]['measured']:#.3g}" for name in models]
+        msvr = by_model["msvr"]
+        lines.append([output, *measured, f"{msvr['limit']:#.3g}", f"{msvr['published']:g}"])
+    titles = [MODEL_TITLES[name] for name in models]
+    return markdown(lines, ["MAPE %", *titles, "bound", "MSVR in the paper"])
+
+
+def mismatch(rows: Sequence[Row]) -> str:
+    """Return the rms errors of trips of vehicles that differ from the model's."""
+    lines = []
+    for effect, words in EFFECTS.items():
+        line = [words]
+        for trained in ("nominal", "sampled"):
+            for reference in ("vehicle", "first_trips"):
+                key = (effect, trained, reference)
+                same = [r for r in rows if (r["effect"], r["trained"], r["reference"]) == key]
+                line.append(", ".join(f"{r['rms_percent']:.2g}" for r in same[:4]))
+        lines.append(line)
+    header = ["simulated", "nominal", "nominal, first trips", "sampled", "sampled, first trips"]
+    return markdown(lines, header)
+
+
+def against_n(rows: Sequence[Row]) -> str:
+    """Return time, memory and error of each method at the largest number of samples."""
+    largest = max(r["n"] for r in rows)
+    done = [r for r in rows if r["n"] == largest and "rmse" in r]
+    done.sort(key=lambda r: r["seconds"])
+    lines = [[r["method"], *(f"{r[k]:.3g}" for k in ("seconds", "rmse", "fit_mib"))] for r in done]
+    return markdown(lines, [f"n = {largest:,}", "seconds", "rms error", "MiB of the fit"])
+
+
+TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
+    "table6": ("table6.csv", table6),
+    "table6_short": ("table6.csv", table6_short),
+    "table6_paper": ("table6.csv", table6_paper),
+    "coverage": ("coverage.csv", coverage.table),
+    "mismatch": ("mismatch.csv", mismatch),
+    "against_n": ("against_n.csv", against_n),
+}
+"""Results and what makes a table of them, by the name that pages give the table."""
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the rows of a CSV, numbers as numbers; what is empty is left out."""
+    with open(path, newline="") as file:
+        return [
+            {key: number(text) for key, text in row.items() if text} for row in csv.DictReader(file)
+        ]
+
+
+def number(text: str) -> float | int | str:
+    """Return a text as a number if it is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def filled(page: str) -> tuple[str, list[str]]:
+    """Return a page with its tables written anew, and the names of those that could not be."""
+    missing = []
+
+    def write(block: re.Match[str]) -> str:
+        begin, name, _, end = block.groups()
+        file, make = TABLES[name]
+        try:
+            return f"{begin}{make(read_rows(RESULTS / file))}\n{end}"
+        except (FileNotFoundError, ValueError):
+            missing.append(name)
+            return block.group()
+
+    return BLOCK.sub(write, page), missing
+
+
+def main() -> None:
+    Parser(description=__doc__.splitlines()[0]).parse_args()
+    for path in PAGES:
+        old = path.read_text(encoding="utf-8")
+        new, missing = filled(old)
+        if new != old:
+            write_atomically(path, new)
+        left = f"; no results for {', '.join(missing)}" if missing else ""
+        print(f"{path.relative_to(ROOT)}: {'written' if new != old else 'unchanged'}{left}")
+
+
+if __name__ == "__main__":
+    main()
