@@ -1,0 +1,217 @@
+"""README, CONTRIBUTING and docs: links, commands, snippets, tables and the layout are true."""
+
+import ast
+import importlib
+import re
+import shlex
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from trip_fixtures import model_at, small_fleet
+
+from suspnet.cli.options import CONFIGS, TABLES
+from suspnet.cli.program import check_targets
+from suspnet.data import CurveSettings
+from suspnet.learning import LinearRegression
+from suspnet.model import save_model
+from suspnet.problem import Problem
+from suspnet.recordings.manifest import read_manifest
+from suspnet.runs.calibrate import calibrated
+from suspnet.runs.fit import fit
+
+ROOT = Path(__file__).parents[1]
+sys.path.append(str(ROOT / "tests" / "benchmarks"))
+import docs_tables  # noqa: E402
+
+README = ROOT / "README.md"
+PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PROGRAMS = {
+    "python train.py": "train",
+    "python evaluate.py": "evaluate",
+    "python -m suspnet.simulate": "simulate",
+}
+MOST_LINES = 120
+NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
+"""Begin overrides that only an extra of the package understands."""
+PLACEHOLDER = "experiment=best"
+"""Override whose option the user's own --config-dir holds."""
+OF_PROGRAM = {"-m", "--help", "--cfg", "job"}
+"""Arguments of a command that are no overrides."""
+
+
+def blocks(page):
+    """Return the code of a page: blocks indented by four spaces, or between fences."""
+    text = page.read_text(encoding="utf-8")
+    fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    rest = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    indented = re.findall(r"(?:^(?: {4}.*)?\n)+", rest, re.MULTILINE)
+    return fenced + [code for block in indented if (code := textwrap.dedent(block).strip())]
+
+
+def commands():
+    """Return every command line of all pages that starts one of the programs."""
+    found = []
+    for page in PAGES:
+        for line in "\n".join(blocks(page)).replace("\\\n", " ").splitlines():
+            for part in line.split("&&"):
+                part = re.sub(r"^torchrun .*?train\.py", "python train.py", part.strip())
+                if part.startswith(tuple(PROGRAMS)):
+                    found.append(part)
+    return sorted(set(found))
+
+
+def overrides_of(line):
+    """Return the program of a command line and its overrides, placeholders left out."""
+    start = next(start for start in PROGRAMS if line.startswith(start))
+    words = shlex.split(line.removeprefix(start), comments=True)
+    if "--config-dir" in words:
+        place = words.index("--config-dir")
+        words = [word for word in words[:place] + words[place + 2 :] if word != PLACEHOLDER]
+    return PROGRAMS[start], [
+        word for word in words if word not in OF_PROGRAM and not word.startswith(NEEDS_PLUGIN)
+    ]
+
+
+def jobs(overrides):
+    """Return the overrides of jobs that try each option of a swept group, and a swept key once."""
+    values = {}
+    for one in OverridesParser.create().parse_overrides(overrides):
+        swept = list(one.sweep_string_iterator()) if one.is_sweep_override() else None
+        is_group = one.key_or_group in TABLES or (Path(CONFIGS) / one.key_or_group).is_dir()
+        values[one.key_or_group] = (
+            swept[: None if is_group else 1] if swept else [one.get_value_string()]
+        )
+    return [
+        tuple(f"{key}={each[k % len(each)]}" for key, each in values.items())
+        for k in range(max(map(len, values.values()), default=1))
+    ]
+
+
+def imported(node):
+    """Return the modules of the package below its top that a node of a module imports."""
+    if isinstance(node, ast.Import):
+        names = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom) and node.module == "suspnet":
+        names = [f"suspnet.{alias.name}" for alias in node.names]
+    else:
+        names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+    return [name for name in names if name.startswith("suspnet.") and not name.endswith("__")]
+
+
+def python_blocks(page):
+    return [code for code in blocks(page) if re.match(r"(import|from) \w+", code)]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, task, quarter_car):
+    """Return the folders of a model of curves and of one of trips, and a trip."""
+    folder = tmp_path_factory.mktemp("runs")
+    settings = CurveSettings(300, 100, 200, cache_dir=None)
+    problem = Problem(quarter_car, task(), settings)
+    save_model(folder / "train", calibrated(problem, fit(problem, LinearRegression(), None)))
+    save_model(folder / "trips", model_at())
+    return {
+        "outputs/train/RUN": folder / "train",
+        "outputs/trips/RUN": folder / "trips",
+        "trip.yaml": small_fleet(tmp_path_factory)[0],
+    }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_relative_link_leads_to_a_file(page):
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    for link in links:
+        file, _, heading = link.partition("#")
+        if re.match(r"\w+:", link):
+            continue
+        target = page.parent / file if file else page
+        assert target.is_file(), link
+        if heading:
+            titles = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in [re.sub(r"[^\w\- ]", "", t).lower().replace(" ", "-") for t in titles]
+
+
+def test_every_command_composes():
+    asked = {}
+    for line in commands():
+        program, overrides = overrides_of(line)
+        asked |= {(program, job): line for job in jobs(overrides)}
+    assert len(asked) > 30
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        for (program, job), line in asked.items():
+            try:
+                check_targets(compose(program, list(job)))
+            except HydraException as error:
+                raise AssertionError(f"{line}: {error}") from error
+
+
+def test_every_file_of_the_tests_that_is_named_exists():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    for name in set(re.findall(r"tests/[\w/]+\.\w+", text)):
+        assert (ROOT / name).is_file(), name
+
+
+def test_scripts_of_the_benchmarks_import_what_there_is():
+    for file in (ROOT / "tests" / "benchmarks").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for module in imported(node):
+                found = importlib.import_module(module)
+                for alias in node.names if isinstance(node, ast.ImportFrom) else ():
+                    assert hasattr(found, alias.name), f"{file}: {module} has no {alias.name}"
+
+
+def test_nothing_imports_from_below_its_row_of_the_layout():
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`suspnet/.*?) \|", contributing, re.MULTILINE)
+    floors = {}
+    for floor, row in enumerate(rows):
+        for name in re.findall(r"`(?:suspnet/)?(\w+)(?:/|\.py)`", row):
+            floors.setdefault(name, floor)
+    for file in (ROOT / "suspnet").rglob("*.py"):
+        room = file.relative_to(ROOT / "suspnet").parts[0].removesuffix(".py")
+        if room in ("__init__", "simulate"):  # the public names, and a program
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            for module in imported(node):
+                assert floors[module.split(".")[1]] <= floors[room], f"{file} imports {module}"
+
+
+def test_readme_is_short_and_has_the_two_commands_on_lines_of_their_own():
+    lines = README.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= MOST_LINES
+    assert "    pip install -e . && python train.py experiment=table6" in lines
+    assert '    pip install -e ".[test]" && pytest' in lines
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_are_those_of_the_results(page):
+    text = page.read_text(encoding="utf-8")
+    assert docs_tables.filled(text)[0] == text, "run python tests/benchmarks/docs_tables.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_manifests_are_accepted(page, tmp_path):
+    for code in blocks(page):
+        if not code.startswith("format: suspnet-trip-1"):
+            continue
+        content = yaml.safe_load(code)
+        for source in [content["speed"], *content["channels"].values()]:
+            (tmp_path / source["file"]).touch()
+        (tmp_path / "trip.yaml").write_text(code)
+        assert read_manifest(tmp_path / "trip.yaml").vehicle == "am96"
+
+
+def test_snippets_run(runs, capsys):
+    snippets = [code for page in PAGES for code in python_blocks(page)]
+    assert len(snippets) >= 3
+    for code in snippets:
+        for name, path in runs.items():
+            code = code.replace(f'"{name}"', repr(str(path)))
+        exec(compile(code, "snippet", "exec"), {})
+    assert "k_p" in capsys.readouterr().out
