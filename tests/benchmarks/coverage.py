@@ -3,7 +3,8 @@
 python tests/benchmarks/coverage.py
 
 Trains MSVR (20,000 curves) and MV-GPR (5,000) as configured, seed 0, with 30,000 calibration
-curves; measures 90 % intervals on 20,000 fresh curves, seed 1000. Prints the README's table and
+curves; measures 90 % intervals on 20,000 fresh curves, seed 1000. Prints the table of docs/trust.md
+and
 writes coverage.csv: one row for each kind of interval and output, with the coverage of the least
 and the most covered fifth of any parameter, and the share of curves that are flagged.
 """
