@@ -36,14 +36,13 @@ from suspnet.storage import (
 from suspnet.types import FloatArray
 
 LEARN_FROM = 4096
-"""Training curves from which a feature set learns what it has to."""
+"""Number of training curves from which a feature set learns."""
 BLOCK = 128
-"""Curves made at once: small enough to stay in cache, and the unit of reproducible noise."""
+"""Number of curves made at once: they stay in cache and share one seed of their noise."""
 BATCH = 2 * BLOCK
-"""Curves whose features are extracted at once: the threads take turns at the interpreter, which
-larger arrays need less."""
+"""Number of curves whose features are extracted at once; larger arrays need Python's lock less."""
 TRAIN, TEST, CALIBRATE = 0, 1, 2
-"""Streams of curves: to learn from, to score on, to calibrate intervals on."""
+"""Streams of independent curves: for training, for scores, for the calibration of intervals."""
 _NAMES = ("training", "test", "calibration")
 log = logging.getLogger(__name__)
 
@@ -97,7 +96,7 @@ class Problem:
 
     @cached_property
     def extractor(self) -> FeatureSet:
-        """The task's feature set; what it has not learnt yet, it learns from training curves."""
+        """The task's feature set, fitted to training curves if it is not fitted yet."""
         extractor = self.task.extractor
         if extractor.is_fitted:
             return extractor
@@ -141,7 +140,7 @@ class Problem:
         return self.task.sample(n_curves, self.seed, stream)
 
     def _wanted(self, stream: int) -> int | str:
-        """Return how many curves a stream has."""
+        """Return the number of curves of a stream, or "all" for the whole grid."""
         settings = self.settings
         return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
 

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and arrays that are checked before they are used."""
+"""Files written atomically, and arrays checked before they are used."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from safetensors.numpy import load, save
 
 
 class DamagedFileError(ValueError):
-    """A file is truncated, altered or not one of ours."""
+    """A file is truncated, altered or of another format."""
 
 
 def write_atomically(path: Path, content: bytes | str) -> Path:

@@ -1,4 +1,4 @@
-"""Protocols: what varies, what is measured and what is asked for (Table IV, design of the task)."""
+"""Protocols: the parameters that vary, the curves measured and the outputs (Table IV)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Task:
     varied : tuple of str
         Parameters that vary; the others stay healthy.
     outputs : tuple of str
-        Parameters that are asked for.
+        Parameters that are estimated.
     responses : tuple of str
         From ``RESPONSES``: the curves that may be used.
     extractor : FeatureSet
@@ -84,7 +84,7 @@ class Task:
         return [RESPONSES.index(name) for name in self.responses]
 
     def describe(self) -> dict[str, Any]:
-        """Return the task as JSON-able values, without what its feature set has learnt."""
+        """Return the task as JSON-able values, its feature set without its learnt arrays."""
         extractor = self.extractor.blank()
         plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(self, extractor=extractor))))
         plain["extractor"]["kind"] = extractor.kind

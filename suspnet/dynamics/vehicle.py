@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from suspnet.checks import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
-"""What may vary, in the order of every array of parameter ratios (1 = healthy)."""
+"""The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 

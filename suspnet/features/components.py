@@ -31,9 +31,9 @@ from suspnet.features.extraction import FeatureTable
 from suspnet.types import FloatArray, IntArray
 
 MISSING = 1
-"""Reason of a curve that is not finite or lies on other bins."""
+"""Reason code of a curve that is not finite."""
 FLOOR = 10.0
-"""The logarithm of magnitudes becomes linear at this multiple of the rms of their noise."""
+"""Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class CurveFeatures:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What each column of the reasons is about."""
+        """Name of what each column of the reasons belongs to."""
         return ("curve",)
 
     def __post_init__(self) -> None:
@@ -287,7 +287,7 @@ def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:
 def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
     """Return log-magnitude and phase relative to `healthy`, shape (n_curves, 4 n_freq).
 
-    The phase relative to healthy starts near 0 at low frequency and is followed from there.
+    The phase relative to healthy is near 0 at low frequency and is unwrapped towards higher ones.
     """
     ratio = responses / healthy
     phase = ratio.angle()

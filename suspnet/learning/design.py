@@ -19,9 +19,10 @@ from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
-"""Features of a whole training set are kept in memory up to this size, else computed again."""
+"""Size [bytes] up to which the features of a training set stay in memory between passes."""
 Columns = Callable[[slice, Tensor], Tensor]
-"""Gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b there."""
+"""A function that gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b
+there."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ class NormalEquations(Protocol):
     """Gives the solver a direction, exactly or nearly that of Eq. (9)."""
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
-        """Return a direction; F need not be found better than to `accuracy`."""
+        """Return a direction; `accuracy` is the error of F that may remain."""
         ...
 
 
 class Design(Protocol):
-    """What the solver needs of Phi."""
+    """The interface through which the solver uses Phi."""
 
     n_features: int
     all_reduce: AllReduce

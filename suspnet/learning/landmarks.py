@@ -10,7 +10,7 @@ from torch import Tensor
 from suspnet.learning.feature_maps import TensorMap, generator
 
 ROUNDING = 1e-13
-"""A residual of the kernel's diagonal below this is rounding and counts as 0; the kernel is 1."""
+"""Residual of the kernel's diagonal, which is 1, below which it is rounding and counts as 0."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from suspnet.types import FloatArray
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
-"""Range of the damping, relative to the diagonal of J^T J; a row that reaches its end stops."""
+"""Range of the damping, relative to the diagonal of J^T J; a row whose damping reaches an end
+stops."""
 DIFFERENCE = 1e-5
 """Step of the central differences of the Jacobian; parameters are of the order of 1."""
 
@@ -175,7 +176,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         self.tol = tol
 
     def state(self) -> dict[str, FloatArray]:
-        """Return nothing: the parameters are all there is, it learns no arrays."""
+        """Return no arrays: the method has parameters only."""
         return {}
 
     def fit_curves(

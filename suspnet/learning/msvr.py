@@ -26,7 +26,7 @@ from suspnet.types import FloatArray, IntArray
 
 PREDICT_ROWS = 8192
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
-"""Parameters that the Gram matrix does not depend on."""
+"""Hyperparameters that the Gram matrix does not depend on."""
 
 
 class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]

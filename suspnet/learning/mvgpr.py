@@ -49,7 +49,7 @@ def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class LikelihoodEvaluation:
-    """What a callback is told after each evaluation of the likelihood."""
+    """Argument of the callback after each evaluation of the likelihood."""
 
     n_evaluations: int
     log_likelihood: float

@@ -29,7 +29,7 @@ from suspnet.types import FloatArray, IntArray
 Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
 Levels = dict[str, list[float]]
 FLAT = 0.005
-"""A relative rise of the RMSE below which tables of three digits hardly change."""
+"""Relative rise of the RMSE up to which the edge of a grid counts as flat."""
 
 
 @dataclass(frozen=True)

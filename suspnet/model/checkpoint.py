@@ -32,7 +32,7 @@ from suspnet.uncertainty.ood import OODDetector
 
 SCHEMA_VERSION = 4
 FEATURES, INTERVALS, OOD = "features.", "intervals.", "ood."
-"""Begin the names of the arrays of the feature set, of the intervals and of the OOD detector."""
+"""Prefixes of the names of the arrays of the feature set, the intervals and the OOD detector."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -108,7 +108,7 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
 
 
 def parameters(estimator: Any) -> dict[str, Any]:
-    """Return the constructor's arguments that make a method what it is: all but its callback."""
+    """Return the constructor's arguments of a method, all but its callback."""
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 

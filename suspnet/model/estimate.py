@@ -1,4 +1,4 @@
-"""What a model says of some curves or of one recording: values, intervals and flags."""
+"""Result of a model for some curves or one recording: values, intervals and flags."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 
 SHOWN = 10
-"""Rows that the readable form shows."""
+"""Number of rows that the readable form shows."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -29,7 +29,7 @@ class Estimate:
     level : float
         Probability with which an interval holds the truth.
     flags : Flags
-        What speaks against each row; nothing, if the model was not calibrated.
+        Reasons not to trust a row; none, if the model was not calibrated.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The model that users hold: a fitted method that estimates from curves, spectra, recordings."""
+"""A fitted method that estimates from curves, spectra and recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from suspnet.model.spectra import estimate_spectra
 from suspnet.recordings import Recording, load_recording, read_manifest
 
 SAME_BIN_HZ = 1e-6
-"""Bins that differ by less than this are the same, [Hz]."""
+"""Difference [Hz] below which two frequency bins are the same."""
 
 
 @dataclass(frozen=True)

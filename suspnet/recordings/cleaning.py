@@ -25,10 +25,10 @@ from suspnet.types import BoolArray, FloatArray
 KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift")
 
 CORE_SAMPLES = 2**18
-"""About how many samples are looked at together; few enough to stay in cache."""
+"""Approximate number of samples that are checked at once; few enough to stay in cache."""
 
 SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
-"""Level and spread are those of one second, and of no fewer samples than this."""
+"""Length of a segment for level and spread: seconds, and least number of samples."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class CleaningSettings:
     saturation_samples : int
         Where no range is given, this many equal samples at the highest or lowest value around.
     constant_s : float, [s]
-        Identical values for longer than this come from a dead sensor.
+        Identical values for longer than this are marked as those of a dead sensor.
     drift_fraction : float
         A mean, or a change of level between the first and the last tenth, is reported if it is
         larger than this fraction of the root mean square about the mean.

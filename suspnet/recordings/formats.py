@@ -28,12 +28,12 @@ except ImportError:
     nptdms = None
 
 BLOCK = 2**20
-"""The most samples of a column that are handed out at once."""
+"""Largest number of samples of a column in one block."""
 
 CSV_BLOCK_BYTES = 2**22
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**18, 2**20
 LISTED = 20
-"""The most columns that an error message lists."""
+"""Largest number of columns that an error message lists."""
 
 Block = tuple[FloatArray, ...]
 Take = Callable[[slice], Any]
@@ -156,7 +156,7 @@ def _read_hdf5(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _take_hdf5(dataset: Any) -> Take:
-    """Return what reads a part of a vector, MATLAB's (1, n) and (n, 1) included."""
+    """Return a function that reads a slice of a vector, MATLAB's (1, n) and (n, 1) included."""
     axis = int(np.argmax(dataset.shape))
     before, after = (0,) * axis, (0,) * (len(dataset.shape) - axis - 1)
     return lambda part: dataset[(*before, part, *after)]
@@ -208,7 +208,7 @@ _DAMAGE = (
     OverflowError,
     MemoryError,
 )
-"""What the readers of the formats raise when bytes are not what they should be."""
+"""Errors that the readers of the formats raise on damaged files."""
 
 
 def _choose(path: Path, columns: Sequence[str | None], present: Sequence[str]) -> list[str]:

@@ -53,7 +53,7 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """Which suspension a trip is of; empty text is what the manifest does not say.
+    """Which suspension a trip is of; text is empty where the manifest does not say it.
 
     Parameters
     ----------

@@ -26,13 +26,14 @@ from suspnet.recordings.timeline import Timeline, check_rate, check_rising
 from suspnet.types import BoolArray, FloatArray
 
 SHORTEST_S = 60.0
-"""A shorter recording says nothing about a suspension."""
+"""Least length of a recording, [s]."""
 
 LARGEST_SPEED_M_PER_S = 150.0
-"""No train is faster; a speed above is unknown."""
+"""Largest speed of a train [m/s]; a larger value counts as unknown."""
 
 LONGEST_SPEED_GAP_S = 10.0
-"""Between speeds further apart the speed is unknown."""
+"""Longest time [s] between two speeds that is interpolated; the speed is unknown in longer
+ones."""
 
 
 @dataclass(frozen=True)

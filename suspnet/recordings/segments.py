@@ -13,11 +13,11 @@ from suspnet.features.welch import Welch
 from suspnet.recordings.recording import Recording
 
 LOUD = 30.0
-"""Segments with more than this multiple of the median power are left out from the start."""
+"""Segments with more power than this multiple of the median are left out before any average."""
 ROUNDS = 3
-"""How often segments of low coherence are left out and the average is taken anew."""
+"""Number of rounds in which segments of low coherence are left out and the average is renewed."""
 ODD = 3.0
-"""A segment this many times less explained than the median one is odd."""
+"""A segment is odd if its unexplained share of power exceeds this multiple of the median share."""
 
 
 class NoEstimateError(Exception):

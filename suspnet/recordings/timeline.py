@@ -10,13 +10,13 @@ from suspnet.recordings.manifest import TripError
 from suspnet.types import FloatArray, IntArray
 
 GAP_STEPS = 1.5
-"""A time step longer than this many usual ones is a gap."""
+"""A time step longer than this multiple of the usual one is a gap."""
 
 LONGEST_GAP_S = 1800.0
-"""A longer gap separates two trips, or its time stamps are wrong."""
+"""Longest gap within a trip [s]; after a longer one its time stamps are refused."""
 
 RATE_TOLERANCE = 0.01
-"""How far time stamps may be from the rate in the manifest."""
+"""Largest relative difference of the rate by time stamps from that in the manifest."""
 
 BLOCK = 2**18
 

@@ -24,7 +24,7 @@ from suspnet.types import FloatArray
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02
-"""Fraction of curves without all of their peaks above which a user should be warned."""
+"""Fraction of curves that lack a peak above which a warning is logged."""
 
 
 def method_name(estimator: Any) -> str:

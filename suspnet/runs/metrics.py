@@ -44,7 +44,7 @@ def interval_scores(
     ----------
     actual : array of shape (n_samples, n_outputs), [-]
     limits, joint : pairs of such arrays
-        Lower and upper limits for each output, and for all outputs at once.
+        Lower and upper ends of the intervals for each output, and for all outputs at once.
     outputs : sequence of str
 
     Returns
@@ -68,5 +68,5 @@ def interval_scores(
 
 
 def covers(actual: FloatArray, limits: Limits) -> BoolArray:
-    """Return whether each value lies within its limits, (n_samples, n_outputs)."""
+    """Return whether each value lies within its interval, (n_samples, n_outputs)."""
     return np.asarray((limits[0] <= actual) & (actual <= limits[1]))

@@ -1,4 +1,4 @@
-"""The scores of one run beside what is possible at best, and the line that reports them."""
+"""The scores of one run beside the Cramer-Rao bound, and the table that reports them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from suspnet.uncertainty.ood import KINDS
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]
 LEVEL = 0.9
-"""Probability of the intervals in tables."""
+"""Level of the prediction intervals in tables."""
 TOO_GOOD = 4.0
-"""Standard deviations of its sampling error by which an rms error may lie below the bound."""
+"""An rms error below the bound by more than this is warned of, in standard deviations of it."""
 
 
 def label(model: FittedMethod) -> str:

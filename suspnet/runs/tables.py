@@ -13,7 +13,7 @@ from tabulate import tabulate
 from suspnet.runs.metrics import METRICS
 
 REFINED = "+refine"
-"""Ends the name of a method whose estimates were refined on the curve."""
+"""Suffix of the name of a method whose estimates were refined on the curve."""
 MODEL_TITLES = {
     "msvr": "MSVR",
     "svr": "SVR",

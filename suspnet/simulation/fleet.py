@@ -32,9 +32,9 @@ from suspnet.storage import write_atomically
 from suspnet.types import FloatArray
 
 BLOCK = 1 << 18
-"""Samples simulated at once."""
+"""Number of samples simulated at once."""
 LEAD_IN_S = 20.0
-"""A trip that starts at speed is simulated this long before it begins, until it has settled."""
+"""Time simulated before a trip that starts at speed [s], in which the transient decays."""
 MARGIN_M = 50.0
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)
@@ -42,7 +42,7 @@ FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 
 
 class SimulatedVehicle(Protocol):
-    """What a generator needs so that trips can be simulated with it."""
+    """The interface of generators that can simulate trips."""
 
     @property
     def vehicle(self) -> Vehicle:

@@ -33,7 +33,7 @@ class Sensor:
         Drop-outs of `dropout_s` each: the logger holds the last value or gives NaN, in turn.
     dropout_s : float, [s]
     clock_offset_s : float, [s]
-        The logger's clock is late by this, and does not say so.
+        Delay of the logger's clock, which the manifest does not state.
 
     Raises
     ------

@@ -148,7 +148,7 @@ def _setting(run: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _order(run: Mapping[str, Any], changed: Mapping[str, Any] | None) -> tuple[Any, ...]:
-    """Return what sorts runs: group, the baseline first, then settings and their values."""
+    """Return the sorting key of a run: group, the baseline first, then settings and values."""
     places = [(*_place(key), *_rank(value)) for key, value in (changed or {}).items()]
     is_other = run["ablation"] != BASELINE
     return run["protocol"], run["group"], is_other, places, run["ablation"], run["seed"]

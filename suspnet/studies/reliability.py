@@ -40,7 +40,7 @@ from suspnet.uncertainty.ood import KINDS
 log = logging.getLogger(__name__)
 N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
-"""Ratios to healthy that lie outside any training range."""
+"""Ratios to healthy outside the range of every protocol."""
 IN_RANGE = "in range"
 
 
@@ -158,7 +158,7 @@ def _intervals(
 def _gp_limits(
     model: TrainedModel, inputs: FloatArray, level: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return limits by the standard deviation that a Gaussian process gives itself."""
+    """Return intervals from the standard deviations that a Gaussian process predicts."""
     assert model.output_scaling is not None
     mean, deviation = model.estimator.predict(model.scaled(inputs), return_std=True)
     half = norm.ppf((1 + level) / 2) * deviation

@@ -11,7 +11,7 @@ from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.studies.reliability_findings import Reliability
 
 NOMINAL, TOLERANCE = 90.0, 1.5
-"""Coverage aimed at, and by how much a slice may miss it [%]."""
+"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
 
 
 def reliability_figure(found: Sequence[Reliability]) -> Figure:

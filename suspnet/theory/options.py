@@ -25,7 +25,7 @@ Kind = Literal["baseline", "less", "more", "other", "estimate"]
 
 @dataclass(frozen=True)
 class Option:
-    """Something that could be measured, and what it tells.
+    """Something that could be measured, with its Fisher information.
 
     Attributes
     ----------

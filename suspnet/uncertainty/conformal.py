@@ -25,7 +25,7 @@ from suspnet.types import FloatArray
 
 @dataclass(frozen=True)
 class Conformal:
-    """Scores of calibration samples, and the half widths that follow from them.
+    """Scores of the calibration samples, from which the half widths follow.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a model was not trained for: inputs and curves on which its estimate means nothing.
+"""Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
 Four kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
 cloud of the training curves; a parameter lies outside the range of the training curves; the
@@ -22,20 +22,21 @@ from suspnet.uncertainty.refine import Refined
 
 KINDS = ("missing", "cloud", "range", "misfit")
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
-"""Training curves that stand for the cloud; the distance is the mean to so many of the nearest."""
+"""Number of training features that the detector keeps, and of the nearest neighbours whose mean
+distance is compared with the threshold."""
 FALSE_ALARMS = 1e-4
-"""Share of curves like the training curves whose features are called beyond the cloud."""
+"""False-alarm rate of the distance of features, on curves like the training curves."""
 MISFIT_DEVIATIONS = 4.5
-"""A misfit is odd if it exceeds the mean of curves like the training curves by so many of their
-standard deviations."""
+"""Threshold of the misfit above its mean over curves like the training curves, in standard
+deviations of theirs."""
 EDGE_DEVIATIONS = 2.33
-"""A parameter is outside its range if it is so by this many of its standard deviations: 1 % of
-those on the very edge."""
+"""Standard deviations by which a parameter must lie outside its range to be flagged; 1 % of those
+on its edge are."""
 
 
 @dataclass(frozen=True)
 class Flags:
-    """What speaks against each estimate.
+    """Reasons not to trust each estimate.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class Flags:
 
     @classmethod
     def none(cls, n_curves: int) -> Self:
-        """Return that nothing speaks against any of some estimates."""
+        """Return flags of `n_curves` estimates of which none is set."""
         return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
 
     @property
@@ -110,7 +111,7 @@ class OODDetector:
     def flags(
         self, task: Task, missing: Sequence[str], inputs: FloatArray, refined: Refined
     ) -> Flags:
-        """Return what speaks against the estimates of some curves.
+        """Return the flags of the estimates of some curves.
 
         Parameters
         ----------

@@ -1,8 +1,9 @@
 """Gauss-Newton steps on the curve itself, started from a regression's estimate.
 
-All that varies and is not measured is fitted along, so that the result is a maximum-likelihood
-estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its information matrix
-gives the deviations, and the misfit says whether the model can explain the curve at all.
+All parameters that vary and are not measured are fitted jointly, so that the result is a
+maximum-likelihood estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its
+information matrix gives the deviations, and the misfit says whether the model can explain the
+curve at all.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ TOL = 1e-5
 FIRST_DAMPING = 1e-6
 """First damping of `levenberg_marquardt`: a good start needs little."""
 BEYOND = 5.0
-"""Parameters stay within this factor of the range that training curves have."""
+"""Factor on the range of the training curves within which parameters stay."""
 N_LEVELS = 9
-"""Levels tried of a parameter without an estimate; the best is the start."""
+"""Number of levels tried of a parameter without an estimate; the best is the start."""
 SCATTER = 1.5
-"""Scattered vehicles lie within this factor of the range."""
+"""Factor on the range within which the scattered vehicles lie."""
 ROWS = 4
-"""Curves whose misfits to all scattered vehicles are in memory at a time."""
+"""Number of curves whose misfits to all scattered vehicles are in memory at a time."""
 UNEXPLAINED = 1.3
-"""A curve with a misfit above this is fitted again from the nearest scattered vehicle."""
+"""Misfit above which a curve is fitted again from the nearest scattered vehicle."""
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Maximum-likelihood estimates of everything unknown.
+    """Maximum-likelihood estimates of all unknown parameters.
 
     Attributes
     ----------
