@@ -93,11 +93,11 @@ class Task:
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
         step = self.mass_step if name == "M_s" else self.step
-        lower, upper = self.limits(name)
+        lower, upper = self.range(name)
         n_steps = math.floor((upper - lower) / step + 1e-9)
         return np.asarray(np.round(lower + step * np.arange(n_steps + 1), 10))
 
-    def limits(self, name: str) -> tuple[float, float]:
+    def range(self, name: str) -> tuple[float, float]:
         """Return the range of a parameter's ratio, [-]."""
         return (self.mass_lower, self.mass_upper) if name == "M_s" else (self.lower, self.upper)
 
@@ -157,8 +157,8 @@ class Task:
         rng = np.random.default_rng([seed, stream])
         sampler = qmc.Sobol(len(self.varied), rng=rng)
         points = sampler.random_base2(max(1, math.ceil(math.log2(n_curves))))[:n_curves]
-        limits = np.array([self.limits(name) for name in self.varied])
-        return np.asarray(limits[:, 0] + (limits[:, 1] - limits[:, 0]) * points)
+        ranges = np.array([self.range(name) for name in self.varied])
+        return np.asarray(ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * points)
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class Protocol:
         check_choice("feature_set", self.feature_set, ("peaks", "curve"))
         check_number("lower", self.lower, above=0, below=1)
         check_number("upper", self.upper, above=1)
-        low, high = self._mass_limits()
+        low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
         check_number("mass_upper", high, above=1)
         check_number("step", self.step, above=0)
@@ -255,8 +255,8 @@ class Protocol:
             sampling=self.sampling,
             lower=self.lower,
             upper=self.upper,
-            mass_lower=self._mass_limits()[0],
-            mass_upper=self._mass_limits()[1],
+            mass_lower=self._mass_range()[0],
+            mass_upper=self._mass_range()[1],
             step=self.step,
             mass_step=self.mass_step,
             mass_known=self.mass_known,
@@ -273,7 +273,7 @@ class Protocol:
             return CurveFeatures(**self.curve)
         return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
 
-    def _mass_limits(self) -> tuple[float, float]:
+    def _mass_range(self) -> tuple[float, float]:
         low = self.lower if self.mass_lower is None else self.mass_lower
         return low, self.upper if self.mass_upper is None else self.mass_upper
 

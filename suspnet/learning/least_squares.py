@@ -220,10 +220,10 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         observed: Tensor,
         known: Tensor,
         scale: Tensor,
-        limits: tuple[float, float],
+        start_range: tuple[float, float],
         n: int,
     ) -> Tensor:
-        lower, upper = limits
+        lower, upper = start_range
         points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
         starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))
         mean_known = known.mean(dim=0, keepdim=True).expand(len(starts), -1)

@@ -65,7 +65,7 @@ def estimate_curves(
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)
-        low, high = method.intervals.limits(values, scales, level)
+        low, high = method.intervals.ends(values, scales, level)
     flags = Flags.none(len(values))
     if method.ood is not None and refined is not None:
         missing = missing_words(task.extractor, table.reasons.cpu().numpy())
@@ -118,8 +118,8 @@ def complete_ratios(
     The ratio is 1 where there is no estimate.
     """
     full = np.ones((len(predicted), len(PARAMETERS)))
-    limits = np.array([task.limits(name) for name in task.outputs])
-    inside = np.clip(predicted, limits[:, 0], limits[:, 1])
+    ranges = np.array([task.range(name) for name in task.outputs])
+    inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
         full[:, MASS] = mass

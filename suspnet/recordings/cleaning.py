@@ -176,8 +176,8 @@ class Cleaner:
         if self.range_m_per_s2 is None:
             saturation = find_clipping(filled, settings.saturation_samples) & ~(gap | constant)
         else:
-            limit = settings.saturation_fraction * self.range_m_per_s2
-            saturation = find_saturation(filled, limit) & ~gap
+            threshold = settings.saturation_fraction * self.range_m_per_s2
+            saturation = find_saturation(filled, threshold) & ~gap
         short = paint(len(gap), *runs(gap, at_most=settings.gap_samples))
         bad = (gap & ~short) | saturation | constant
         masks = {

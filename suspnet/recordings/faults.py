@@ -44,11 +44,11 @@ def find_constant(values: FloatArray, longest: int) -> BoolArray:
     return paint(len(values), starts, stops + 1)
 
 
-def find_saturation(values: FloatArray, limit: float) -> BoolArray:
+def find_saturation(values: FloatArray, threshold: float) -> BoolArray:
     """Return where the magnitude reaches a threshold, shape (n_samples,)."""
-    if -limit < values.min() and values.max() < limit:
+    if -threshold < values.min() and values.max() < threshold:
         return np.zeros(len(values), dtype=np.bool_)
-    return np.asarray(np.abs(values) >= limit)
+    return np.asarray(np.abs(values) >= threshold)
 
 
 def find_clipping(values: FloatArray, shortest: int) -> BoolArray:

@@ -160,8 +160,8 @@ def _read_channel(
     rate_hz = _known_rate(where, channel.rate_hz, timeline)
     if rate_hz < 0.99 * wanted_hz:
         raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
-    limit = None if channel.range is None else channel.range * unit
-    cleaner = Cleaner(name, rate_hz, limit, cleaning)
+    full_scale = None if channel.range is None else channel.range * unit
+    cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
     scaled = (channel.sign * unit * block for block in chain([first_block], blocks))
     decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
     start_s = channel.start_s + (0.0 if timeline is None else timeline.first_s)

@@ -89,6 +89,6 @@ def without_incoherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tu
             residual = band.values[:, y] - spectra.transfer(x, y, "H1") * band.values[:, x]
             links.append((residual.abs().square() / spectra.auto[y]).mean(dim=1))
         unexplained = torch.stack(links)
-        limit = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
-        chosen = chosen & (unexplained <= limit[:, None]).all(dim=0)
+        threshold = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
+        chosen = chosen & (unexplained <= threshold[:, None]).all(dim=0)
     return chosen, n_before - int(chosen.sum())

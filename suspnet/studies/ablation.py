@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 
 from suspnet.model import TrainedModel, load_model
 from suspnet.problem import TEST, Problem
-from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.runs.tables import records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import (
@@ -109,7 +109,7 @@ def figure(records: Sequence[Record]) -> Figure:
 
 
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
-    axis.axvline(1, color=LIMIT_COLOUR, lw=1, label="bound of the curves")
+    axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
         if record["ablation"] == BASELINE:
             axis.axvline(record["rms_ratio"], color=OUR_COLOUR, ls="--", lw=1, label="baseline")

@@ -65,7 +65,7 @@ def ablation_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
     -------
     list of dict
         Keys protocol, group, ablation, change, output, rms_ratio (rms error over the bound of the
-        curves), to_baseline (that over the baseline's), features_ratio, mape_percent, limit (the
+        curves), to_baseline (that over the baseline's), features_ratio, mape_percent, bound (the
         MAPE at the bound), lost_percent (test curves that lack a feature), n_train, snr_db, seed,
         seconds. The baseline comes first in its group, then settings in a fixed order; without a
         baseline of the same protocol, group and seed, `change` and `to_baseline` are None.
@@ -132,7 +132,7 @@ def _records(
             "to_baseline": _over(ratio, usual.get(output)),
             "features_ratio": run["features_ratio"].get(output),
             "mape_percent": run["scores"][output]["mape_percent"],
-            "limit": run["limit"][output]["mape_percent"],
+            "bound": run["bound"][output]["mape_percent"],
             "lost_percent": 100 * (1 - run["n_test_complete"] / run["n_test"]),
             "n_train": run["n_train"],
             "snr_db": run["snr_db"],

@@ -138,13 +138,13 @@ def _intervals(
     assert scales is not None
     kinds = {
         "conformal": tuple(
-            intervals.limits(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
+            intervals.ends(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
         )
     }
     if model.estimator.gives_deviations and not model.refined:
         n_outputs = len(problem.task.outputs)
         kinds["GP's own"] = tuple(
-            _gp_limits(model, outcome.data.inputs, level)
+            _gp_intervals(model, outcome.data.inputs, level)
             for level in (LEVEL, LEVEL ** (1 / n_outputs))
         )
     actual = outcome.data.outputs
@@ -155,7 +155,7 @@ def _intervals(
     }
 
 
-def _gp_limits(
+def _gp_intervals(
     model: TrainedModel, inputs: FloatArray, level: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return intervals from the standard deviations that a Gaussian process predicts."""
@@ -169,7 +169,7 @@ def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict
     """Return the coverage [%] of each output in each fifth of each parameter that varies."""
     slices: dict[str, dict[str, list[float]]] = {}
     for name in task.varied:
-        low, high = task.limits(name)
+        low, high = task.range(name)
         column = ratios[:, PARAMETERS.index(name)]
         place = np.clip(((column - low) / (high - low) * N_SLICES).astype(int), 0, N_SLICES - 1)
         slices[name] = {

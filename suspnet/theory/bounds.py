@@ -59,7 +59,7 @@ class Bound:
     @property
     def verdict(self) -> str:
         """How well the parameter is identified, by its 95th percentile: see ``VERDICTS``."""
-        fitting = (word for limit, word in VERDICTS if self.p95_percent <= limit)
+        fitting = (word for threshold, word in VERDICTS if self.p95_percent <= threshold)
         return next(fitting, UNIDENTIFIED)
 
 

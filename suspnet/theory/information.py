@@ -94,8 +94,8 @@ def cramer_rao(information: FloatArray) -> FloatArray:
     return bounds
 
 
-def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
-    """Return the best possible MAPE and RMSE from abs(G_s) alone with the mass unknown.
+def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
+    """Return the least MAPE and RMSE from abs(G_s) alone with the mass unknown.
 
     G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m
     of the mass is possible where k_s = (k_s / M_s) m and c_s stay in range, with probability
@@ -162,7 +162,7 @@ def best_possible(
     """
     ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
     if ambiguous and task.sampling == "grid":
-        return {k: v for k, v in scale_ambiguity_limit(task, ratios).items() if k in task.outputs}
+        return {k: v for k, v in scale_ambiguity_bound(task, ratios).items() if k in task.outputs}
     mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
     rmse = np.sqrt(np.mean(bounds**2, axis=0))
     return {

@@ -117,7 +117,7 @@ class Intervals:
         """Return the residuals that the intervals are about, (n, n_outputs)."""
         return residuals(estimates, truth, self.log)
 
-    def limits(
+    def ends(
         self, estimates: FloatArray, scales: FloatArray, level: float, joint: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper ends of the intervals, each (n, n_outputs), [-].

@@ -198,7 +198,7 @@ def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
 
 def _range(task: Task, name: str) -> tuple[float, float]:
     """Return the range trained for: a grid stands for what lies within half a step of it."""
-    low, high = task.limits(name)
+    low, high = task.range(name)
     if task.sampling == "sobol":
         return low, high
     step = task.mass_step if name == "M_s" else task.step
@@ -206,7 +206,7 @@ def _range(task: Task, name: str) -> tuple[float, float]:
 
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:
-    low, high = task.limits(name)
+    low, high = task.range(name)
     return (
         f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "
         "trained for"

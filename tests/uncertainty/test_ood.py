@@ -1,4 +1,4 @@
-"""What speaks against an estimate: distances by brute force, limits, every flag and its words."""
+"""Flags of estimates: distances by brute force, thresholds, every flag and its words."""
 
 import math
 
@@ -74,7 +74,7 @@ def test_distance_is_the_mean_to_the_four_nearest(scope):
     np.testing.assert_allclose(scope.distances(points), expected, rtol=1e-6)
 
 
-def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
+def test_threshold_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert FALSE_ALARMS == 1e-4
     monkeypatch.setattr("suspnet.uncertainty.ood.FALSE_ALARMS", 5e-4)  # fewer curves will do
     reference, fresh = cloud(100, 5, 2), cloud(6000, 6, 2)
@@ -86,13 +86,13 @@ def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert found == pytest.approx(distances[-3], rel=1e-6)
 
 
-def test_limit_of_the_distance_is_the_largest_where_fresh_curves_are_few():
+def test_threshold_of_the_distance_is_the_largest_where_fresh_curves_are_few():
     reference, fresh = cloud(50, 5, 2), cloud(100, 6, 2)
     found = OODDetector.learnt(reference, fresh, np.ones(10)).distance_threshold
     assert found == pytest.approx(max(distance(point, reference) for point in fresh), rel=1e-6)
 
 
-def test_limit_of_the_misfit_follows_mean_and_deviation():
+def test_threshold_of_the_misfit_follows_mean_and_deviation():
     misfits = np.array([1.0, 1.02, 0.98, 1.04])
     deviation = math.sqrt((0.01**2 + 0.01**2 + 0.03**2 + 0.03**2) / 4)
     found = OODDetector.learnt(cloud(20, 0), cloud(20, 1), misfits).misfit_threshold
