@@ -185,6 +185,7 @@ class Problem:
         return -(-n_curves // BATCH)
 
     def _make_features(self, stream: int, part: slice | None) -> FeatureData:
+        """Return the features of a stream, made in threads, NaN where one is missing."""
         ratios = self.ratios(stream)
         batches = range(self.n_batches(len(ratios)))[part or slice(None)]
         asked = slice(batches.start * BATCH, batches.stop * BATCH)
@@ -214,6 +215,7 @@ class Problem:
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
 
     def _cache_path(self, stream: int, part: slice | None) -> Path | None:
+        """Return the file that caches a stream's features, named by a hash of the settings."""
         if self.settings.cache_dir is None:
             return None
         which = {} if part is None else {"part": [part.start, part.stop]}
@@ -243,6 +245,7 @@ class Problem:
 
 
 def _read_cache(path: Path) -> FeatureData | None:
+    """Return cached features, None if there are none or the file is damaged."""
     try:
         return FeatureData(**read_arrays(path))
     except FileNotFoundError:
@@ -253,6 +256,7 @@ def _read_cache(path: Path) -> FeatureData | None:
 
 
 def _code_hash() -> str:
+    """Return a hash of the code that makes features, so that no cache outlives it."""
     package = Path(suspnet.__file__).parent
     files = [package / "problem.py"]
     for part in ("dynamics", "features", "data"):

@@ -103,12 +103,14 @@ def content_hash(description: Any) -> str:
 
 
 def _umask() -> int:
+    """Return the process's umask, which only setting it reveals."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
 
 
 def _finite(content: Any) -> Any:
+    """Return JSON-able values with null for NaN and infinity."""
     if isinstance(content, Mapping):
         return {str(key): _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

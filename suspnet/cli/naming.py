@@ -15,7 +15,7 @@ UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
     *("workers", "data.cache_dir"),
 }
-"""Keys that no folder is named by: they are told elsewhere or change no number."""
+"""Keys that no folder is named by: the path has them already, or they change no number."""
 MAX_CHARACTERS = 100
 """Length of a name beyond which it is cut; file systems allow 255 for the whole folder."""
 
@@ -74,6 +74,7 @@ def _swept_by(_root_: DictConfig) -> str:
 
 
 def _split(override: str) -> tuple[str, str]:
+    """Return key and value of an override, without Hydra's marks for additions."""
     key, _, value = override.partition("=")
     return key.lstrip("+~"), value
 

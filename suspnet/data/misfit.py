@@ -85,5 +85,6 @@ class EstimateMisfit:
 
     @property
     def _correlated(self) -> float:
+        """Return r, the number of neighbouring bins with the information of one."""
         correlated: float = self.observer.settings.welch.correlated_bins
         return correlated

@@ -136,6 +136,7 @@ class Task:
         return full
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return rows of the grid of all levels, chosen by the seed for a stream."""
         levels = [self.levels(name) for name in self.varied]
         total = self.grid_size
         if n_curves is None:
@@ -152,6 +153,7 @@ class Task:
         return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
 
     def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return scrambled Sobol points in the range of the varied parameters."""
         if n_curves is None:
             raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
         rng = np.random.default_rng([seed, stream])
@@ -264,6 +266,7 @@ class Protocol:
         )
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
+        """Return the feature set of a group's entry."""
         if self.feature_set == "curve":
             if set(entry["responses"]) != set(RESPONSES):
                 raise ValueError(
@@ -274,11 +277,13 @@ class Protocol:
         return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
 
     def _mass_range(self) -> tuple[float, float]:
+        """Return the range of the mass ratio: its own, or else that of the suspension."""
         low = self.lower if self.mass_lower is None else self.mass_lower
         return low, self.upper if self.mass_upper is None else self.mass_upper
 
 
 def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
+    """Return names if each is allowed and none is given twice; else raise ValueError."""
     if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
         raise ValueError(
             f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"

@@ -103,6 +103,7 @@ class SampledMotion:
 
     @cached_property
     def _weights(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return the input's weights before and after a step, one for each mode."""
         return _foh_weights(self._lambda, self._step_s)
 
     def advance(self, inputs: Sequence[FloatArray]) -> FloatArray:

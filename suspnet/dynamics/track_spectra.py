@@ -98,6 +98,7 @@ def iso8608_density(n: FloatArray, roughness: float) -> FloatArray:
 def _with_short_waves(
     n: FloatArray, density: Callable[[FloatArray], FloatArray], short_wave_from_m: float
 ) -> FloatArray:
+    """Return a density in which the rail's short waves replace the spectrum, [m^3]."""
     return np.where(n > 1 / short_wave_from_m, short_wave_density(n), density(n))
 
 

@@ -128,6 +128,7 @@ _FIELD = {
 
 
 def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:
+    """Raise ValueError if an uncoupled natural frequency suggests a wrong unit."""
     low, high = FREQUENCY_RANGE_HZ
     if low <= frequency_hz <= high:
         return
@@ -145,6 +146,7 @@ def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> 
 
 
 def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
+    """Raise ValueError if an uncoupled damping ratio suggests a wrong unit."""
     low, high = DAMPING_RATIO_RANGE
     if low <= ratio <= high:
         return

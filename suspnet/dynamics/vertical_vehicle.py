@@ -324,6 +324,7 @@ class _Bogie:
 
 
 def _bogie(p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tensor]) -> _Bogie:
+    """Return the measured ("") or the other bogie with its bounce eliminated."""
     primary = torch.complex(*torch.broadcast_tensors(p[which + "k_p"], omega * p[which + "c_p"]))
     secondary = torch.complex(*torch.broadcast_tensors(p[which + "k_s"], omega * p[which + "c_s"]))
     inertia = p["bogie_mass"] * omega**2
@@ -342,6 +343,7 @@ def _bogie(p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tens
 
 
 def _phasor(angle: Tensor) -> Tensor:
+    """Return exp(-j angle)."""
     return torch.complex(torch.cos(angle), -torch.sin(angle))
 
 

@@ -255,6 +255,7 @@ class PeakFeatures:
         )
 
     def _primary_peak(self, name: str, primary: SmoothedCurves, secondary: Peaks | None) -> Peaks:
+        """Return one peak of abs(G_p), searched on its side of the secondary peak."""
         fit = self._fit(name)
         if name == "primary_largest" or secondary is None:
             return primary.peaks(fit)
@@ -269,6 +270,7 @@ class PeakFeatures:
         return replace(peak, reason=reason).blanked()
 
     def _fit(self, name: str) -> PeakFit:
+        """Return how a named peak is smoothed, found and fitted."""
         below, above = _WINDOWS[name]
         if self.shape == "gaussian":
             below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)

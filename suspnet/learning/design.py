@@ -260,9 +260,11 @@ class DenseDesign:
         return ReweightedGram(self, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
+        """Return V^T product where the blocks are those of K, else the product."""
         return product if self._basis is None else self._basis.to(product).T @ product
 
     def _zeros(self, n_rows: int, n_columns: int) -> Tensor:
+        """Return a float64 matrix of zeros on the device of the samples."""
         return torch.zeros(n_rows, n_columns, dtype=torch.float64, device=self.X.device)
 
 

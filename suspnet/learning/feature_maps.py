@@ -103,6 +103,7 @@ def orthogonal_fourier(
 
 
 def _pairs(n_components: int) -> int:
+    """Return the number of cosine and sine pairs, an odd number of components rounded up."""
     return (n_components + 1) // 2
 
 

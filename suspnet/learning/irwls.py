@@ -284,4 +284,5 @@ class _Functional:
 
 
 def _relative(excess: float, objective: float) -> float:
+    """Return an excess over the objective, at least 0."""
     return max(excess, 0.0) / max(objective, torch.finfo(torch.float64).tiny)

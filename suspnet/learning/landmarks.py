@@ -158,6 +158,7 @@ def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
+    """Return the feature map of landmarks, their kernel's null space left out."""
     exact_landmarks = landmarks.double()
     values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
     kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps

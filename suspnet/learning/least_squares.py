@@ -223,6 +223,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         start_range: tuple[float, float],
         n: int,
     ) -> Tensor:
+        """Return for each row the Sobol point whose curves lie nearest to the row's."""
         lower, upper = start_range
         points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
         starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))

@@ -200,6 +200,7 @@ class GridSearch:
         return wider, told
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
+        """Return a method's grid; raise ValueError if it has none."""
         if name not in self.grids:
             raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
         return self.grids[name]
@@ -227,10 +228,12 @@ class _Errors:
 
 
 def _key(setting: Mapping[str, Any]) -> str:
+    """Return a hashable text of a setting."""
     return repr(sorted(setting.items()))
 
 
 def _words(key: str, value: float, why: str) -> str:
+    """Return a sentence on an optimum on the edge of the grid."""
     return f"the best {key}, {value:g}, is on the edge: {why}"
 
 

@@ -81,6 +81,7 @@ class Estimate:
         }
 
     def _line(self, row: int) -> str:
+        """Return one row in words: values, intervals and flags."""
         parts = []
         for j, name in enumerate(self.names):
             if np.isnan(self.values[row, j]):
@@ -94,4 +95,5 @@ class Estimate:
 
 
 def _number(value: float) -> float | None:
+    """Return a number, None if it is not finite."""
     return float(value) if np.isfinite(value) else None

@@ -152,6 +152,7 @@ def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatAr
 def _refined(
     method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
 ) -> Refined:
+    """Return the maximum-likelihood estimate from a trip's spectra."""
     estimator = observer.settings.method
     covariance = _smoothed(spectra.covariance(estimator))
     # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)

@@ -83,6 +83,7 @@ class TrainedModel(FittedMethod):
         return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
 
     def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
+        """Return one positive mass ratio for each curve, or None where the model takes none."""
         if self.task.mass_known != (mass is not None):
             raise ValueError(
                 "the model was trained to know the car-body mass: give `mass`, 1 is healthy"

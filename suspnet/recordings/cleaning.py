@@ -38,8 +38,8 @@ class CleaningSettings:
     Parameters
     ----------
     spike_deviations : float
-        A spike stands out from the level on both sides by more than this many robust standard
-        deviations (1.4826 times the median absolute deviation of one second).
+        Robust standard deviations by which a spike stands out from the level on both sides (1.4826
+        times the median absolute deviation of one second).
     spike_samples : int
         The longest spike; anything longer is taken for motion.
     gap_samples : int
@@ -47,7 +47,8 @@ class CleaningSettings:
     saturation_fraction : float
         A sample is saturated if its magnitude reaches this fraction of the sensor's range.
     saturation_samples : int
-        Where no range is given, this many equal samples at the highest or lowest value around.
+        Where no range is given, the least number of equal samples at the highest or lowest value
+        around that count as saturated.
     constant_s : float, [s]
         Identical values for longer than this are marked as those of a dead sensor.
     drift_fraction : float
@@ -190,6 +191,7 @@ class Cleaner:
         return fill(filled, bad | spike), bad, masks, centre
 
     def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
+        """Add the samples of a mask to the count of a kind of fault."""
         count = int(np.count_nonzero(mask))
         if count:
             before, first = self._found.get(
@@ -198,6 +200,7 @@ class Cleaner:
             self._found[kind, repaired] = (before + count, first)
 
     def _add(self, values: FloatArray, bad: BoolArray) -> None:
+        """Update the sums behind mean and spread by one block."""
         n_bad = int(np.count_nonzero(bad))
         self.n_samples += len(values)
         self.n_bad += n_bad

@@ -18,8 +18,8 @@ STRIDE = 7
 """Stride of the samples from which level and spread are estimated."""
 
 SIDE_SAMPLES, CALM = 8, 0.25
-"""A spike is isolated if, of this many samples on either side, all but one stay within this
-fraction of its height; the ringing after an impact does not."""
+"""A spike is isolated if all but one of SIDE_SAMPLES samples on either side stay within the
+fraction CALM of its height; the ringing after an impact does not."""
 
 COARSE_STEPS = 4
 """Number of quantisation steps by which a signal must jump to its clipping level: the rounded top

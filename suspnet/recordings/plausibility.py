@@ -120,6 +120,7 @@ def _suspect(gains: list[complex], sink: str, source: str) -> str:
 
 
 def _slip(size: float) -> str:
+    """Return which unit may be wrong by the size of a gain; empty if none fits."""
     for factor, words in ((GRAVITY, "m/s2 and g are mixed up"), (1000.0, "mm/s2 or mg?")):
         for candidate in (factor, 1 / factor):
             if 0.5 < size / candidate < 2:

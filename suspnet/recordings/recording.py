@@ -183,6 +183,7 @@ def _values(manifest: TripManifest, name: str, timeline: Timeline | None) -> Ite
 
 
 def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
+    """Return a channel's rate as stated or by its time stamps, [Hz]."""
     if timeline is None:
         assert stated_hz is not None  # the manifest has one or the other
         return stated_hz
@@ -192,6 +193,7 @@ def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) 
 
 
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
+    """Raise TripError if a channel has no usable sample."""
     if cleaner.n_bad < cleaner.n_samples:
         return
     n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
@@ -220,6 +222,7 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
 
 
 def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, BoolArray]:
+    """Return a channel at instants of the common clock, and where a bad sample took part."""
     decimated = stream.decimated
     return interpolate(
         decimated.values,

@@ -78,6 +78,7 @@ class Timeline:
             yield filled
 
     def _count(self, steps: FloatArray, gaps: IntArray) -> None:
+        """Update the mean rate by some time steps, gaps left out."""
         n_first = 0 if self._n_steps else 1  # the very first sample follows no step
         self._n_steps += len(steps) - n_first - len(gaps)
         self._seconds += float(steps.sum() - steps[gaps].sum())

@@ -216,6 +216,7 @@ def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -
 def _grid(
     n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
 ) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with a grid of axes."""
     figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
     axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
     return figure, [list(row) for row in axes]

@@ -199,11 +199,13 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
 
 
 def _mean(values: Iterable[float]) -> float | None:
+    """Return the mean, None of no values."""
     listed = list(values)
     return fmean(listed) if listed else None
 
 
 def _number(value: float | None) -> str:
+    """Return a number with three digits, a dash for None."""
     if value is None:
         return "-"
     if value >= 100:

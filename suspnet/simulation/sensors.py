@@ -95,6 +95,7 @@ class Sensor:
         return self._dropped(recorded, rng)
 
     def _dropped(self, recorded: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return a recording with drop-outs at random times: held values and NaN in turn."""
         length = round(self.dropout_s * self.rate_hz)
         hours = len(recorded) / (self.rate_hz * 3600)
         for i in range(rng.poisson(self.dropouts_per_h * hours)):

@@ -109,6 +109,7 @@ def figure(records: Sequence[Record]) -> Figure:
 
 
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
+    """Draw the records of one output against the baseline and the bounds."""
     axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
         if record["ablation"] == BASELINE:

@@ -117,6 +117,7 @@ def ablation_caption(records: Sequence[Record]) -> str:
 def _records(
     run: Mapping[str, Any], baseline: Mapping[str, Any] | None, changed: Mapping[str, Any] | None
 ) -> list[Record]:
+    """Return the records of one run, one for each output."""
     told = None
     if changed is not None:
         told = " ".join(f"{key}={_shown(value)}" for key, value in changed.items())
@@ -144,6 +145,7 @@ def _records(
 
 
 def _setting(run: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what a run shares with its baseline."""
     return run["protocol"], run["group"], run["seed"]
 
 
@@ -155,11 +157,13 @@ def _order(run: Mapping[str, Any], changed: Mapping[str, Any] | None) -> tuple[A
 
 
 def _place(key: str) -> tuple[int, str]:
+    """Return the sorting key of a setting's name."""
     first = key.split(".")[0]
     return (PARTS.index(first) if first in PARTS else len(PARTS), key)
 
 
 def _rank(value: Any) -> tuple[float, str]:
+    """Return the sorting key of a setting's value."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return (float(value) if number else 0.0, str(value))
 
@@ -172,15 +176,18 @@ def _shown(value: Any) -> str:
 
 
 def _over(value: float | None, other: float | None) -> float | None:
+    """Return a quotient, None if a part is missing or 0."""
     return None if value is None or not other else value / other
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the known values, None of none."""
     known = [value for value in values if value is not None]
     return fmean(known) if known else None
 
 
 def _number(value: float | None) -> str:
+    """Return a number with three digits, a dash for None."""
     if value is None:
         return "-"
     return f"{value:.2f}" if 1 <= value < 100 else f"{value:.3g}"

@@ -123,7 +123,7 @@ def identify(
 def _setting(
     generator: ResponseGenerator, settings: Observation, task: Task, n_vehicles: int, seed: int
 ) -> str:
-    """Return in words what the bounds are of and what they take for granted."""
+    """Return in words the setting of the bounds and their assumptions."""
     verdicts = ", ".join(f"{word} up to {x:g} %" for x, word in VERDICTS)
     return (
         f"{settings.words()} {generator.assumptions()} {n_vehicles} vehicles, seed {seed}, "
@@ -134,6 +134,7 @@ def _setting(
 
 
 def _range(task: Task) -> str:
+    """Return the ranges of suspension and mass in words."""
     low, high = (f"{100 * end:g}" for end in task.range("k_p"))
     mass_low, mass_high = (f"{100 * end:g}" for end in task.range("M_s"))
     if (low, high) == (mass_low, mass_high):

@@ -180,6 +180,7 @@ def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict
 
 
 def _share(within: BoolArray) -> float:
+    """Return the coverage in %, NaN of no samples."""
     return 100 * float(within.mean()) if len(within) else math.nan
 
 
@@ -210,5 +211,6 @@ def _odd_sets(
 
 
 def _shares(found: BoolArray) -> dict[str, float]:
+    """Return the share of curves with each kind of flag, and with any, in %."""
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares

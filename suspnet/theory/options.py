@@ -120,6 +120,7 @@ def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> lis
 
 
 def _against(responses: Sequence[str], measured: Sequence[str]) -> Kind:
+    """Return whether responses are more, less or other than those measured."""
     if set(responses) > set(measured):
         return "more"
     return "less" if set(responses) < set(measured) else "other"

@@ -155,6 +155,7 @@ def _without_track(seen: Tensor, slopes: Tensor, count: Tensor) -> Tensor:
 
 
 def _checked(counts: ArrayLike, n_places: int) -> Tensor:
+    """Return the counts as a tensor; raise ValueError if they are not such a table."""
     numbers = torch.as_tensor(np.asarray(counts, dtype=np.float64))
     if numbers.ndim != 2 or numbers.shape[1] != n_places:
         raise ValueError(

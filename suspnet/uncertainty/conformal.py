@@ -73,6 +73,7 @@ class Conformal:
 
 
 def _quantiles(scores: FloatArray, level: float) -> FloatArray:
+    """Return the k-th smallest score of each column, k = ceil((n + 1) level)."""
     check_number("level", level, above=0, below=1)
     n = len(scores)
     k = max(1, math.ceil((n + 1) * level - 1e-9))

@@ -100,6 +100,7 @@ class OODDetector:
 
     @cached_property
     def _neighbours(self) -> NearestNeighbors:
+        """Return a search structure of the reference."""
         return NearestNeighbors(n_neighbors=min(N_NEIGHBOURS, len(self.reference))).fit(
             self.reference
         )
@@ -151,14 +152,14 @@ class OODDetector:
             ]
             if row[3]:
                 words.append(
-                    f"the model cannot explain the curve: what is left of it is "
-                    f"{refined.misfit[i]:.3g} times the noise, at most "
-                    f"{self.misfit_threshold:.3g} is usual"
+                    f"the model cannot explain the curve: its misfit is {refined.misfit[i]:.3g} "
+                    f"times the noise, at most {self.misfit_threshold:.3g} is usual"
                 )
             reasons.append("; ".join(words))
         return Flags(found, tuple(reasons))
 
     def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
+        """Return in words how far the features of a curve lie from the reference."""
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
@@ -189,6 +190,7 @@ class OODDetector:
 
 
 def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
+    """Return which curves have a parameter clearly outside the range trained for."""
     low, high = np.log(_range(task, name))
     ratios, deviations = refined.of((name,))
     margin = EDGE_DEVIATIONS * deviations[:, 0]
@@ -206,6 +208,7 @@ def _range(task: Task, name: str) -> tuple[float, float]:
 
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:
+    """Return in words that a parameter lies outside the range trained for."""
     low, high = task.range(name)
     return (
         f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "
