@@ -36,14 +36,13 @@ from suspnet.storage import (
 from suspnet.types import FloatArray
 
 LEARN_FROM = 4096
-"""Training curves from which a feature set learns what it has to."""
+"""Number of training curves from which a feature set learns."""
 BLOCK = 128
-"""Curves made at once: small enough to stay in cache, and the unit of reproducible noise."""
+"""Number of curves made at once: they stay in cache and share one seed of their noise."""
 BATCH = 2 * BLOCK
-"""Curves whose features are extracted at once: the threads take turns at the interpreter, which
-larger arrays need less."""
+"""Number of curves whose features are extracted at once; larger arrays need Python's lock less."""
 TRAIN, TEST, CALIBRATE = 0, 1, 2
-"""Streams of curves: to learn from, to score on, to calibrate intervals on."""
+"""Streams of independent curves: for training, for scores, for the calibration of intervals."""
 _NAMES = ("training", "test", "calibration")
 log = logging.getLogger(__name__)
 
@@ -97,7 +96,7 @@ class Problem:
 
     @cached_property
     def extractor(self) -> FeatureSet:
-        """The task's feature set; what it has not learnt yet, it learns from training curves."""
+        """The task's feature set, fitted to training curves if it is not fitted yet."""
         extractor = self.task.extractor
         if extractor.is_fitted:
             return extractor
@@ -141,7 +140,7 @@ class Problem:
         return self.task.sample(n_curves, self.seed, stream)
 
     def _wanted(self, stream: int) -> int | str:
-        """Return how many curves a stream has."""
+        """Return the number of curves of a stream, or "all" for the whole grid."""
         settings = self.settings
         return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
 
@@ -186,6 +185,7 @@ class Problem:
         return -(-n_curves // BATCH)
 
     def _make_features(self, stream: int, part: slice | None) -> FeatureData:
+        """Return the features of a stream, made in threads, NaN where one is missing."""
         ratios = self.ratios(stream)
         batches = range(self.n_batches(len(ratios)))[part or slice(None)]
         asked = slice(batches.start * BATCH, batches.stop * BATCH)
@@ -215,6 +215,7 @@ class Problem:
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
 
     def _cache_path(self, stream: int, part: slice | None) -> Path | None:
+        """Return the file that caches a stream's features, named by a hash of the settings."""
         if self.settings.cache_dir is None:
             return None
         which = {} if part is None else {"part": [part.start, part.stop]}
@@ -244,6 +245,7 @@ class Problem:
 
 
 def _read_cache(path: Path) -> FeatureData | None:
+    """Return cached features, None if there are none or the file is damaged."""
     try:
         return FeatureData(**read_arrays(path))
     except FileNotFoundError:
@@ -254,6 +256,7 @@ def _read_cache(path: Path) -> FeatureData | None:
 
 
 def _code_hash() -> str:
+    """Return a hash of the code that makes features, so that no cache outlives it."""
     package = Path(__file__).parent
     files = [package / "problem.py"]
     for part in ("dynamics", "features", "data"):

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and arrays that are checked before they are used."""
+"""Files written atomically, and arrays checked before they are used."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from safetensors.numpy import load, save
 
 
 class DamagedFileError(ValueError):
-    """A file is truncated, altered or not one of ours."""
+    """A file is truncated, altered or of another format."""
 
 
 def write_atomically(path: Path, content: bytes | str) -> Path:
@@ -103,12 +103,14 @@ def content_hash(description: Any) -> str:
 
 
 def _umask() -> int:
+    """Return the process's umask, which only setting it reveals."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
 
 
 def _finite(content: Any) -> Any:
+    """Return JSON-able values with null for NaN and infinity."""
     if isinstance(content, Mapping):
         return {str(key): _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

@@ -72,7 +72,7 @@ def test_model_from_a_folder_estimates_curves_as_a_run_does(trained, tmp_path):
     complete = np.isfinite(found.values).all(axis=1)
     assert complete.sum() == len(outcome.predicted)
     np.testing.assert_allclose(found.values[complete], outcome.predicted, rtol=1e-9)
-    low, high = model.intervals.limits(outcome.predicted, outcome.scales, 0.9)
+    low, high = model.intervals.ends(outcome.predicted, outcome.scales, 0.9)
     np.testing.assert_allclose(found.low[complete], low, rtol=1e-9)
     np.testing.assert_allclose(found.high[complete], high, rtol=1e-9)
     assert found.flags.reasons == outcome.flags.reasons

@@ -27,7 +27,8 @@ from suspnet.trips.overview import Evaluated
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
 """Exit codes: nothing to tell, a user's mistake, a trip without an estimate, and the alarms."""
 BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
-"""Exit codes, the worst last: what a mistake left unread may be worse than a notice."""
+"""Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
+notice."""
 ALARMS = {Severity.NOTICE: NOTICE, Severity.ACT: ACT}
 EXIT_CODE = "exit_code"
 """Name of the file in the folder of each job of a multirun that holds its exit code."""

@@ -16,7 +16,7 @@ UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
     *("workers", "data.cache_dir"),
 }
-"""Keys that no folder is named by: they are told elsewhere or change no number."""
+"""Keys that no folder is named by: the path has them already, or they change no number."""
 OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")
 """Keys that change the vehicle's frequency responses."""
 MAX_CHARACTERS = 100
@@ -97,6 +97,7 @@ def _swept_by(_root_: DictConfig) -> str:
 
 
 def _split(override: str) -> tuple[str, str]:
+    """Return key and value of an override, without Hydra's marks for additions."""
     key, _, value = override.partition("=")
     return key.lstrip("+~"), value
 

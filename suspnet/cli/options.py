@@ -1,4 +1,4 @@
-"""The folder of the configurations, and what is read from it besides Hydra's composing."""
+"""The folder of the configurations, and the options that one file of it holds."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ CONFIGS = options.CONFIGS
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
 NO_SLURM = 'Could not detect "srun"'
-"""How submitit begins to say that this machine is not part of a Slurm cluster."""
+"""Begin of submitit's message where there is no Slurm cluster."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 options.store_tables()
@@ -95,7 +95,7 @@ def join_ranks(device: str) -> None:
     Raises
     ------
     ValueError
-        In a multirun, which has other means.
+        In a multirun, which a launcher spreads instead.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) > 1 and HydraConfig.get().mode == RunMode.MULTIRUN:
         raise ValueError(

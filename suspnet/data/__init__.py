@@ -1,4 +1,4 @@
-"""Training data: protocols, noisy curves and estimates, how far they lie from a model's."""
+"""Training data: protocols, noisy curves and estimates, and their misfit to a generator's."""
 
 from typing import Any
 

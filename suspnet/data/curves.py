@@ -63,7 +63,7 @@ class CurveSettings:
             )
 
     def bound(self, vehicle: Vehicle) -> CurveSettings:
-        """Return the settings for a vehicle: the same, nothing here depends on it."""
+        """Return the same settings: none of them depends on the vehicle."""
         return self
 
     def observer(self, generator: ResponseGenerator) -> CurveObserver:
@@ -107,10 +107,10 @@ class CurveObserver:
         return self.generator.magnitudes(ratios, self.frequencies_hz)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return the same with noise; what the generator holds uncertain is drawn too."""
+        """Return noisy magnitudes; the generator's uncertain quantities are drawn too."""
         rows = self.generator.sample_unmeasured(ratios, seed)
         return add_noise(self.noise_free(rows), self.settings.snr_db, seed)
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
-        """Return the misfit of observed magnitudes; their own rms tells the noise, not `near`."""
+        """Return the misfit of observed magnitudes, whose noise follows from their own rms."""
         return CurveMisfit(self, curves, tuple(used))

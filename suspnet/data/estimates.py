@@ -29,9 +29,9 @@ from suspnet.types import FloatArray
 
 Responses = Callable[[Tensor, Tensor], Tensor]
 LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
-"""The band reaches from this multiple of the first natural frequency to that of the second."""
+"""Ends of the band: multiples of the first and of the second natural frequency."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
-"""Where, and on how many points, the rms of a channel is integrated."""
+"""Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class EstimateSettings:
         return welch.n_averages(n_segments) if n_segments >= 1 else 0.0
 
     def bound(self, vehicle: Vehicle) -> EstimateSettings:
-        """Return the settings with a band of numbers: what was None follows from the vehicle."""
+        """Return the settings with a band in Hz: an end that is None follows from the vehicle."""
         modes, _ = QuarterCar(vehicle).natural_modes()
         low = LOWEST_MODE * float(modes[0]) if self.low_hz is None else self.low_hz
         high = HIGHEST_MODE * float(modes[1]) if self.high_hz is None else self.high_hz
@@ -188,9 +188,9 @@ class EstimateObserver:
         self._noise = self.noise_densities(self._chain, settings.rates_hz)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
-        """Return what the estimate of G_p and G_s tends to for very long trips.
+        """Return the limit of the estimate of G_p and G_s for infinitely long trips.
 
-        Leakage, and the bias that the sensors' noise gives to H1, H2 and Hv, are in it.
+        It includes leakage, and the bias of H1, H2 and Hv by the sensors' noise.
 
         Parameters
         ----------
@@ -205,7 +205,7 @@ class EstimateObserver:
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
         """Return estimates of G_p and G_s, one trip of each vehicle.
 
-        What the generator holds uncertain is drawn too.
+        The generator's uncertain quantities are drawn too.
 
         Parameters
         ----------
@@ -241,12 +241,13 @@ class EstimateObserver:
         return self._drawn(CrossSpectra(auto, cross, spectra.n_averages), source)
 
     def _drawn(self, mean: CrossSpectra, source: torch.Generator) -> Tensor:
+        """Return the estimates of G_p and G_s from a draw of averaged spectra about their mean."""
         return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:
         """Return the misfit of estimates (n, 2, n_freq), their covariance that of vehicles `near`.
 
-        Both responses are looked at, whatever is `used`.
+        Both responses are used, whatever `used` says.
         """
         return EstimateMisfit(self, curves, self.covariance(near.to(curves.device)))
 

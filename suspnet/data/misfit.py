@@ -1,4 +1,4 @@
-"""How far observed curves lie from a generator's, in units of their noise.
+"""The misfit of observed curves to a generator's, in units of their noise.
 
 The sum of squares of these residuals is -2 log likelihood, and with their derivative J the product
 J^T J is the Fisher information of `suspnet.theory.information`.
@@ -26,7 +26,7 @@ class CurveMisfit:
         With `settings.snr_db`.
     observed : tensor of shape (n_rows, 2, n_freq), [-]
     used : sequence of int
-        Which of G_p and G_s may be looked at.
+        Which of G_p (0) and G_s (1) are used.
     """
 
     observer: Observer
@@ -85,5 +85,6 @@ class EstimateMisfit:
 
     @property
     def _correlated(self) -> float:
+        """Return r, the number of neighbouring bins with the information of one."""
         correlated: float = self.observer.settings.welch.correlated_bins
         return correlated

@@ -16,7 +16,7 @@ from suspnet.checks import check_number
 from suspnet.dynamics import ResponseGenerator, Vehicle
 
 LEAST_CALIBRATION = 100
-"""Fewer calibration curves cannot tell a 90 % interval from another."""
+"""Least number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
 
 
 class Misfit(Protocol):
@@ -67,7 +67,7 @@ class Observer(Protocol):
         ...
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return curves with noise; what the generator holds uncertain is drawn too."""
+        """Return noisy curves; the generator's uncertain quantities are drawn too."""
         ...
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> Misfit:
@@ -79,7 +79,7 @@ class Observer(Protocol):
         near : tensor of shape (n_curves, 5), [-]
             Ratios of vehicles whose noise is like that of the curves.
         used : sequence of int
-            Which of G_p and G_s may be looked at.
+            Which of G_p (0) and G_s (1) are used.
         """
         ...
 
@@ -127,7 +127,7 @@ class Observation(Protocol):
     def cache_dir(self) -> str | None: ...  # noqa: D102
 
     def bound(self, vehicle: Vehicle) -> Self:
-        """Return the settings for a vehicle: what was left to it is filled in."""
+        """Return the settings for a vehicle, with the values that follow from it filled in."""
         ...
 
     def frequencies_hz(self) -> Tensor:
@@ -135,7 +135,7 @@ class Observation(Protocol):
         ...
 
     def observer(self, generator: ResponseGenerator) -> Observer:
-        """Return what observes a generator's vehicles."""
+        """Return the observer of a generator's vehicles."""
         ...
 
     def words(self) -> str:
@@ -144,7 +144,7 @@ class Observation(Protocol):
 
 
 def check_counts(settings: Observation) -> None:
-    """Raise TypeError or ValueError if a number of curves is none."""
+    """Raise TypeError or ValueError unless every number of curves is one."""
     for name in ("n_train", "n_test"):
         value = getattr(settings, name)
         if value != "all":

@@ -10,7 +10,7 @@ import torch
 
 
 def quiet(progress: bool) -> bool | None:
-    """Return tqdm's `disable`: no bar if not wanted, nor where there is no terminal to draw on."""
+    """Return tqdm's `disable`: True if no bar is wanted, None if only a terminal shows it."""
     return None if progress else True
 
 
@@ -18,8 +18,8 @@ def quiet(progress: bool) -> bool | None:
 def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
     """Yield a pool of threads, each with one thread of torch if there are several.
 
-    The arrays of a block are too small to split, so blocks share the cores, not operations. What
-    still waits is dropped when the pool is left by an error or Ctrl-C.
+    The arrays of a block are too small to split, so blocks share the cores, not operations. Blocks
+    that wait are dropped when the pool is left by an error or Ctrl-C.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1 if workers > 1 else before)

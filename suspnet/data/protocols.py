@@ -1,4 +1,4 @@
-"""Protocols: what varies, what is measured and what is asked for (Table IV, design of the task)."""
+"""Protocols: the parameters that vary, the curves measured and the outputs (Table IV)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Task:
     varied : tuple of str
         Parameters that vary; the others stay healthy.
     outputs : tuple of str
-        Parameters that are asked for.
+        Parameters that are estimated.
     responses : tuple of str
         From ``RESPONSES``: the curves that may be used.
     extractor : FeatureSet
@@ -84,7 +84,7 @@ class Task:
         return [RESPONSES.index(name) for name in self.responses]
 
     def describe(self) -> dict[str, Any]:
-        """Return the task as JSON-able values, without what its feature set has learnt."""
+        """Return the task as JSON-able values, its feature set without its learnt arrays."""
         extractor = self.extractor.blank()
         plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(self, extractor=extractor))))
         plain["extractor"]["kind"] = extractor.kind
@@ -93,11 +93,11 @@ class Task:
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
         step = self.mass_step if name == "M_s" else self.step
-        lower, upper = self.limits(name)
+        lower, upper = self.range(name)
         n_steps = math.floor((upper - lower) / step + 1e-9)
         return np.asarray(np.round(lower + step * np.arange(n_steps + 1), 10))
 
-    def limits(self, name: str) -> tuple[float, float]:
+    def range(self, name: str) -> tuple[float, float]:
         """Return the range of a parameter's ratio, [-]."""
         return (self.mass_lower, self.mass_upper) if name == "M_s" else (self.lower, self.upper)
 
@@ -136,6 +136,7 @@ class Task:
         return full
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return rows of the grid of all levels, chosen by the seed for a stream."""
         levels = [self.levels(name) for name in self.varied]
         total = self.grid_size
         if n_curves is None:
@@ -152,13 +153,14 @@ class Task:
         return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
 
     def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return scrambled Sobol points in the range of the varied parameters."""
         if n_curves is None:
             raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
         rng = np.random.default_rng([seed, stream])
         sampler = qmc.Sobol(len(self.varied), rng=rng)
         points = sampler.random_base2(max(1, math.ceil(math.log2(n_curves))))[:n_curves]
-        limits = np.array([self.limits(name) for name in self.varied])
-        return np.asarray(limits[:, 0] + (limits[:, 1] - limits[:, 0]) * points)
+        ranges = np.array([self.range(name) for name in self.varied])
+        return np.asarray(ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * points)
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ class Protocol:
         check_choice("feature_set", self.feature_set, ("peaks", "curve"))
         check_number("lower", self.lower, above=0, below=1)
         check_number("upper", self.upper, above=1)
-        low, high = self._mass_limits()
+        low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
         check_number("mass_upper", high, above=1)
         check_number("step", self.step, above=0)
@@ -255,8 +257,8 @@ class Protocol:
             sampling=self.sampling,
             lower=self.lower,
             upper=self.upper,
-            mass_lower=self._mass_limits()[0],
-            mass_upper=self._mass_limits()[1],
+            mass_lower=self._mass_range()[0],
+            mass_upper=self._mass_range()[1],
             step=self.step,
             mass_step=self.mass_step,
             mass_known=self.mass_known,
@@ -264,6 +266,7 @@ class Protocol:
         )
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
+        """Return the feature set of a group's entry."""
         if self.feature_set == "curve":
             if set(entry["responses"]) != set(RESPONSES):
                 raise ValueError(
@@ -273,12 +276,14 @@ class Protocol:
             return CurveFeatures(**self.curve)
         return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
 
-    def _mass_limits(self) -> tuple[float, float]:
+    def _mass_range(self) -> tuple[float, float]:
+        """Return the range of the mass ratio: its own, or else that of the suspension."""
         low = self.lower if self.mass_lower is None else self.mass_lower
         return low, self.upper if self.mass_upper is None else self.mass_upper
 
 
 def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
+    """Return names if each is allowed and none is given twice; else raise ValueError."""
     if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
         raise ValueError(
             f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"

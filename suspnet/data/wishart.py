@@ -26,7 +26,7 @@ def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator
     mean : CrossSpectra
         Of shape (n_rows, 3, n_freq).
     taps : array
-        From `moving_average_with`: how draws of neighbouring bins hang together.
+        From `moving_average_with`: they set the correlation of neighbouring bins.
     source : torch.Generator
     """
     n = mean.n_averages

@@ -71,7 +71,7 @@ class ResponseGenerator(Protocol):
         ...
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return ratios with random columns for what is uncertain besides, or as they are."""
+        """Return ratios with further columns: draws of the generator's uncertain quantities."""
         ...
 
     def motion_system(self, ratios: Tensor) -> LinearSystem:
@@ -79,7 +79,7 @@ class ResponseGenerator(Protocol):
         ...
 
     def of(self, vehicle: Vehicle) -> ResponseGenerator:
-        """Return the same kind of generator for another vehicle, or what its numbers allow."""
+        """Return the generator for another vehicle, a simpler one where the geometry is missing."""
         ...
 
     def on(self, device: str) -> ResponseGenerator:
@@ -87,7 +87,7 @@ class ResponseGenerator(Protocol):
         ...
 
     def assumptions(self) -> str:
-        """Return a sentence on what the generator takes for granted."""
+        """Return a sentence on the assumptions of the generator."""
         ...
 
 

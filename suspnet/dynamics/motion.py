@@ -14,7 +14,7 @@ from suspnet.types import ComplexArray, FloatArray
 LARGEST_CONDITION = 1e10
 """Above this condition number of the eigenvectors two modes coincide and cannot be told apart."""
 SERIES_BELOW = 0.1
-"""Below this |lambda h| the weights of `_foh_weights` are summed as series."""
+"""Where |lambda h| is below this, `_foh_weights` sums a power series to avoid cancellation."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class SampledMotion:
     Raises
     ------
     ValueError
-        If two modes coincide (critical damping), so that there are no eigenvectors to go by.
+        If two modes coincide (critical damping), so that the eigenvectors are not independent.
     """
 
     def __init__(self, system: LinearSystem, rate_hz: float) -> None:
@@ -103,6 +103,7 @@ class SampledMotion:
 
     @cached_property
     def _weights(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return the input's weights before and after a step, one for each mode."""
         return _foh_weights(self._lambda, self._step_s)
 
     def advance(self, inputs: Sequence[FloatArray]) -> FloatArray:

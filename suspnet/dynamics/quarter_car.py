@@ -150,7 +150,7 @@ class QuarterCar:
         return torch.empty(shape, dtype=torch.complex128, device=self.device)
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return the ratios as they are: nothing besides is uncertain."""
+        """Return the ratios as they are: this generator has no uncertain quantities."""
         return ratios
 
     def of(self, vehicle: Vehicle) -> QuarterCar:
@@ -162,7 +162,7 @@ class QuarterCar:
         return replace(self, device=device)
 
     def assumptions(self) -> str:
-        """Return a sentence on what the generator takes for granted."""
+        """Return a sentence on the assumptions of the generator."""
         return (
             "The quarter car has three places for sensors; generator=vertical_vehicle, where the "
             "geometry is known, has more."

@@ -98,6 +98,7 @@ def iso8608_density(n: FloatArray, roughness: float) -> FloatArray:
 def _with_short_waves(
     n: FloatArray, density: Callable[[FloatArray], FloatArray], short_wave_from_m: float
 ) -> FloatArray:
+    """Return a density in which the rail's short waves replace the spectrum, [m^3]."""
     return np.where(n > 1 / short_wave_from_m, short_wave_density(n), density(n))
 
 
@@ -127,25 +128,26 @@ TRACKS: dict[str, TrackSpectrum] = {
         for step, letter in enumerate("abcde")
     },
 }
-"""The spectra by name."""
+"""Every track and road spectrum by its name in configurations."""
 
 
 def track_spectrum(
     name: str, short_waves: bool = False, short_wave_from_m: float = 2.5
 ) -> TrackSpectrum:
-    """Return the spectrum called `name`, if asked with the rail's short waves joined on.
+    """Return the spectrum called `name`, with the short waves of the rail head if asked.
 
     Below the wavelength `short_wave_from_m`, 0.036 n^-3.15 mm^2 m replaces the spectrum. The two
-    do not meet: at 2.5 m the density jumps up by a factor of 16.6 (german_low), 6.2 (german_high)
-    or 69 (chinese_ballastless), at 1 m still by 33, 12 or 91. The jump is left as it is, no side
-    is rescaled; the simulator that was read joins the two as bluntly (its other track is doubled).
+    spectra are discontinuous there: at 2.5 m the density jumps up by a factor of 16.6
+    (german_low), 6.2 (german_high) or 69 (chinese_ballastless), at 1 m still by 33, 12 or 91. The
+    jump is left as it is, as in the simulator that the numbers come from; neither side is
+    rescaled.
 
     Parameters
     ----------
     name : str
         A key of ``TRACKS``.
     short_waves : bool
-        Whether to join the short waves on.
+        Whether to add the short waves of the rail head.
     short_wave_from_m : float, [m]
         Where they take over.
 
@@ -207,8 +209,8 @@ def acceleration_density(
 ) -> FloatArray:
     """Return the spectrum of the vertical acceleration of an axle box on a rigid track.
 
-    ``(2 pi f)^4 S(f / v) / v``, one-sided; its limit 0 at f = 0, as every S here grows more
-    slowly than n^-4.
+    ``(2 pi f)^4 S(f / v) / v``, one-sided; 0 at f = 0, as every S here grows more slowly than
+    n^-4.
 
     Parameters
     ----------

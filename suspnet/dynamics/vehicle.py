@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from suspnet.checks import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
-"""What may vary, in the order of every array of parameter ratios (1 = healthy)."""
+"""The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 
@@ -128,6 +128,7 @@ _FIELD = {
 
 
 def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:
+    """Raise ValueError if an uncoupled natural frequency suggests a wrong unit."""
     low, high = FREQUENCY_RANGE_HZ
     if low <= frequency_hz <= high:
         return
@@ -145,6 +146,7 @@ def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> 
 
 
 def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
+    """Raise ValueError if an uncoupled damping ratio suggests a wrong unit."""
     low, high = DAMPING_RATIO_RANGE
     if low <= ratio <= high:
         return

@@ -47,7 +47,7 @@ UNMEASURED = (
     "body_gyration",
     "speed",
 )
-"""What may differ from its nominal value besides ``PARAMETERS``: further columns of ratios."""
+"""Quantities that may differ from nominal besides ``PARAMETERS``, as further columns of ratios."""
 SIDES = ("leading", "trailing")
 
 
@@ -204,7 +204,7 @@ class VerticalVehicle:
 
     @property
     def _elsewhere(self) -> VerticalVehicle:
-        """The generator with its frame and body sensor at the further places."""
+        """Return the generator with its frame and body sensor moved to the further places."""
         half_pivot_m = self.vehicle.half_pivot_distance_m
         assert half_pivot_m is not None
         other_m = -2 * half_pivot_m if self.bogie == "leading" else 2 * half_pivot_m
@@ -215,7 +215,7 @@ class VerticalVehicle:
         return replace(self, frame_sensor=frame_sensor, body_sensor_m=body_sensor_m)
 
     def of(self, vehicle: Vehicle) -> ResponseGenerator:
-        """Return the richest model of another vehicle that its numbers allow, set up like this."""
+        """Return the generator with these settings for another vehicle; see `best_generator`."""
         if all(getattr(vehicle, name) is None for name in GEOMETRY):
             return QuarterCar(vehicle, self.device)
         return replace(self, vehicle=vehicle)
@@ -225,7 +225,7 @@ class VerticalVehicle:
         return replace(self, device=device)
 
     def assumptions(self) -> str:
-        """Return a sentence on what the generator takes for granted."""
+        """Return a sentence on the assumptions of the generator."""
         return (
             "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
             "exactly."
@@ -304,7 +304,7 @@ class VerticalVehicle:
 
 
 def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> ResponseGenerator:
-    """Return the richest model that a vehicle's numbers allow.
+    """Return a vertical vehicle where the geometry is known, else a quarter car.
 
     Parameters
     ----------
@@ -330,6 +330,7 @@ class _Bogie:
 
 
 def _bogie(p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tensor]) -> _Bogie:
+    """Return the measured ("") or the other bogie with its bounce eliminated."""
     primary = torch.complex(*torch.broadcast_tensors(p[which + "k_p"], omega * p[which + "c_p"]))
     secondary = torch.complex(*torch.broadcast_tensors(p[which + "k_s"], omega * p[which + "c_s"]))
     inertia = p["bogie_mass"] * omega**2
@@ -348,6 +349,7 @@ def _bogie(p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tens
 
 
 def _phasor(angle: Tensor) -> Tensor:
+    """Return exp(-j angle)."""
     return torch.complex(torch.cos(angle), -torch.sin(angle))
 
 

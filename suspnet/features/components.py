@@ -31,9 +31,9 @@ from suspnet.features.extraction import FeatureTable
 from suspnet.types import FloatArray, IntArray
 
 MISSING = 1
-"""Reason of a curve that is not finite or lies on other bins."""
+"""Reason code of a curve that is not finite."""
 FLOOR = 10.0
-"""The logarithm of magnitudes becomes linear at this multiple of the rms of their noise."""
+"""Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class CurveFeatures:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What each column of the reasons is about."""
+        """Name of what each column of the reasons belongs to."""
         return ("curve",)
 
     def __post_init__(self) -> None:
@@ -144,7 +144,7 @@ class CurveFeatures:
         Raises
         ------
         ValueError
-            If the band holds no bin or fewer curves are given than components are asked for.
+            If the band holds no bin or fewer curves are given than components.
         """
         inside = self._inside(frequencies_hz)
         frequencies, healthy = frequencies_hz[inside], healthy[:, inside]
@@ -263,11 +263,13 @@ class CurveFeatures:
         return replace(self, basis=CurveBasis(**tensors))
 
     def _learnt(self) -> CurveBasis:
+        """Return the basis; raise ValueError if it is not learnt yet."""
         if self.basis is None:
             raise ValueError("the feature set `curve` is not fitted to training curves yet")
         return self.basis
 
     def _inside(self, frequencies_hz: Tensor) -> Tensor:
+        """Return which bins lie in the band; raise ValueError if none does."""
         low = 0.0 if self.low_hz is None else self.low_hz
         high = torch.inf if self.high_hz is None else self.high_hz
         inside = (frequencies_hz >= low - 1e-9) & (frequencies_hz <= high + 1e-9)
@@ -287,7 +289,7 @@ def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:
 def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
     """Return log-magnitude and phase relative to `healthy`, shape (n_curves, 4 n_freq).
 
-    The phase relative to healthy starts near 0 at low frequency and is followed from there.
+    The phase relative to healthy is near 0 at low frequency and is unwrapped towards higher ones.
     """
     ratio = responses / healthy
     phase = ratio.angle()
@@ -298,6 +300,7 @@ def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
 
 
 def _span(frequencies_hz: Tensor) -> str:
+    """Return number and range of some bins in words."""
     if not len(frequencies_hz):
         return "no bins"
     low, high = float(frequencies_hz[0]), float(frequencies_hz[-1])

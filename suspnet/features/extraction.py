@@ -28,19 +28,20 @@ from suspnet.types import FloatArray, IntArray
 PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
 MEASURES = ("position", "height", "width")
 LOWER_PEAK_ENDS = 1.2
-"""The lower primary peak lies below this multiple of the position of the secondary peak ..."""
+"""The lower primary peak lies below this multiple of the position of the secondary peak."""
 UPPER_PEAK_BEGINS = 1.6
-"""... and the upper one above this multiple."""
+"""The upper primary peak lies above this multiple of the position of the secondary peak."""
 UPPER_PEAK_TILT = 1.5
+"""`tilt` of the upper primary peak, which keeps it in sight where much damping flattens it."""
 _WINDOWS = {
     "secondary": (0.4, 0.4),
     "primary_lower": (0.4, 0.25),
     "primary_upper": (0.25, 1.0),
     "primary_largest": (0.3, 0.3),
 }
-"""Half widths of the first fit's window, below and above, if `window` is 1; a Gaussian's are at
-most ..."""
+"""Half widths below and above a peak, in log-frequency, of the first fit's window."""
 GAUSSIAN_WINDOW = 0.25
+"""Largest half width, in log-frequency, of the first fit's window of a Gaussian."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class FeatureSet(Protocol):
 
     @property
     def is_fitted(self) -> bool:
-        """Whether all has been learnt that there is to learn from training curves."""
+        """Whether the feature set has learnt from training curves, or has nothing to learn."""
         ...
 
     def fitted(self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor) -> Self:
@@ -254,6 +255,7 @@ class PeakFeatures:
         )
 
     def _primary_peak(self, name: str, primary: SmoothedCurves, secondary: Peaks | None) -> Peaks:
+        """Return one peak of abs(G_p), searched on its side of the secondary peak."""
         fit = self._fit(name)
         if name == "primary_largest" or secondary is None:
             return primary.peaks(fit)
@@ -268,6 +270,7 @@ class PeakFeatures:
         return replace(peak, reason=reason).blanked()
 
     def _fit(self, name: str) -> PeakFit:
+        """Return how a named peak is smoothed, found and fitted."""
         below, above = _WINDOWS[name]
         if self.shape == "gaussian":
             below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 EDGE = 3.5
-"""Half widths at which a window ends; it is exp(-EDGE^4 / 2) = 3e-33 there."""
+"""Distance in half widths at which a window ends; its weight is exp(-EDGE^4 / 2) = 3e-33 there."""
 
 
 def windowed_parabola(
@@ -68,7 +68,7 @@ def _bins_within(frequencies_hz: Tensor, centre: Tensor, below: Tensor, above: T
 def _window(frequencies_hz: Tensor, centre: Tensor, below: Tensor, above: Tensor) -> Tensor:
     """Return exp(-distance^4 / 2), the distance in half widths and never more than EDGE.
 
-    The library's exp is several times slower where it underflows, as far away it would.
+    Beyond EDGE torch's exp would underflow, where it is several times slower.
     """
     distance = frequencies_hz.log() - centre.log()[:, None]
     ahead, behind = distance * (1 / above[:, None]), distance.mul_(-1 / below[:, None])

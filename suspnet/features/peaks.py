@@ -20,14 +20,14 @@ from suspnet.features.parabola import windowed_parabola
 from suspnet.tensors import as_tensor
 
 CLIP_FRACTION = 0.3
-"""Raw points below this fraction of the smoothed curve are noise; they are raised to it."""
+"""Fraction of the smoothed curve to which lower raw points are raised: they are noise."""
 
 FLOOR_FRACTION = 1e-3
-"""Noise can make the smoothed curve negative; it is raised to this fraction of its maximum."""
+"""Fraction of its maximum to which the smoothed curve is raised: noise can make it negative."""
 
 LOWEST, REACH = 0.5, 1.5
-"""A fitted position is no peak of its maximum if it lies below this fraction of its frequency (a
-tilt moves the maximum up), or more than this many half windows above it."""
+"""A fit is rejected if its position lies below LOWEST times the frequency of the maximum (a tilt
+moves the maximum up), or more than REACH half widths of the window above it."""
 
 
 class PeakReason(IntEnum):
@@ -110,7 +110,7 @@ class Peaks:
         return self.reason == PeakReason.FOUND
 
     def blanked(self) -> Peaks:
-        """Return the same with NaN for whatever is not valid."""
+        """Return the peaks with NaN where none was found."""
         position, height, width = (
             torch.where(self.valid, measure, math.nan)
             for measure in (self.position_hz, self.height, self.width_hz)

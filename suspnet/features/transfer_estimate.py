@@ -15,7 +15,7 @@ from suspnet.features.cross_spectra import PAIRS, CrossSpectra, Method
 from suspnet.features.welch import Welch
 
 SEGMENTS = 64
-"""Segments transformed at once, to bound memory."""
+"""Number of segments transformed at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)

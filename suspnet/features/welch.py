@@ -14,7 +14,7 @@ from suspnet.checks import check_number
 from suspnet.types import FloatArray
 
 NEGLIGIBLE = 1e-4
-"""Window effects on further bins, relative to the first, that are left out."""
+"""Leakage and correlation between bins below this, relative to a bin's own, are neglected."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Welch:
 
     @property
     def correlated_bins(self) -> float:
-        """How many neighbouring bins tell as much as one: r = rho_0 + 2 (rho_1 + rho_2 + ...).
+        """Number of neighbouring bins with the information of one: r = rho_0 + 2 sum_k rho_k.
 
         rho is the `correlation`; Hann: 1.94.
         """
@@ -92,7 +92,7 @@ class Welch:
 
 
 def _symmetric(power: FloatArray) -> Tensor:
-    """Return power[-k] ... power[k] with sum 1, k the last that is not negligible."""
+    """Return power[-k] to power[k] scaled to sum 1, with k the last bin that is not negligible."""
     half = len(power) // 2
     k = int(np.flatnonzero(power[:half] > NEGLIGIBLE * power[0])[-1])
     taps = np.concatenate([power[k:0:-1], power[: k + 1]])

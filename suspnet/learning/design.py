@@ -19,9 +19,10 @@ from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
-"""Features of a whole training set are kept in memory up to this size, else computed again."""
+"""Size [bytes] up to which the features of a training set stay in memory between passes."""
 Columns = Callable[[slice, Tensor], Tensor]
-"""Gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b there."""
+"""A function that gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b
+there."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ class NormalEquations(Protocol):
     """Gives the solver a direction, exactly or nearly that of Eq. (9)."""
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
-        """Return a direction; F need not be found better than to `accuracy`."""
+        """Return a direction; `accuracy` is the error of F that may remain."""
         ...
 
 
 class Design(Protocol):
-    """What the solver needs of Phi."""
+    """The interface through which the solver uses Phi."""
 
     n_features: int
     all_reduce: AllReduce
@@ -259,9 +260,11 @@ class DenseDesign:
         return ReweightedGram(self, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
+        """Return V^T product where the blocks are those of K, else the product."""
         return product if self._basis is None else self._basis.to(product).T @ product
 
     def _zeros(self, n_rows: int, n_columns: int) -> Tensor:
+        """Return a float64 matrix of zeros on the device of the samples."""
         return torch.zeros(n_rows, n_columns, dtype=torch.float64, device=self.X.device)
 
 

@@ -24,7 +24,7 @@ from suspnet.learning.ranks import AllReduce, identity
 
 MAX_INPUTS = 3
 MAX_BOX = 800_000
-"""Points of the grid of modes, corners included, for which all arrays still fit about 1 GB."""
+"""Largest number of points of the grid of modes, for which all arrays fit about 1 GB."""
 FFT_ACCURACY = 1e-2
 """Accuracy of the non-uniform FFTs, relative to the kernel's."""
 
@@ -102,7 +102,7 @@ class EquispacedFeatures(TensorMap):
 def equispaced_fourier(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 1e-6
 ) -> EquispacedFeatures:
-    """Return as many modes as the kernel needs to be right to `kernel_tol` on the data of `X`.
+    """Return the Fourier modes that give the kernel to `kernel_tol` on the data of `X`.
 
     Up to half of it goes to the modes left out, the weakest, and half to the images of the kernel
     that the grid repeats every 2 pi / spacing.
@@ -165,6 +165,7 @@ def _box(wave_numbers: Tensor) -> float:
 
 
 def _too_many(sigma: float, extent: Tensor) -> str:
+    """Return the message for a kernel too narrow for the grid of modes."""
     return (
         f"feature_map='equispaced' would need a grid of more than {MAX_BOX:,} modes: "
         f"sigma={sigma:g} is small for data of extent {float(extent.max()):.3g}; raise sigma or "
@@ -273,6 +274,7 @@ def flat_index(index: Tensor, shape: list[int] | tuple[int, ...]) -> Tensor:
 
 
 def _finufft() -> Any:
+    """Return the module finufft; raise ValueError if it is not installed."""
     try:
         return importlib.import_module("finufft")
     except ImportError as error:

@@ -36,7 +36,7 @@ class FeatureMap(Protocol):
 
 
 class TensorMap:
-    """What every map is: a dataclass of tensors that can be called."""
+    """Base of every feature map: a dataclass of tensors that can be called."""
 
     def apply(self, X: Tensor, coef: Tensor) -> Tensor:
         """Return Phi coef, shape (n_samples, n_outputs)."""
@@ -79,7 +79,7 @@ class FourierFeatures(TensorMap):
 def random_fourier(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
 ) -> FourierFeatures:
-    """Draw plain random Fourier features: w_j ~ N(0, 2 / sigma^2 I); `kernel_tol` is not used."""
+    """Draw random Fourier features: w_j ~ N(0, 2 / sigma^2 I); `kernel_tol` is not used."""
     draws = torch.randn(X.shape[1], _pairs(n_components), generator=generator(seed))
     return FourierFeatures((draws.double() * math.sqrt(2) / sigma).to(X))
 
@@ -103,6 +103,7 @@ def orthogonal_fourier(
 
 
 def _pairs(n_components: int) -> int:
+    """Return the number of cosine and sine pairs, an odd number of components rounded up."""
     return (n_components + 1) // 2
 
 

@@ -26,7 +26,7 @@ from suspnet.learning.ranks import all_reduce, broadcast
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
 SMALLEST_STEP = 1e-10
-"""Steps are halved down to this fraction of the direction."""
+"""Smallest fraction of the direction that backtracking tries."""
 
 
 class Status(StrEnum):
@@ -39,7 +39,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Iteration:
-    """What a callback is told after each iteration."""
+    """Argument of the callback after each iteration."""
 
     n_iter: int
     objective: float
@@ -50,7 +50,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the solver ended.
+    """Result of the solver.
 
     Attributes
     ----------
@@ -260,7 +260,7 @@ class _Functional:
         objective: float,
         decrement: float,
     ) -> tuple[float, float]:
-        """Halve the step from 1 until F falls enough; (0, F) if no step does."""
+        """Return the first step of 1, 1/2, 1/4 .. that decreases F enough, and F; else (0, F)."""
         step = 1.0
         while step > SMALLEST_STEP:  # 34 halvings at most
             value = self.value(coef + step * direction.coef, residual - step * change)
@@ -284,4 +284,5 @@ class _Functional:
 
 
 def _relative(excess: float, objective: float) -> float:
+    """Return an excess over the objective, at least 0."""
     return max(excess, 0.0) / max(objective, torch.finfo(torch.float64).tiny)

@@ -10,7 +10,7 @@ from torch import Tensor
 from suspnet.learning.feature_maps import TensorMap, generator
 
 ROUNDING = 1e-13
-"""A residual of the kernel's diagonal below this is rounding and counts as 0; the kernel is 1."""
+"""Residual of the kernel's diagonal, which is 1, below which it is rounding and counts as 0."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +158,7 @@ def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
+    """Return the feature map of landmarks, their kernel's null space left out."""
     exact_landmarks = landmarks.double()
     values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
     kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps

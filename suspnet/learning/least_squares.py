@@ -19,7 +19,8 @@ from suspnet.types import FloatArray
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
-"""Range of the damping, relative to the diagonal of J^T J; a row that reaches its end stops."""
+"""Range of the damping, relative to the diagonal of J^T J; a row whose damping reaches an end
+stops."""
 DIFFERENCE = 1e-5
 """Step of the central differences of the Jacobian; parameters are of the order of 1."""
 
@@ -175,7 +176,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         self.tol = tol
 
     def state(self) -> dict[str, FloatArray]:
-        """Return nothing: the parameters are all there is, it learns no arrays."""
+        """Return no arrays: the method has parameters only."""
         return {}
 
     def fit_curves(
@@ -219,10 +220,11 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         observed: Tensor,
         known: Tensor,
         scale: Tensor,
-        limits: tuple[float, float],
+        start_range: tuple[float, float],
         n: int,
     ) -> Tensor:
-        lower, upper = limits
+        """Return for each row the Sobol point whose curves lie nearest to the row's."""
+        lower, upper = start_range
         points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
         starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))
         mean_known = known.mean(dim=0, keepdim=True).expand(len(starts), -1)

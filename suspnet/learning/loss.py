@@ -22,7 +22,7 @@ def derivative(u: Tensor, epsilon: float) -> Tensor:
 def weight(u: Tensor, epsilon: float) -> Tensor:
     """Return a(u) = L'(u) / u, so a_i of Eq. (10) is C a(u_i); 0 inside the tube and at u = 0.
 
-    For epsilon = 0 the weight is 2 everywhere, the limit at u = 0 included.
+    For epsilon = 0 the weight is 2 everywhere, also at u = 0 (its limit).
     """
     if epsilon == 0:
         return torch.full_like(u, 2.0)

@@ -1,4 +1,4 @@
-"""The feature maps by name: how each is made, what it is, what it can do."""
+"""The feature maps by name, with their constructors, designs and abilities."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from suspnet.types import FloatArray, IntArray
 
 PREDICT_ROWS = 8192
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
-"""Parameters that the Gram matrix does not depend on."""
+"""Hyperparameters that the Gram matrix does not depend on."""
 
 
 class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -296,6 +296,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     @property
     def _torch_dtype(self) -> torch.dtype:
+        """Return the precision of the features."""
         return torch.float32 if self.dtype == "float32" else torch.float64
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
@@ -311,11 +312,13 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
     def _make_map(self, samples: Tensor) -> Any:
+        """Return the feature map for some samples."""
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))
         make = MAPS[self.feature_map].make
         return make(samples, self.sigma, self.n_components, seed, self.kernel_tol)
 
     def _solve(self, design: Design, targets: Tensor) -> Solution:
+        """Return the minimiser of F for a design and targets."""
         return irwls(
             design,
             targets,
@@ -328,6 +331,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         )
 
     def _check_parameters(self) -> None:
+        """Raise TypeError or ValueError if a parameter is wrong."""
         check_number("C", self.C, above=0)
         check_number("sigma", self.sigma, above=0)
         check_number("epsilon", self.epsilon, low=0)

@@ -50,7 +50,7 @@ def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class LikelihoodEvaluation:
-    """What a callback is told after each evaluation of the likelihood."""
+    """Argument of the callback after each evaluation of the likelihood."""
 
     n_evaluations: int
     log_likelihood: float
@@ -235,6 +235,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return self
 
     def _check_parameters(self) -> None:
+        """Raise TypeError or ValueError if a parameter is wrong."""
         for name in ("length_scale", "signal_variance", "noise_variance"):
             check_number(name, getattr(self, name), above=0)
         check_number("n_restarts", self.n_restarts, low=0, whole=True)
@@ -246,6 +247,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             )
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
+        """Return K of two sets of samples, without the noise."""
         return self.signal_variance_ * rbf_kernel(X, Z, math.sqrt(2) * self.length_scale_)
 
     def _factor(self) -> Tensor:
@@ -258,6 +260,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return factor
 
     def _condition(self, samples: Tensor, centred: Tensor) -> None:
+        """Compute Omega, the likelihood and the weights K'^-1 Y of all samples."""
         self._samples = samples
         self._kept_factor = None
         factor = self._factor()
@@ -267,6 +270,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         self.weights_ = np.ascontiguousarray(torch.cholesky_solve(centred, factor).cpu().numpy())
 
     def _optimize(self, samples: Tensor, centred: Tensor) -> None:
+        """Set the three hyperparameters to the best of several maximisations of the likelihood."""
         random = check_random_state(self.random_state)
         chosen = random.permutation(len(samples))[: self.n_optimize]
         samples, centred = samples[chosen], centred[chosen]
@@ -315,6 +319,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
 
 def _cholesky(kernel: Tensor) -> Tensor:
+    """Return the lower Cholesky factor; raise ValueError if there is none."""
     factor: Tensor
     factor, info = torch.linalg.cholesky_ex(kernel)
     if int(info):

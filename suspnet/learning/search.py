@@ -29,7 +29,7 @@ from suspnet.types import FloatArray, IntArray
 Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
 Levels = dict[str, list[float]]
 FLAT = 0.005
-"""A relative rise of the RMSE below which tables of three digits hardly change."""
+"""Relative rise of the RMSE up to which the edge of a grid counts as flat."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +180,7 @@ class GridSearch:
         return wider, told
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
+        """Return a method's grid; raise ValueError if it has none."""
         if name not in self.grids:
             raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
         return self.grids[name]
@@ -235,6 +236,7 @@ class _Trials:
 
 
 def _words(key: str, value: float, why: str) -> str:
+    """Return a sentence on an optimum on the edge of the grid."""
     return f"the best {key}, {value:g}, is on the edge: {why}"
 
 

@@ -182,6 +182,7 @@ class ToeplitzEquations:
         return solution
 
     def _precondition(self, vector: Tensor) -> Tensor:
+        """Return the preconditioner times a vector."""
         found = vector / self._diagonal[:, None]
         found[self._leading] = self._inverse @ vector[self._leading]
         return found

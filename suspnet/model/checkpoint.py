@@ -32,7 +32,7 @@ from suspnet.uncertainty.ood import OODDetector
 
 SCHEMA_VERSION = 4
 FEATURES, INTERVALS, OOD = "features.", "intervals.", "ood."
-"""Begin the names of the arrays of the feature set, of the intervals and of the OOD detector."""
+"""Prefixes of the names of the arrays of the feature set, the intervals and the OOD detector."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -76,6 +76,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
 
 
 def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector]]:
+    """Return the calibrated parts that a model has, with the prefixes of their arrays."""
     pairs = ((INTERVALS, model.intervals), (OOD, model.ood))
     return [(prefix, part) for prefix, part in pairs if part is not None]
 
@@ -108,11 +109,12 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
 
 
 def parameters(estimator: Any) -> dict[str, Any]:
-    """Return the constructor's arguments that make a method what it is: all but its callback."""
+    """Return the constructor's arguments of a method, all but its callback."""
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 
 def _check_description(path: Path, content: Any) -> None:
+    """Raise ModelFileError if model.json is foreign, outdated or altered."""
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
     if content["schema_version"] != SCHEMA_VERSION:
@@ -128,6 +130,7 @@ def _check_description(path: Path, content: Any) -> None:
 
 
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+    """Return the model of a checked description and its arrays."""
     estimator_type = METHODS[content["model"]]
     arguments = dict(content["parameters"])
     if "device" in arguments:
@@ -178,15 +181,18 @@ def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
 
 
 def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
+    """Return the dataclass that `_tagged` made JSON-able."""
     arguments = _with_tuples(content)
     return kinds[arguments.pop("kind")](**arguments)
 
 
 def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping with tuples for JSON's lists."""
     return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:
+    """Return a scaling as JSON-able values, with the names of its columns."""
     if scaling is None:
         return {"names": list(names)}
     arrays = {f.name: getattr(scaling, f.name) for f in fields(scaling)}
@@ -194,6 +200,7 @@ def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, 
 
 
 def _scaling(content: dict[str, Any]) -> Scaling | None:
+    """Return the scaling that `_scaling_json` made JSON-able."""
     if "mean" not in content:
         return None
     return Scaling(np.array(content["mean"]), np.array(content["scale"]), content["log"])

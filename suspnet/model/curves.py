@@ -44,7 +44,7 @@ def estimate_curves(
     Raises
     ------
     ValueError
-        If the curves do not fit the method, or none tells an output that is to be refined.
+        If the curves do not fit the method, or none identifies an output that is to be refined.
     """
     task = method.task
     table = task.extractor.extract(curves, observer.frequencies_hz.to(curves.device))
@@ -65,7 +65,7 @@ def estimate_curves(
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)
-        low, high = method.intervals.limits(values, scales, level)
+        low, high = method.intervals.ends(values, scales, level)
     flags = Flags.none(len(values))
     if method.ood is not None and refined is not None:
         missing = missing_words(task.extractor, table.reasons.cpu().numpy())
@@ -89,7 +89,7 @@ def regress(
     inputs : array of shape (n_curves, n_inputs), [-]
         Features relative to healthy (and the mass).
     curves : tensor of shape (n_curves, 2, n_freq), [-]
-        What a method that works on curves looks at.
+        Input of a method that works on curves.
     mass : array of shape (n_curves,), optional
     """
     if method.estimator.works_on_curves:
@@ -104,7 +104,7 @@ def regress(
 def refine_curves(
     task: Task, observer: Observer, curves: Tensor, predicted: FloatArray, mass: FloatArray | None
 ) -> Refined:
-    """Return maximum-likelihood estimates of everything unknown, from `predicted` on."""
+    """Return maximum-likelihood estimates of all unknown parameters, started from `predicted`."""
     near = torch.as_tensor(complete_ratios(task, predicted, mass))
     misfit = observer.misfit(curves, near, task.used_responses)
     return refine(task, misfit, predicted, mass)
@@ -115,11 +115,11 @@ def complete_ratios(
 ) -> FloatArray:
     """Return all ratios (n, 5) near estimates (n, n_outputs), within the range trained for.
 
-    Healthy where there is no estimate.
+    The ratio is 1 where there is no estimate.
     """
     full = np.ones((len(predicted), len(PARAMETERS)))
-    limits = np.array([task.limits(name) for name in task.outputs])
-    inside = np.clip(predicted, limits[:, 0], limits[:, 1])
+    ranges = np.array([task.range(name) for name in task.outputs])
+    inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
         full[:, MASS] = mass
@@ -132,7 +132,7 @@ def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
     Raises
     ------
     ValueError
-        If the curves do not tell an output.
+        If the curves do not identify an output.
     """
     estimates, deviations = refined.of(task.outputs)
     for name, column in zip(task.outputs, deviations.T, strict=True):

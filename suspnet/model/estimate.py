@@ -1,4 +1,4 @@
-"""What a model says of some curves or of one recording: values, intervals and flags."""
+"""Result of a model for some curves or one recording: values, intervals and flags."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 
 SHOWN = 10
-"""Rows that the readable form shows."""
+"""Number of rows that the readable form shows."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -29,7 +29,7 @@ class Estimate:
     level : float
         Probability with which an interval holds the truth.
     flags : Flags
-        What speaks against each row; nothing, if the model was not calibrated.
+        Reasons not to trust a row; none, if the model was not calibrated.
 
     Examples
     --------
@@ -81,6 +81,7 @@ class Estimate:
         }
 
     def _line(self, row: int) -> str:
+        """Return one row in words: values, intervals and flags."""
         parts = []
         for j, name in enumerate(self.names):
             if np.isnan(self.values[row, j]):
@@ -94,4 +95,5 @@ class Estimate:
 
 
 def _number(value: float) -> float | None:
+    """Return a number, None if it is not finite."""
     return float(value) if np.isfinite(value) else None

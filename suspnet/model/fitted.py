@@ -35,7 +35,7 @@ class FittedMethod:
     task : Task
         Its feature set with what that has learnt.
     generator : ResponseGenerator
-        What the training curves were made with.
+        Generator of the training curves.
     settings : Observation
         How the training curves were observed.
     healthy_features : array of shape (n_features,)
@@ -43,7 +43,7 @@ class FittedMethod:
     input_scaling, output_scaling : Scaling or None
         None for methods that fit curves directly.
     refined : bool
-        Whether its estimates are taken further by `refine`.
+        Whether its estimates are refined by `refine`.
     intervals : Intervals or None
     ood : OODDetector or None
         None, both, where the model was not calibrated.

@@ -28,7 +28,7 @@ from suspnet.recordings.segments import (
 
 @dataclass(frozen=True)
 class TripSettings:
-    """How trips are read and what an estimate asks for.
+    """How trips are read, and the conditions for an estimate.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ class TripSettings:
     min_speed_m_per_s : float, [m/s]
         Least speed for models that do not depend on it.
     min_coherence : float, [-]
-        Segments whose coherence with the trip's response is lower, and much lower than that of
-        the others, are left out.
+        Segments of lower coherence with the trip's response are left out if it is also much lower
+        than that of the other segments.
     min_averages : float
         Below this many independent averages in a bin there is no estimate from it.
     max_deviation : float, [-]
@@ -81,7 +81,7 @@ class TripSettings:
 
 @dataclass(frozen=True)
 class SpeedBin:
-    """One method's view of a recording: what it was made from, and the estimate.
+    """One method's estimate from a recording, with the spectra and segments behind it.
 
     Attributes
     ----------

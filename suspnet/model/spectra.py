@@ -1,14 +1,15 @@
-"""How far one trip's estimate can be trusted: its interval, and what speaks against it.
+"""How far one trip's estimate can be trusted: its interval and its flags.
 
-Intervals are calibrated on curves with the averages and the noise that a model was trained for, and
-a trip has its own. So the part of the error that noise makes is taken out and the trip's put in::
+Intervals are calibrated on curves with the averages and the noise that a model was trained for,
+and a trip has its own. So the noise part of the residual scale in training is replaced by that of
+the trip::
 
     s^2 = max(s_0^2 - n_0^2, 0) + n^2,   half width = s q(level) / q(ONE_SIGMA)
 
 with s_0 the standard deviation that the calibration gives and q its quantiles, n_0 the noise part
-expected of such a vehicle in training, n that of the trip. What is left, s_0^2 - n_0^2, is the
-error of the regression itself and of what the generator holds uncertain. Of refined estimates n_0
-and n are the deviations of Gauss-Newton; of others the spread of estimates from drawn spectra.
+expected of such a vehicle in training, n that of the trip. s_0^2 - n_0^2 is the variance of the
+regression's own error and of the generator's uncertain quantities. Of refined estimates n_0 and n
+are the deviations of Gauss-Newton; of others the spread of estimates from drawn spectra.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ class MissingFeaturesError(ValueError):
 
 
 N_DRAWS = 64
-"""Draws of a trip's noise. Their spread is known to 0.96 / sqrt(64) = 12 %, but n and n_0 come from
-the same random numbers and err alike: half widths are known to 4 % at a quarter of the averages."""
+"""Number of draws of a trip's noise. It gives n and n_0 to 0.96 / sqrt(64) = 12 %, but both come
+from the same random numbers and err alike: at a quarter of the averages half widths err by 4 %."""
 ONE_SIGMA = 0.6827
 CONFIRMED = 1.05
-"""Calibrations that widen the deviations of refined estimates by less find nothing but noise."""
+"""Factor on the deviations of refined estimates up to which a calibration confirms them."""
 SMOOTHED_BINS = 5
-"""Neighbouring bins over which a trip's measured covariance is averaged."""
+"""Number of neighbouring bins over which a trip's measured covariance is averaged."""
 
 
 def estimate_spectra(method: FittedMethod, spectra: CrossSpectra, level: float) -> Estimate:
@@ -91,7 +92,7 @@ def estimate_spectra(method: FittedMethod, spectra: CrossSpectra, level: float) 
 
 
 def trip_observer(method: FittedMethod) -> EstimateObserver:
-    """Return what observes trips as in a method's training, on the CPU as the spectra are.
+    """Return the observer of a method's training, on the CPU as the spectra are.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def _estimate(
 
 
 def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
-    """Return max(s_0^2 - n_0^2, 0), what no average takes away; 0 where both are infinite."""
+    """Return max(s_0^2 - n_0^2, 0), the variance without noise; 0 where both are infinite."""
     s_0, n_0 = (np.nan_to_num(part, posinf=0.0) for part in (usual, noise_0))
     return np.asarray(np.maximum(s_0**2 - n_0**2, 0))
 
@@ -151,6 +152,7 @@ def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatAr
 def _refined(
     method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
 ) -> Refined:
+    """Return the maximum-likelihood estimate from a trip's spectra."""
     estimator = observer.settings.method
     covariance = _smoothed(spectra.covariance(estimator))
     # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
@@ -161,11 +163,11 @@ def _refined(
 
 
 def _as_in_training(refined: Refined, share: float) -> Refined:
-    """Return estimates with the misfit that trips with `share` of the averages would have.
+    """Return estimates with the misfit scaled to the number of averages of the training.
 
     The mean square beyond 1 is that of the generator's own errors over that of the noise. It grows
-    with the averages, and its limit is known for those of the training only. Shorter trips keep
-    theirs: their misfit is noise.
+    with the averages, while the threshold of the misfit belongs to those of the training. Shorter
+    trips keep their misfit: it is noise.
     """
     beyond = (refined.misfit**2 - 1) * min(share, 1.0)
     return replace(refined, misfit=np.sqrt(1 + beyond))

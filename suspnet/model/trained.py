@@ -1,4 +1,4 @@
-"""The model that users hold: a fitted method that estimates from curves, spectra, recordings."""
+"""A fitted method that estimates from curves, spectra and recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from suspnet.model.spectra import estimate_spectra
 from suspnet.recordings import Recording, load_recording, read_manifest
 
 SAME_BIN_HZ = 1e-6
-"""Bins that differ by less than this are the same, [Hz]."""
+"""Difference [Hz] below which two frequency bins are the same."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,7 @@ class TrainedModel(FittedMethod):
         return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
 
     def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
+        """Return one positive mass ratio for each curve, or None where the model takes none."""
         if self.task.mass_known != (mass is not None):
             raise ValueError(
                 "the model was trained to know the car-body mass: give `mass`, 1 is healthy"

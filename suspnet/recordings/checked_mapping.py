@@ -84,9 +84,11 @@ class CheckedMapping:
         return self.number(key, "a number > 0", 0.0)
 
     def _name(self, key: object = "") -> str:
+        """Return the name of a key in messages, with the keys that lead to it."""
         name = ".".join(part for part in (self.where, str(key)) if part)
         return f"`{name}`" if name else "the manifest"
 
 
 def _short(value: Any) -> str:
+    """Return a value for a message, abridged and on one line."""
     return " ".join(reprlib.repr(value).split())

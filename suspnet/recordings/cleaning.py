@@ -25,10 +25,10 @@ from suspnet.types import BoolArray, FloatArray
 KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift")
 
 CORE_SAMPLES = 2**18
-"""About how many samples are looked at together; few enough to stay in cache."""
+"""Approximate number of samples that are checked at once; few enough to stay in cache."""
 
 SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
-"""Level and spread are those of one second, and of no fewer samples than this."""
+"""Length of a segment for level and spread: seconds, and least number of samples."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class CleaningSettings:
     Parameters
     ----------
     spike_deviations : float
-        A spike stands out from the level on both sides by more than this many robust standard
-        deviations (1.4826 times the median absolute deviation of one second).
+        Robust standard deviations by which a spike stands out from the level on both sides (1.4826
+        times the median absolute deviation of one second).
     spike_samples : int
         The longest spike; anything longer is taken for motion.
     gap_samples : int
@@ -47,9 +47,10 @@ class CleaningSettings:
     saturation_fraction : float
         A sample is saturated if its magnitude reaches this fraction of the sensor's range.
     saturation_samples : int
-        Where no range is given, this many equal samples at the highest or lowest value around.
+        Where no range is given, the least number of equal samples at the highest or lowest value
+        around that count as saturated.
     constant_s : float, [s]
-        Identical values for longer than this come from a dead sensor.
+        Identical values for longer than this are marked as those of a dead sensor.
     drift_fraction : float
         A mean, or a change of level between the first and the last tenth, is reported if it is
         larger than this fraction of the root mean square about the mean.
@@ -176,8 +177,8 @@ class Cleaner:
         if self.range_m_per_s2 is None:
             saturation = find_clipping(filled, settings.saturation_samples) & ~(gap | constant)
         else:
-            limit = settings.saturation_fraction * self.range_m_per_s2
-            saturation = find_saturation(filled, limit) & ~gap
+            threshold = settings.saturation_fraction * self.range_m_per_s2
+            saturation = find_saturation(filled, threshold) & ~gap
         short = paint(len(gap), *runs(gap, at_most=settings.gap_samples))
         bad = (gap & ~short) | saturation | constant
         masks = {
@@ -190,6 +191,7 @@ class Cleaner:
         return fill(filled, bad | spike), bad, masks, centre
 
     def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
+        """Add the samples of a mask to the count of a kind of fault."""
         count = int(np.count_nonzero(mask))
         if count:
             before, first = self._found.get(
@@ -198,6 +200,7 @@ class Cleaner:
             self._found[kind, repaired] = (before + count, first)
 
     def _add(self, values: FloatArray, bad: BoolArray) -> None:
+        """Update the sums behind mean and spread by one block."""
         n_bad = int(np.count_nonzero(bad))
         self.n_samples += len(values)
         self.n_bad += n_bad

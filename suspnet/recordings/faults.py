@@ -12,19 +12,19 @@ import numpy as np
 from suspnet.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
-"""Loggers write 3.4e38 or infinity where they have no value; what is larger is a gap."""
+"""Magnitude above which a value is a gap: loggers write 3.4e38 or infinity for a missing one."""
 
 STRIDE = 7
-"""Level and spread are estimated from every 7th sample."""
+"""Stride of the samples from which level and spread are estimated."""
 
 SIDE_SAMPLES, CALM = 8, 0.25
-"""A spike is isolated if, of this many samples on either side, all but one stay within this
-fraction of its height; the ringing after an impact does not."""
+"""A spike is isolated if all but one of SIDE_SAMPLES samples on either side stay within the
+fraction CALM of its height; the ringing after an impact does not."""
 
 COARSE_STEPS = 4
-"""A signal reaches its clipping level with a jump of more than this many quantisation steps, while
-the rounded top of a slow wave is as flat but is reached in small steps. A spike is higher than
-this, too: the last digit of a sensor at rest flickers."""
+"""Number of quantisation steps by which a signal must jump to its clipping level: the rounded top
+of a slow wave is as flat, but is reached in smaller steps. A spike must be higher than this, too,
+as the last digit of a sensor at rest flickers."""
 
 
 def find_gaps(values: FloatArray) -> BoolArray:
@@ -44,11 +44,11 @@ def find_constant(values: FloatArray, longest: int) -> BoolArray:
     return paint(len(values), starts, stops + 1)
 
 
-def find_saturation(values: FloatArray, limit: float) -> BoolArray:
-    """Return where the magnitude reaches a limit, shape (n_samples,)."""
-    if -limit < values.min() and values.max() < limit:
+def find_saturation(values: FloatArray, threshold: float) -> BoolArray:
+    """Return where the magnitude reaches a threshold, shape (n_samples,)."""
+    if -threshold < values.min() and values.max() < threshold:
         return np.zeros(len(values), dtype=np.bool_)
-    return np.asarray(np.abs(values) >= limit)
+    return np.asarray(np.abs(values) >= threshold)
 
 
 def find_clipping(values: FloatArray, shortest: int) -> BoolArray:
@@ -129,7 +129,7 @@ def _smallest_step(values: FloatArray) -> float:
 
 
 def _height(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far runs stand out from both sides, and how far the sides do from themselves."""
+    """Return the height of each run above both of its sides, and the spread within the sides."""
     width = int((stops - starts).max())
     peak = values[np.minimum(starts[:, None] + np.arange(width), stops[:, None] - 1)]
     above, below, spread = [], [], []

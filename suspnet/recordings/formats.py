@@ -28,12 +28,12 @@ except ImportError:
     nptdms = None
 
 BLOCK = 2**20
-"""The most samples of a column that are handed out at once."""
+"""Largest number of samples of a column in one block."""
 
 CSV_BLOCK_BYTES = 2**22
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**18, 2**20
 LISTED = 20
-"""The most columns that an error message lists."""
+"""Largest number of columns that an error message lists."""
 
 Block = tuple[FloatArray, ...]
 Take = Callable[[slice], Any]
@@ -87,6 +87,7 @@ def open_columns(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _read_parquet(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
+    """Yield columns of a Parquet file."""
     # Reading ahead, the default, is no faster here and takes as much memory as the whole column.
     with pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=PARQUET_BUFFER_BYTES) as file:
         names = _choose(path, columns, file.schema_arrow.names)
@@ -99,6 +100,7 @@ def _read_parquet(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _read_csv(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
+    """Yield columns of a CSV file with a header line."""
     with pa.csv.open_csv(path) as reader:
         names = _choose(path, columns, reader.schema.names)
     convert = pa.csv.ConvertOptions(
@@ -117,6 +119,7 @@ def _read_csv(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _read_mat(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
+    """Yield variables of a MAT file."""
     try:
         variables = whosmat(path)
     except NotImplementedError:  # version 7.3 is HDF5
@@ -139,6 +142,7 @@ def _read_mat(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _read_hdf5(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
+    """Yield vectors of an HDF5 file."""
     if h5py is None:
         raise TripError(f'{path}: an HDF5 file needs h5py; run: pip install "suspnet[hdf5]"')
     with h5py.File(path, "r") as file:
@@ -156,13 +160,14 @@ def _read_hdf5(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
 
 
 def _take_hdf5(dataset: Any) -> Take:
-    """Return what reads a part of a vector, MATLAB's (1, n) and (n, 1) included."""
+    """Return a function that reads a slice of a vector, MATLAB's (1, n) and (n, 1) included."""
     axis = int(np.argmax(dataset.shape))
     before, after = (0,) * axis, (0,) * (len(dataset.shape) - axis - 1)
     return lambda part: dataset[(*before, part, *after)]
 
 
 def _read_tdms(path: Path, columns: Sequence[str | None]) -> Iterator[Block]:
+    """Yield channels of a TDMS file."""
     if nptdms is None:
         raise TripError(f'{path}: a TDMS file needs npTDMS; run: pip install "suspnet[tdms]"')
     # Opened here because npTDMS does not close what it fails to read.
@@ -208,7 +213,7 @@ _DAMAGE = (
     OverflowError,
     MemoryError,
 )
-"""What the readers of the formats raise when bytes are not what they should be."""
+"""Errors that the readers of the formats raise on damaged files."""
 
 
 def _choose(path: Path, columns: Sequence[str | None], present: Sequence[str]) -> list[str]:
@@ -228,22 +233,26 @@ def _choose(path: Path, columns: Sequence[str | None], present: Sequence[str]) -
 
 
 def _listing(names: Sequence[str]) -> str:
+    """Return names for a message, at most ``LISTED`` of them."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return f"{list(names[:LISTED])}{more}"
 
 
 def _to_numpy(column: Any) -> FloatArray:
+    """Return an Arrow column as float64, NaN where a value is missing."""
     values = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
     return np.asarray(values, dtype=np.float64)
 
 
 def _is_vector(shape: Sequence[int]) -> bool:
+    """Return whether an array has one dimension besides those of length 1."""
     return len(shape) > 0 and int(np.prod(shape, dtype=np.int64)) == max(shape)
 
 
 def _slices(
     path: Path, names: Sequence[str], lengths: Sequence[int], takes: Sequence[Take]
 ) -> Iterator[Block]:
+    """Yield blocks of vectors; raise TripError if their lengths differ."""
     if len(set(lengths)) > 1:
         raise TripError(f"{path}: columns {list(names)} have different lengths {list(lengths)}")
     for start in range(0, lengths[0], BLOCK):

@@ -53,7 +53,7 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """Which suspension a trip is of; empty text is what the manifest does not say.
+    """Which suspension a trip is of; text is empty where the manifest does not say it.
 
     Parameters
     ----------
@@ -262,6 +262,7 @@ _SOURCE = ("column", "rate_hz", "time", "start_s")
 
 
 def _parse(path: Path, content: Any) -> TripManifest:
+    """Return the manifest of a YAML file's content."""
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
     top = CheckedMapping(path, "", content, required, ("start", "truth", "bogie", "side"))
     top.choice("format", [FORMAT])
@@ -282,6 +283,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
 
 
 def _parse_start(top: CheckedMapping) -> datetime:
+    """Return the start of a trip from a date or text."""
     value = top.content["start"]
     if isinstance(value, date) and not isinstance(value, datetime):
         return datetime(value.year, value.month, value.day)
@@ -292,6 +294,7 @@ def _parse_start(top: CheckedMapping) -> datetime:
 
 
 def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
+    """Return a constant speed [m/s] or where the speed is stored."""
     if not isinstance(top.content["speed"], dict):
         return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
     section = CheckedMapping(top.path, "speed", top.content["speed"], ("file", "unit"), _SOURCE)
@@ -299,6 +302,7 @@ def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
 
 
 def _parse_channel(path: Path, name: str, content: Any) -> Channel:
+    """Return where one accelerometer is stored."""
     optional = (*_SOURCE, "sign", "range")
     section = CheckedMapping(path, f"channels.{name}", content, ("file", "unit"), optional)
     sign = section.number("sign", "1 or -1") if section.has("sign") else 1.0
@@ -326,9 +330,11 @@ def _parse_source(section: CheckedMapping) -> dict[str, Any]:
 
 
 def _parse_truth(path: Path, content: Any) -> dict[str, float]:
+    """Return the known parameters of a simulated trip."""
     section = CheckedMapping(path, "truth", content, (), PARAMETERS)
     return {key: section.positive(key) for key in section.content}
 
 
 def _without_none(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a mapping without the keys whose value is None."""
     return {key: value for key, value in content.items() if value is not None}

@@ -18,14 +18,14 @@ from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.recordings.manifest import CHANNELS, TripError
 
 SLOW = (0.2, 0.4)
-"""Band of the gain, in multiples of the first natural frequency."""
+"""Band in which the gain is checked, in multiples of the first natural frequency."""
 LOWEST_MODE = 0.45
-"""The order of the channels is looked at above this multiple of the first natural frequency."""
+"""The order of the channels is checked above this multiple of the first natural frequency."""
 GAIN_TOLERANCE = 2.0
-"""A gain within this factor of the healthy vehicle's is plausible for any suspension."""
+"""Factor on the healthy vehicle's gain within which a gain is plausible for any suspension."""
 GRAVITY = 9.80665
 COHERENT = 0.5
-"""Below this coherence the gain says nothing."""
+"""Least coherence at which the gain is checked."""
 
 
 def check_channels(
@@ -120,6 +120,7 @@ def _suspect(gains: list[complex], sink: str, source: str) -> str:
 
 
 def _slip(size: float) -> str:
+    """Return which unit may be wrong by the size of a gain; empty if none fits."""
     for factor, words in ((GRAVITY, "m/s2 and g are mixed up"), (1000.0, "mm/s2 or mg?")):
         for candidate in (factor, 1 / factor):
             if 0.5 < size / candidate < 2:

@@ -26,13 +26,14 @@ from suspnet.recordings.timeline import Timeline, check_rate, check_rising
 from suspnet.types import BoolArray, FloatArray
 
 SHORTEST_S = 60.0
-"""A shorter recording says nothing about a suspension."""
+"""Least length of a recording, [s]."""
 
 LARGEST_SPEED_M_PER_S = 150.0
-"""No train is faster; a speed above is unknown."""
+"""Largest speed of a train [m/s]; a larger value counts as unknown."""
 
 LONGEST_SPEED_GAP_S = 10.0
-"""Between speeds further apart the speed is unknown."""
+"""Longest time [s] between two speeds that is interpolated; the speed is unknown in longer
+ones."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +160,8 @@ def _read_channel(
     rate_hz = _known_rate(where, channel.rate_hz, timeline)
     if rate_hz < 0.99 * wanted_hz:
         raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
-    limit = None if channel.range is None else channel.range * unit
-    cleaner = Cleaner(name, rate_hz, limit, cleaning)
+    full_scale = None if channel.range is None else channel.range * unit
+    cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
     scaled = (channel.sign * unit * block for block in chain([first_block], blocks))
     decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
     start_s = channel.start_s + (0.0 if timeline is None else timeline.first_s)
@@ -182,6 +183,7 @@ def _values(manifest: TripManifest, name: str, timeline: Timeline | None) -> Ite
 
 
 def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
+    """Return a channel's rate as stated or by its time stamps, [Hz]."""
     if timeline is None:
         assert stated_hz is not None  # the manifest has one or the other
         return stated_hz
@@ -191,6 +193,7 @@ def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) 
 
 
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
+    """Raise TripError if a channel has no usable sample."""
     if cleaner.n_bad < cleaner.n_samples:
         return
     n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
@@ -219,6 +222,7 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
 
 
 def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, BoolArray]:
+    """Return a channel at instants of the common clock, and where a bad sample took part."""
     decimated = stream.decimated
     return interpolate(
         decimated.values,

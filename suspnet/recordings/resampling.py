@@ -22,13 +22,13 @@ PASS, STOP = 0.25, 0.75
 """Ends of the pass band and of the transition band, as fractions of the wanted rate."""
 
 ATTENUATION_DB = 100.0
-"""Of the stop band, and of the ripple in the pass band."""
+"""Attenuation of the stop band [dB], which also sets the ripple in the pass band."""
 
 OVERSAMPLING = 4
-"""The first stage stops at this multiple of the wanted rate or above."""
+"""Least rate after the first stage, as a multiple of the wanted rate."""
 
 PHASES = 512
-"""The sinc is tabulated at this many points between samples, linear in between."""
+"""Number of points between samples at which the sinc is tabulated, linear in between."""
 
 BLOCK_ROWS = 2**12
 

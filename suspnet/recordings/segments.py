@@ -13,11 +13,11 @@ from suspnet.features.welch import Welch
 from suspnet.recordings.recording import Recording
 
 LOUD = 30.0
-"""Segments with more than this multiple of the median power are left out from the start."""
+"""Segments with more power than this multiple of the median are left out before any average."""
 ROUNDS = 3
-"""How often segments of low coherence are left out and the average is taken anew."""
+"""Number of rounds in which segments of low coherence are left out and the average is renewed."""
 ODD = 3.0
-"""A segment this many times less explained than the median one is odd."""
+"""A segment is odd if its unexplained share of power exceeds this multiple of the median share."""
 
 
 class NoEstimateError(Exception):
@@ -89,6 +89,6 @@ def without_incoherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tu
             residual = band.values[:, y] - spectra.transfer(x, y, "H1") * band.values[:, x]
             links.append((residual.abs().square() / spectra.auto[y]).mean(dim=1))
         unexplained = torch.stack(links)
-        limit = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
-        chosen = chosen & (unexplained <= limit[:, None]).all(dim=0)
+        threshold = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
+        chosen = chosen & (unexplained <= threshold[:, None]).all(dim=0)
     return chosen, n_before - int(chosen.sum())

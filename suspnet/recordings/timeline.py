@@ -10,13 +10,13 @@ from suspnet.recordings.manifest import TripError
 from suspnet.types import FloatArray, IntArray
 
 GAP_STEPS = 1.5
-"""A time step longer than this many usual ones is a gap."""
+"""A time step longer than this multiple of the usual one is a gap."""
 
 LONGEST_GAP_S = 1800.0
-"""A longer gap separates two trips, or its time stamps are wrong."""
+"""Longest gap within a trip [s]; after a longer one its time stamps are refused."""
 
 RATE_TOLERANCE = 0.01
-"""How far time stamps may be from the rate in the manifest."""
+"""Largest relative difference of the rate by time stamps from that in the manifest."""
 
 BLOCK = 2**18
 
@@ -78,6 +78,7 @@ class Timeline:
             yield filled
 
     def _count(self, steps: FloatArray, gaps: IntArray) -> None:
+        """Update the mean rate by some time steps, gaps left out."""
         n_first = 0 if self._n_steps else 1  # the very first sample follows no step
         self._n_steps += len(steps) - n_first - len(gaps)
         self._seconds += float(steps.sum() - steps[gaps].sum())

@@ -28,7 +28,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
     Raises
     ------
     ValueError
-        If the model refines, and the curves do not tell an output.
+        If the model refines, and the curves do not identify an output.
     """
     if problem.settings.n_calibrate is None:
         return model

@@ -66,12 +66,14 @@ def draw_predictions(
 def _write_figures(
     figures: Mapping[str, Figure], title: str, run_log: RunLog, folder: Path
 ) -> None:
+    """Write figures with a common title to the folder and TensorBoard."""
     for name, figure in figures.items():
         figure.suptitle(title, fontsize="small")
         run_log.figure(name, figure, folder)
 
 
 def _title(problem: Problem, name: str) -> str:
+    """Return the title of a run's figures."""
     task = problem.task
     noise = f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
     return f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {name}, {noise}"

@@ -24,7 +24,7 @@ from suspnet.types import FloatArray
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02
-"""Fraction of curves without all of their peaks above which a user should be warned."""
+"""Fraction of curves that lack a peak above which a warning is logged."""
 
 
 def method_name(estimator: Any) -> str:
@@ -153,7 +153,7 @@ def _summary(estimator: Any) -> dict[str, Any]:
 
 
 class _Told:
-    """While fitting, show a progress bar and log what the estimator's callback is told."""
+    """A progress bar and a log of the values that a fit passes to its callback."""
 
     def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
         self._estimator, self._name, self._log = estimator, name, run_log
@@ -170,6 +170,7 @@ class _Told:
         self._bar.close()
 
     def _tell(self, info: Any) -> None:
+        """Advance the progress bar and log what the estimator reports."""
         self._bar.update()
         if self._log is not None and is_dataclass(info) and not isinstance(info, type):
             values = asdict(info)

@@ -11,7 +11,7 @@ from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_er
 from suspnet.types import BoolArray, FloatArray
 
 METRICS = ("mape_percent", "rmse")
-Limits = tuple[FloatArray, FloatArray]
+Ends = tuple[FloatArray, FloatArray]
 
 
 def score(
@@ -36,15 +36,15 @@ def score(
 
 
 def interval_scores(
-    actual: FloatArray, limits: Limits, joint: Limits, outputs: Sequence[str]
+    actual: FloatArray, intervals: Ends, joint: Ends, outputs: Sequence[str]
 ) -> dict[str, Any]:
     """Return how often intervals hold the actual value, and how wide they are.
 
     Parameters
     ----------
     actual : array of shape (n_samples, n_outputs), [-]
-    limits, joint : pairs of such arrays
-        Lower and upper limits for each output, and for all outputs at once.
+    intervals, joint : pairs of such arrays
+        Lower and upper ends of the intervals for each output, and for all outputs at once.
     outputs : sequence of str
 
     Returns
@@ -53,8 +53,8 @@ def interval_scores(
         outputs: {output: {"coverage_percent": ..., "half_width_percent": ...}} with the half
         width relative to the actual value; joint_coverage_percent: all outputs at once.
     """
-    within = covers(actual, limits)
-    half = 50 * (limits[1] - limits[0]) / actual
+    within = covers(actual, intervals)
+    half = 50 * (intervals[1] - intervals[0]) / actual
     return {
         "outputs": {
             name: {
@@ -67,6 +67,6 @@ def interval_scores(
     }
 
 
-def covers(actual: FloatArray, limits: Limits) -> BoolArray:
-    """Return whether each value lies within its limits, (n_samples, n_outputs)."""
-    return np.asarray((limits[0] <= actual) & (actual <= limits[1]))
+def covers(actual: FloatArray, intervals: Ends) -> BoolArray:
+    """Return whether each value lies within its interval, (n_samples, n_outputs)."""
+    return np.asarray((intervals[0] <= actual) & (actual <= intervals[1]))

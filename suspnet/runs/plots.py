@@ -19,7 +19,7 @@ from suspnet.types import FloatArray
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
 SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
-PAPER_COLOUR, OUR_COLOUR, LIMIT_COLOUR = "0.75", "tab:blue", "black"
+PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
 
 
 def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
@@ -110,8 +110,8 @@ def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> F
     figure, axes = _grid(1, len(names))
     for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
         axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
-        limits = [actual[:, j].min(), actual[:, j].max()]
-        axis.plot(limits, limits, color="black", lw=0.8)
+        span = [actual[:, j].min(), actual[:, j].max()]
+        axis.plot(span, span, color="black", lw=0.8)
         axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
         axis.grid(True, alpha=0.3)
     return figure
@@ -142,7 +142,7 @@ def convergence(objectives: Sequence[float]) -> Figure:
 
 
 def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw published and measured MAPE of each model and output, with the limit; log scale."""
+    """Draw published and measured MAPE of each model and output, with the Cramer-Rao bound."""
     shown = [r for r in records if r["metric"] == "mape_percent"]
     outputs = list(dict.fromkeys(r["output"] for r in shown))
     models = [name for name in MODEL_TITLES if any(r["model"] == name for r in shown)]
@@ -160,8 +160,8 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
                 if record[key] is not None:
                     bar = axis.bar(x + shift, record[key], 0.4, color=colour)
                     axis.bar_label(bar, [f"{record[key]:.2g}"], fontsize=7)
-        limit = next(iter(by_model.values()))["limit"]
-        axis.axhline(limit, color=LIMIT_COLOUR, ls="--", lw=1)
+        bound = next(iter(by_model.values()))["bound"]
+        axis.axhline(bound, color=BOUND_COLOUR, ls="--", lw=1)
         axis.set(title=SYMBOLS[output], yscale="log")
         axis.margins(y=0.15)
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
@@ -169,16 +169,16 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
     handles: list[Any] = [
         axes[0][0].bar(0, 0, color=PAPER_COLOUR),
         axes[0][0].bar(0, 0, color=OUR_COLOUR),
-        axes[0][0].plot([], [], color=LIMIT_COLOUR, ls="--")[0],
+        axes[0][0].plot([], [], color=BOUND_COLOUR, ls="--")[0],
     ]
     figure.suptitle(table6_caption(records), fontsize="small")
-    labels = ["paper's Table VI", "measured", "information limit"]
+    labels = ["paper's Table VI", "measured", "Cramer-Rao bound"]
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
 
 
 def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
-    """MAPE against sensor precision (Fig. 11), with the information limit."""
+    """MAPE against sensor precision (Fig. 11), with the Cramer-Rao bound."""
     outputs = list(dict.fromkeys(name for run in runs for name in run["scores"]))
     figure, axes = _grid(1, len(outputs), size=(3.2, 3.4))
     for axis, output in zip(axes[0], outputs, strict=True):
@@ -187,9 +187,9 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
             chosen.sort(key=lambda run: run["snr_db"])
             precision = [100 * 10 ** (-run["snr_db"] / 20) for run in chosen]
             mape = [run["scores"][output]["mape_percent"] for run in chosen]
-            limit = [run["limit"][output]["mape_percent"] for run in chosen]
+            bound = [run["bound"][output]["mape_percent"] for run in chosen]
             axis.loglog(precision, mape, "o-", label=MODEL_TITLES[model])
-        axis.loglog(precision, limit, "--", color=LIMIT_COLOUR, label="information limit")
+        axis.loglog(precision, bound, "--", color=BOUND_COLOUR, label="Cramer-Rao bound")
         axis.set(title=SYMBOLS[output], xlabel="sensor precision [%]", ylabel="MAPE [%]")
         axis.set_xticks(PRECISION_TICKS, [f"{tick:g}" for tick in PRECISION_TICKS])
         axis.xaxis.set_minor_formatter(NullFormatter())
@@ -216,6 +216,7 @@ def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -
 def _grid(
     n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
 ) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with a grid of axes."""
     figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
     axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
     return figure, [list(row) for row in axes]

@@ -61,7 +61,7 @@ def predict_stream(
 ) -> Outcome:
     """Return a model's estimates for the curves of a stream of a problem.
 
-    With `flags` each curve is fitted too, and it is said what speaks against its estimate.
+    With `flags` each curve is fitted too, which the flags of its estimate need.
 
     Raises
     ------

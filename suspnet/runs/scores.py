@@ -1,4 +1,4 @@
-"""The scores of one run beside what is possible at best, and the line that reports them."""
+"""The scores of one run beside the Cramer-Rao bound, and the table that reports them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from suspnet.uncertainty.ood import KINDS
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]
 LEVEL = 0.9
-"""Probability of the intervals in tables."""
+"""Level of the prediction intervals in tables."""
 TOO_GOOD = 4.0
-"""Standard deviations of its sampling error by which an rms error may lie below the bound."""
+"""An rms error below the bound by more than this is warned of, in standard deviations of it."""
 
 
 def label(model: FittedMethod) -> str:
@@ -67,18 +67,20 @@ def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
     spread = relative_percent(task, bounds, data.ratios)
     metrics: Metrics = {
         "scores": score(data.outputs, outcome.predicted, task.outputs),
-        "limit": best_possible(task, bounds, data.ratios),
+        "bound": best_possible(task, bounds, data.ratios),
         "cramer_rao_percent": dict(zip(task.outputs, spread.tolist(), strict=True)),
         "rms_ratio": _rms_ratio(task, outcome, bounds),
         "n_test": outcome.n_asked,
         "n_test_complete": len(data.inputs),
     }
     if model.intervals is not None and outcome.scales is not None:
-        limits = [
-            model.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint)
+        intervals = [
+            model.intervals.ends(outcome.predicted, outcome.scales, LEVEL, joint)
             for joint in (False, True)
         ]
-        metrics["intervals"] = interval_scores(data.outputs, limits[0], limits[1], task.outputs)
+        metrics["intervals"] = interval_scores(
+            data.outputs, intervals[0], intervals[1], task.outputs
+        )
         metrics["intervals"]["level"] = LEVEL
     if outcome.flags is not None:
         shares = 100 * outcome.flags.found.mean(axis=0)
@@ -96,10 +98,10 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
     for j, name in enumerate(task.outputs):
         if not np.isfinite(bounds[:, j]).all():
             continue
-        least = range_limited(bounds[:, j], truth[:, j], *task.limits(name)) / truth[:, j]
+        least = range_limited(bounds[:, j], truth[:, j], *task.range(name)) / truth[:, j]
         if error[j] < (1 - TOO_GOOD * scatter) * np.sqrt(np.mean(least**2)):
             log.warning(
-                "%s: rms error %.3g %% lies below the limit of %.3g %% by more than chance and the "
+                "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance and the "
                 "known range explain; do test curves take part in the training?",
                 name,
                 100 * error[j],

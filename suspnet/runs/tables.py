@@ -13,7 +13,7 @@ from tabulate import tabulate
 from suspnet.runs.metrics import METRICS
 
 REFINED = "+refine"
-"""Ends the name of a method whose estimates were refined on the curve."""
+"""Suffix of the name of a method whose estimates were refined on the curve."""
 MODEL_TITLES = {
     "msvr": "MSVR",
     "svr": "SVR",
@@ -50,13 +50,13 @@ def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
     Parameters
     ----------
     runs : sequence of mappings
-        The metrics.json of each run: protocol, model, scores, limit, n_train, snr_db, seed,
+        The metrics.json of each run: protocol, model, scores, bound, n_train, snr_db, seed,
         seconds.
 
     Returns
     -------
     list of dict
-        Keys protocol, group, output, metric, model, published, measured, limit, n_train, snr_db,
+        Keys protocol, group, output, metric, model, published, measured, bound, n_train, snr_db,
         seed, seconds; `published` is None where the paper has no figure. Ordered as Table VI.
     """
     records = [
@@ -68,7 +68,7 @@ def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
             "model": run["model"],
             "published": PUBLISHED.get((output, metric), {}).get(run["model"]),
             "measured": scores[metric],
-            "limit": run["limit"][output][metric],
+            "bound": run["bound"][output][metric],
             "n_train": run["n_train"],
             "snr_db": run["snr_db"],
             "seed": run["seed"],
@@ -106,8 +106,8 @@ def table6_markdown(records: Sequence[Record]) -> str:
             chosen = [r for r in same if r["model"] == model]
             published = chosen[0]["published"] if chosen else None
             row += [_number(published), _number(_mean(r["measured"] for r in chosen))]
-        rows.append([*row, _number(_mean(r["limit"] for r in same))])
-    return tabulate(rows, [*header, "limit"], tablefmt="github", disable_numparse=True)
+        rows.append([*row, _number(_mean(r["bound"] for r in same))])
+    return tabulate(rows, [*header, "bound"], tablefmt="github", disable_numparse=True)
 
 
 def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
@@ -125,7 +125,7 @@ def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output of each run: MAPE, and its limit, against the noise.
+    """Return one record for each output of each run: MAPE, and its bound, against the noise.
 
     The sensor precision is the noise's rms relative to the signal's, 100 * 10^(-SNR/20) percent.
     """
@@ -137,7 +137,7 @@ def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
             "snr_db": run["snr_db"],
             "precision_percent": 100 * 10 ** (-run["snr_db"] / 20),
             "mape_percent": scores["mape_percent"],
-            "limit": run["limit"][output]["mape_percent"],
+            "bound": run["bound"][output]["mape_percent"],
             "n_train": run["n_train"],
             "seed": run["seed"],
         }
@@ -149,7 +149,7 @@ def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
 
 
 def sensitivity_markdown(records: Sequence[Record]) -> str:
-    """Return MAPE [%] and its limit for each model, noise and output, as Markdown."""
+    """Return MAPE [%] and its bound for each model, noise and output, as Markdown."""
     outputs = list(dict.fromkeys(r["output"] for r in records))
     rows = []
     for model, snr_db in dict.fromkeys((r["model"], r["snr_db"]) for r in records):
@@ -157,10 +157,10 @@ def sensitivity_markdown(records: Sequence[Record]) -> str:
         row = [MODEL_TITLES[model], f"{snr_db:g}", f"{same[0]['precision_percent']:.2g}"]
         for output in outputs:
             chosen = [r for r in same if r["output"] == output]
-            row += [_number(_mean(r[key] for r in chosen)) for key in ("mape_percent", "limit")]
+            row += [_number(_mean(r[key] for r in chosen)) for key in ("mape_percent", "bound")]
         rows.append(row)
     header = ["model", "SNR dB", "precision %"]
-    header += [title for output in outputs for title in (f"{output} MAPE %", "limit")]
+    header += [title for output in outputs for title in (f"{output} MAPE %", "bound")]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
@@ -179,19 +179,19 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
     Parameters
     ----------
     metrics : mapping
-        scores, limit, cramer_rao_percent (inf where a parameter cannot be identified), rms_ratio
+        scores, bound, cramer_rao_percent (inf where a parameter cannot be identified), rms_ratio
         (rms error over the bound) and, of a calibrated model, intervals.
     """
     rows = []
     for output, values in metrics["scores"].items():
-        limit = metrics["limit"][output]
-        row = [values["mape_percent"], limit["mape_percent"], values["rmse"], limit["rmse"]]
+        bound = metrics["bound"][output]
+        row = [values["mape_percent"], bound["mape_percent"], values["rmse"], bound["rmse"]]
         row += [metrics["cramer_rao_percent"][output], metrics["rms_ratio"][output]]
         if "intervals" in metrics:
             interval = metrics["intervals"]["outputs"][output]
             row += [interval["half_width_percent"], interval["coverage_percent"]]
         rows.append([output, *map(_number, row)])
-    header = ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %", "rms / bound"]
+    header = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]
     if "intervals" in metrics:
         level = 100 * metrics["intervals"]["level"]
         header += [f"{level:g} % interval +- %", "covers %"]
@@ -199,11 +199,13 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
 
 
 def _mean(values: Iterable[float]) -> float | None:
+    """Return the mean, None of no values."""
     listed = list(values)
     return fmean(listed) if listed else None
 
 
 def _number(value: float | None) -> str:
+    """Return a number with three digits, a dash for None."""
     if value is None:
         return "-"
     if value >= 100:

@@ -62,7 +62,7 @@ def train(
     search : GridSearch, optional
         Tunes the method first.
     refine : bool
-        Take the estimates further by Gauss-Newton steps on the curves.
+        Refine the estimates by Gauss-Newton steps on the curves.
     figures : bool
         Whether to draw figures of the run.
     config : mapping, optional

@@ -32,9 +32,9 @@ from suspnet.storage import write_atomically
 from suspnet.types import FloatArray
 
 BLOCK = 1 << 18
-"""Samples simulated at once."""
+"""Number of samples simulated at once."""
 LEAD_IN_S = 20.0
-"""A trip that starts at speed is simulated this long before it begins, until it has settled."""
+"""Time simulated before a trip that starts at speed [s], in which the transient decays."""
 MARGIN_M = 50.0
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)
@@ -42,7 +42,7 @@ FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 
 
 class SimulatedVehicle(Protocol):
-    """What a generator needs so that trips can be simulated with it."""
+    """The interface of generators that can simulate trips."""
 
     @property
     def vehicle(self) -> Vehicle:
@@ -213,10 +213,12 @@ def profile_length_m(system: LinearSystem, journey: Journey) -> float:
 
 
 def _lead_in_s(journey: Journey) -> float:
+    """Return the time simulated before the trip begins, [s]."""
     return LEAD_IN_S if journey.speeds_m_per_s[0] > 0 else 0.0
 
 
 def _start_m(system: LinearSystem, journey: Journey) -> float:
+    """Return the position of the measured wheelset on the track when the trip begins, [m]."""
     lead_m = _lead_in_s(journey) * float(journey.speeds_m_per_s[0])
     return max(system.behind_m) + lead_m + MARGIN_M
 
@@ -230,6 +232,7 @@ def _write_trip(
     ratios: FloatArray,
     seed: int,
 ) -> Path:
+    """Simulate one trip, write its manifest and files, and return the manifest's path."""
     track, noise, speeds = np.random.SeedSequence([seed, index]).spawn(3)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
     sensors = fleet.loggers()
@@ -271,6 +274,7 @@ def _write_trip(
 
 
 def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
+    """Return a signal at another rate, low-passed."""
     ratio = Fraction(to_hz / from_hz).limit_denominator(1000)
     if ratio == 1:
         return signal.copy()
@@ -278,6 +282,7 @@ def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
 
 
 def _write_column(path: Path, name: str, values: NDArray[Any]) -> None:
+    """Write one array as a Parquet file, atomically."""
     stream = io.BytesIO()
     pq.write_table(pa.table({name: values}), stream, row_group_size=ROW_GROUP)
     write_atomically(path, stream.getvalue())

@@ -33,7 +33,7 @@ class Sensor:
         Drop-outs of `dropout_s` each: the logger holds the last value or gives NaN, in turn.
     dropout_s : float, [s]
     clock_offset_s : float, [s]
-        The logger's clock is late by this, and does not say so.
+        Delay of the logger's clock, which the manifest does not state.
 
     Raises
     ------
@@ -83,18 +83,19 @@ class Sensor:
         noise = 0.0
         if self.snr_db is not None:
             noise = float(np.sqrt(np.mean(signal**2))) * 10 ** (-self.snr_db / 20)
-        limit = self.range_m_per_s2 or math.inf
+        full_scale = self.range_m_per_s2 or math.inf
         if self.precision > 0:
-            noise = math.hypot(noise, self.precision * limit)
+            noise = math.hypot(noise, self.precision * full_scale)
         late = np.arange(len(signal)) - round(self.clock_offset_s * self.rate_hz)
         recorded = signal[late.clip(0, len(signal) - 1)]
         recorded += noise * rng.standard_normal(len(signal))
         hours = np.arange(len(signal)) / (self.rate_hz * 3600)
         recorded += self.offset_m_per_s2 + self.drift_m_per_s2_per_h * hours
-        np.clip(recorded, -limit, limit, out=recorded)
+        np.clip(recorded, -full_scale, full_scale, out=recorded)
         return self._dropped(recorded, rng)
 
     def _dropped(self, recorded: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return a recording with drop-outs at random times: held values and NaN in turn."""
         length = round(self.dropout_s * self.rate_hz)
         hours = len(recorded) / (self.rate_hz * 3600)
         for i in range(rng.poisson(self.dropouts_per_h * hours)):

@@ -1,1 +1,1 @@
-"""What is asked of vehicles and models before they are relied on, by evaluate.py."""
+"""Studies of vehicles and models: identifiability, reliability, ablations."""

@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 
 from suspnet.model import TrainedModel, load_model
 from suspnet.problem import TEST, Problem
-from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.runs.tables import records_csv
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import (
@@ -76,9 +76,9 @@ def write_ablation(folder: Path) -> list[Record]:
 
 
 def features_ratio(model: TrainedModel, known: dict[str, dict[str, float]]) -> dict[str, float]:
-    """Return what the features of a model's curves lose, see `feature_loss`.
+    """Return the information loss of the features of a model, see `feature_loss`.
 
-    `known` holds what was found before for the same features, and is added to.
+    `known` caches the loss of each feature set.
     """
     settings = replace(model.settings, n_test=N_VEHICLES)
     problem = Problem(model.generator, model.task, settings, model.training["seed"])
@@ -90,7 +90,7 @@ def features_ratio(model: TrainedModel, known: dict[str, dict[str, float]]) -> d
 
 
 def figure(records: Sequence[Record]) -> Figure:
-    """Draw rms error over bound for each ablation and output, and what the features alone lose."""
+    """Draw the rms error over the bound, and the features' bound, of each ablation and output."""
     outputs = list(dict.fromkeys(r["output"] for r in records))
     names = list(dict.fromkeys(r["ablation"] for r in records))
     size = (2.4 + 2.6 * len(outputs), 1.4 + 0.23 * len(names))
@@ -109,7 +109,8 @@ def figure(records: Sequence[Record]) -> Figure:
 
 
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
-    axis.axvline(1, color=LIMIT_COLOUR, lw=1, label="bound of the curves")
+    """Draw the records of one output against the baseline and the bounds."""
+    axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
         if record["ablation"] == BASELINE:
             axis.axvline(record["rms_ratio"], color=OUR_COLOUR, ls="--", lw=1, label="baseline")

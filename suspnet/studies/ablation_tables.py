@@ -65,7 +65,7 @@ def ablation_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
     -------
     list of dict
         Keys protocol, group, ablation, change, output, rms_ratio (rms error over the bound of the
-        curves), to_baseline (that over the baseline's), features_ratio, mape_percent, limit (the
+        curves), to_baseline (that over the baseline's), features_ratio, mape_percent, bound (the
         MAPE at the bound), lost_percent (test curves that lack a feature), n_train, snr_db, seed,
         seconds. The baseline comes first in its group, then settings in a fixed order; without a
         baseline of the same protocol, group and seed, `change` and `to_baseline` are None.
@@ -117,6 +117,7 @@ def ablation_caption(records: Sequence[Record]) -> str:
 def _records(
     run: Mapping[str, Any], baseline: Mapping[str, Any] | None, changed: Mapping[str, Any] | None
 ) -> list[Record]:
+    """Return the records of one run, one for each output."""
     told = None
     if changed is not None:
         told = " ".join(f"{key}={_shown(value)}" for key, value in changed.items())
@@ -132,7 +133,7 @@ def _records(
             "to_baseline": _over(ratio, usual.get(output)),
             "features_ratio": run["features_ratio"].get(output),
             "mape_percent": run["scores"][output]["mape_percent"],
-            "limit": run["limit"][output]["mape_percent"],
+            "bound": run["bound"][output]["mape_percent"],
             "lost_percent": 100 * (1 - run["n_test_complete"] / run["n_test"]),
             "n_train": run["n_train"],
             "snr_db": run["snr_db"],
@@ -144,22 +145,25 @@ def _records(
 
 
 def _setting(run: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what a run shares with its baseline."""
     return run["protocol"], run["group"], run["seed"]
 
 
 def _order(run: Mapping[str, Any], changed: Mapping[str, Any] | None) -> tuple[Any, ...]:
-    """Return what sorts runs: group, the baseline first, then settings and their values."""
+    """Return the sorting key of a run: group, the baseline first, then settings and values."""
     places = [(*_place(key), *_rank(value)) for key, value in (changed or {}).items()]
     is_other = run["ablation"] != BASELINE
     return run["protocol"], run["group"], is_other, places, run["ablation"], run["seed"]
 
 
 def _place(key: str) -> tuple[int, str]:
+    """Return the sorting key of a setting's name."""
     first = key.split(".")[0]
     return (PARTS.index(first) if first in PARTS else len(PARTS), key)
 
 
 def _rank(value: Any) -> tuple[float, str]:
+    """Return the sorting key of a setting's value."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return (float(value) if number else 0.0, str(value))
 
@@ -172,15 +176,18 @@ def _shown(value: Any) -> str:
 
 
 def _over(value: float | None, other: float | None) -> float | None:
+    """Return a quotient, None if a part is missing or 0."""
     return None if value is None or not other else value / other
 
 
 def _mean(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the known values, None of none."""
     known = [value for value in values if value is not None]
     return fmean(known) if known else None
 
 
 def _number(value: float | None) -> str:
+    """Return a number with three digits, a dash for None."""
     if value is None:
         return "-"
     return f"{value:.2f}" if 1 <= value < 100 else f"{value:.3g}"

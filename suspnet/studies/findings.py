@@ -147,6 +147,7 @@ def plain(found: Findings) -> dict[str, Any]:
 
 
 def _bounds_table(found: Findings) -> str:
+    """Return the bounds of what is measured now, as Markdown."""
     rows = []
     for bound in found.bounds_now:
         unit, least = UNITS[bound.parameter], found.bound_at_healthy(bound)
@@ -165,6 +166,7 @@ def _bounds_table(found: Findings) -> str:
 
 
 def _directions_table(found: Sequence[Direction]) -> str:
+    """Return the directions and the changes along them, as Markdown."""
     rows = []
     for direction in found:
         if math.isfinite(direction.deviation_percent):
@@ -177,6 +179,7 @@ def _directions_table(found: Sequence[Direction]) -> str:
 
 
 def _options_table(found: Findings) -> str:
+    """Return the median bounds of every option, as Markdown."""
     rows = []
     for option, part in found.table:
         cells = dict.fromkeys(found.task.varied, "known")
@@ -197,15 +200,18 @@ def _ratio(found: Findings, bound: Bound) -> float | None:
 
 
 def _value(value: float, digits: int) -> str:
+    """Return a number with some digits and commas between thousands."""
     rounded = float(f"{value:.{digits}g}")
     return f"{rounded:,.0f}" if rounded >= 100 else f"{rounded:g}"
 
 
 def _percent(value: float) -> str:
+    """Return a percentage with three digits, or the verdict of an infinite one."""
     if math.isinf(value):
         return UNIDENTIFIED
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Return a table as Markdown."""
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)

@@ -17,7 +17,7 @@ from suspnet.storage import write_atomically, write_json
 from suspnet.studies.findings import Findings, group_markdown, plain, records
 from suspnet.studies.identifiability_figure import identifiability_figure
 from suspnet.theory.bounds import VERDICTS, bounds, directions, with_healthy
-from suspnet.theory.information import scale_ambiguity_limit
+from suspnet.theory.information import scale_ambiguity_bound
 from suspnet.theory.options import options
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ def write_identifiability(
         "settings": asdict(bound),
         "n_vehicles": n_vehicles,
         "seed": seed,
-        "verdict_limits_percent": {word: limit for limit, word in VERDICTS},
+        "verdict_thresholds_percent": {word: threshold for threshold, word in VERDICTS},
         "groups": {part.task.group: plain(part) for part in found},
     }
     write_json(folder / "identifiability.json", report)
@@ -109,7 +109,7 @@ def identify(
     guess = None
     curves = settings.kind == CurveSettings.kind and task.sampling == "grid"
     if curves and task.responses == ("G_s",) and "M_s" in task.unknown:
-        guess = scale_ambiguity_limit(task, ratios[1:])["k_s"]["mape_percent"]
+        guess = scale_ambiguity_bound(task, ratios[1:])["k_s"]["mape_percent"]
     return Findings(
         vehicle=generator.vehicle,
         task=task,
@@ -123,19 +123,20 @@ def identify(
 def _setting(
     generator: ResponseGenerator, settings: Observation, task: Task, n_vehicles: int, seed: int
 ) -> str:
-    """Return in words what the bounds are of and what they take for granted."""
-    limits = ", ".join(f"{word} up to {limit:g} %" for limit, word in VERDICTS)
+    """Return in words the setting of the bounds and their assumptions."""
+    verdicts = ", ".join(f"{word} up to {x:g} %" for x, word in VERDICTS)
     return (
         f"{settings.words()} {generator.assumptions()} {n_vehicles} vehicles, seed {seed}, "
         f"parameters {_range(task)} of healthy.\n\nCramer-Rao bounds, one standard "
         "deviation: no unbiased estimator has less. "
-        f"Identified {limits}, by the bound that 19 of 20 vehicles stay below."
+        f"Identified {verdicts}, by the bound that 19 of 20 vehicles stay below."
     )
 
 
 def _range(task: Task) -> str:
-    low, high = (f"{100 * limit:g}" for limit in task.limits("k_p"))
-    mass_low, mass_high = (f"{100 * limit:g}" for limit in task.limits("M_s"))
+    """Return the ranges of suspension and mass in words."""
+    low, high = (f"{100 * end:g}" for end in task.range("k_p"))
+    mass_low, mass_high = (f"{100 * end:g}" for end in task.range("M_s"))
     if (low, high) == (mass_low, mass_high):
         return f"{low} to {high} %"
     return f"{low} to {high} %, mass {mass_low} to {mass_high} %"

@@ -40,7 +40,7 @@ from suspnet.uncertainty.ood import KINDS
 log = logging.getLogger(__name__)
 N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
-"""Ratios to healthy that lie outside any training range."""
+"""Ratios to healthy outside the range of every protocol."""
 IN_RANGE = "in range"
 
 
@@ -138,13 +138,13 @@ def _intervals(
     assert scales is not None
     kinds = {
         "conformal": tuple(
-            intervals.limits(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
+            intervals.ends(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
         )
     }
     if model.estimator.gives_deviations and not model.refined:
         n_outputs = len(problem.task.outputs)
         kinds["GP's own"] = tuple(
-            _gp_limits(model, outcome.data.inputs, level)
+            _gp_intervals(model, outcome.data.inputs, level)
             for level in (LEVEL, LEVEL ** (1 / n_outputs))
         )
     actual = outcome.data.outputs
@@ -155,10 +155,10 @@ def _intervals(
     }
 
 
-def _gp_limits(
+def _gp_intervals(
     model: TrainedModel, inputs: FloatArray, level: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return limits by the standard deviation that a Gaussian process gives itself."""
+    """Return intervals from the standard deviations that a Gaussian process predicts."""
     assert model.output_scaling is not None
     mean, deviation = model.estimator.predict(model.scaled(inputs), return_std=True)
     half = norm.ppf((1 + level) / 2) * deviation
@@ -169,7 +169,7 @@ def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict
     """Return the coverage [%] of each output in each fifth of each parameter that varies."""
     slices: dict[str, dict[str, list[float]]] = {}
     for name in task.varied:
-        low, high = task.limits(name)
+        low, high = task.range(name)
         column = ratios[:, PARAMETERS.index(name)]
         place = np.clip(((column - low) / (high - low) * N_SLICES).astype(int), 0, N_SLICES - 1)
         slices[name] = {
@@ -180,6 +180,7 @@ def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict
 
 
 def _share(within: BoolArray) -> float:
+    """Return the coverage in %, NaN of no samples."""
     return 100 * float(within.mean()) if len(within) else math.nan
 
 
@@ -210,5 +211,6 @@ def _odd_sets(
 
 
 def _shares(found: BoolArray) -> dict[str, float]:
+    """Return the share of curves with each kind of flag, and with any, in %."""
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from suspnet.runs.plots import LIMIT_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.studies.reliability_findings import Reliability
 
 NOMINAL, TOLERANCE = 90.0, 1.5
-"""Coverage aimed at, and by how much a slice may miss it [%]."""
+"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
 
 
 def reliability_figure(found: Sequence[Reliability]) -> Figure:
@@ -29,7 +29,7 @@ def reliability_figure(found: Sequence[Reliability]) -> Figure:
 def _draw_slices(axis: Axes, one: Reliability) -> None:
     """Draw a line for each output over the fifths of each parameter; dashed is a GP's own."""
     axis.axhspan(NOMINAL - TOLERANCE, NOMINAL + TOLERANCE, color="0.9")
-    axis.axhline(NOMINAL, color=LIMIT_COLOUR, lw=0.8)
+    axis.axhline(NOMINAL, color=BOUND_COLOUR, lw=0.8)
     for style, scores in zip(("o-", "s--"), one.intervals.values(), strict=False):
         for place, by_output in enumerate(scores["slices"].values()):
             for j, (output, values) in enumerate(by_output.items()):

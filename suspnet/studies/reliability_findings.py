@@ -54,6 +54,7 @@ def records(found: list[Reliability]) -> Iterator[Record]:
 
 
 def _record(one: Reliability, what: str, of: str, value: float) -> Record:
+    """Return one number as a record."""
     return {"model": one.name, "what": what, "of": of, "percent": value}
 
 

@@ -1,4 +1,4 @@
-"""What happens when the last job of a multirun has ended: tables, figures, override files."""
+"""Callbacks at the end of a multirun: tables, figures, override files."""
 
 from __future__ import annotations
 
@@ -146,6 +146,7 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
 
 
 def _search_record(run: Run) -> dict[str, Any]:
+    """Return the outcome of a run's search as one record."""
     search = run["search"]
     keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
     return {key: run[key] for key in keys} | {

@@ -1,1 +1,1 @@
-"""What can be known at best: Fisher information, Cramer-Rao bounds, what a sensor would buy."""
+"""Fisher information and Cramer-Rao bounds of curves, features and sensors."""

@@ -17,15 +17,16 @@ from suspnet.theory.options import Option
 from suspnet.types import FloatArray
 
 VERDICTS = ((1.0, "well"), (5.0, "fairly"), (20.0, "poorly"))
-"""Limits of the 95th percentile over the range, [%]; beyond them the verdict is "not"."""
+"""Thresholds of the bounds' 95th percentile over the range, [%]; above all of them the verdict is
+"not"."""
 UNIDENTIFIED = "not"
 PERCENTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 TAKES_PART = 0.3
-"""A parameter takes part in a direction from this fraction of its largest component on."""
+"""Least component of a parameter that takes part in a direction, relative to the largest."""
 SINGULAR = 1e-12
-"""An eigenvalue below this fraction of the largest is rounding: there is no information."""
+"""Eigenvalue relative to the largest below which a direction has no information."""
 WORTH_HAVING = 0.9
-"""What lowers a bound to more than this fraction is not said to help."""
+"""Largest ratio of bounds, after over before, at which an addition counts as helpful."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,13 @@ class Bound:
 
     @property
     def p95_percent(self) -> float:
-        """What 19 of 20 vehicles in the range stay below, [%]."""
+        """95th percentile over the range, [%]."""
         return self.percentiles[4]
 
     @property
     def verdict(self) -> str:
         """How well the parameter is identified, by its 95th percentile: see ``VERDICTS``."""
-        fitting = (word for limit, word in VERDICTS if self.p95_percent <= limit)
+        fitting = (word for threshold, word in VERDICTS if self.p95_percent <= threshold)
         return next(fitting, UNIDENTIFIED)
 
 

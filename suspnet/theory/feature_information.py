@@ -1,4 +1,4 @@
-"""What features keep of the curves' information, apart from any learning.
+"""Fisher information of features, which is independent of any learning method.
 
 The features of noisy curves scatter about those of the noise-free curve with a covariance S; J is
 the derivative of the noise-free features. An unbiased estimator that sees nothing but the features
@@ -22,13 +22,13 @@ from suspnet.theory.information import cramer_rao, output_bounds
 from suspnet.types import FloatArray
 
 N_DRAWS, DRAWS_PER_FEATURE = 64, 4
-"""Noisy curves of each vehicle from which the covariance is estimated, at least."""
+"""Least number of noisy curves of each vehicle for the covariance: in all, and per feature."""
 STEP = 0.01
-"""Half the step of the differences, relative to the parameter."""
+"""Half the step of the central differences, relative to the parameter."""
 LEAST_FOUND = 0.5
-"""Fraction of a vehicle's noisy curves that must have every feature."""
+"""Least fraction of a vehicle's noisy curves that must have every feature."""
 ROWS = 1024
-"""Curves made at once."""
+"""Number of curves made at once."""
 
 
 def feature_information(
@@ -45,7 +45,7 @@ def feature_information(
     With S estimated from n draws of p features, (J^T S^-1 J)^-1 for q parameters is a Wishart
     matrix and on average (n - 1 - p + q) / (n - 1) times what it should be (Muirhead, Aspects of
     Multivariate Statistical Theory, theorem 3.2.11); this is taken out. J is by central
-    differences. What the covariance itself tells about the parameters does not count.
+    differences. The information in the dependence of S on the parameters is neglected.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def feature_loss(
     """Return for each output the rms bound of the task's features over that of its curves.
 
     Both relative to the parameter, over the vehicles whose features are not missing; NaN where the
-    curves do not tell an output.
+    curves do not identify an output.
 
     Parameters
     ----------

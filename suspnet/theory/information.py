@@ -1,4 +1,4 @@
-"""What can be known at best: Cramer-Rao bounds, and the limit where the mass cannot be told apart.
+"""Cramer-Rao bounds, and the least error where stiffness and mass are not identifiable.
 
 An unbiased estimator of theta has at least the covariance I^-1, I the Fisher information: J^T J,
 J the derivative of the curves in units of their noise (`suspnet.data.misfit`). A Gaussian error has
@@ -23,9 +23,9 @@ from suspnet.types import FloatArray
 
 ROWS = 256
 NODES = 24
-"""Of the quadrature over the noise."""
+"""Number of nodes of the quadrature over the noise."""
 WIDEST = 1e4
-"""Bounds of so many times the range tell as little as larger ones, which rounding would spoil."""
+"""Largest bound that is computed with, relative to the range; larger ones lose digits."""
 
 
 def fisher_information(
@@ -94,8 +94,8 @@ def cramer_rao(information: FloatArray) -> FloatArray:
     return bounds
 
 
-def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
-    """Return the best possible MAPE and RMSE from abs(G_s) alone with the mass unknown.
+def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
+    """Return the least MAPE and RMSE from abs(G_s) alone with the mass unknown.
 
     G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m
     of the mass is possible where k_s = (k_s / M_s) m and c_s stay in range, with probability
@@ -133,7 +133,7 @@ def scale_ambiguity_limit(task: Task, ratios: FloatArray) -> dict[str, dict[str,
 def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
     """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
 
-    All that varies and is not measured has to be estimated along, from the task's own curves.
+    All parameters that vary and are not measured are estimated jointly from the task's curves.
 
     Parameters
     ----------
@@ -148,10 +148,10 @@ def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatAr
 def best_possible(
     task: Task, bounds: FloatArray, ratios: FloatArray
 ) -> dict[str, dict[str, float]]:
-    """Return {output: {"mape_percent": ..., "rmse": ...}}: the information limit of a task.
+    """Return {output: {"mape_percent": ..., "rmse": ...}}: the least errors of a task.
 
     The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be told from the
-    suspension (abs(G_s) alone), the limit set by that ambiguity.
+    suspension (abs(G_s) alone), the least error under that ambiguity.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def best_possible(
     """
     ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
     if ambiguous and task.sampling == "grid":
-        return {k: v for k, v in scale_ambiguity_limit(task, ratios).items() if k in task.outputs}
+        return {k: v for k, v in scale_ambiguity_bound(task, ratios).items() if k in task.outputs}
     mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
     rmse = np.sqrt(np.mean(bounds**2, axis=0))
     return {

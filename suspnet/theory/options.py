@@ -25,7 +25,7 @@ Kind = Literal["baseline", "less", "more", "other", "estimate"]
 
 @dataclass(frozen=True)
 class Option:
-    """Something that could be measured, and what it tells.
+    """Something that could be measured, with its Fisher information.
 
     Attributes
     ----------
@@ -120,6 +120,7 @@ def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> lis
 
 
 def _against(responses: Sequence[str], measured: Sequence[str]) -> Kind:
+    """Return whether responses are more, less or other than those measured."""
     if set(responses) > set(measured):
         return "more"
     return "less" if set(responses) < set(measured) else "other"

@@ -1,4 +1,4 @@
-"""Information in the recordings themselves: what sensors at given places could tell at best.
+"""Fisher information of recordings by sensors at given places.
 
 Sensors whose responses from the axle box are h = (1, G_p, G_p G_s, ...) record, in each frequency
 bin, a complex normal vector with the spectral matrix::
@@ -19,9 +19,9 @@ With a = sqrt(S_w / N) h, q = |a|^2 and u_i the part of da_i that is perpendicul
 
 What moves all sensors alike, in size or in phase, cannot be told from the track: no part of u.
 
-The recordings tell more than the estimate IV made of them, since that lets neighbouring bins leak
-into each other. H1, H2 and Hv may seem to tell more in strong noise: they are biased by an amount
-that depends on the track's level, and `fisher_information` takes that level as known.
+The recordings hold more information than their IV estimate, in which neighbouring bins leak into
+each other. H1, H2 and Hv may seem to hold more in strong noise: they are biased by an amount that
+depends on the track's level, and `fisher_information` takes that level as known.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from suspnet.types import FloatArray
 
 ROWS = 128
 ROUNDING = 1e-24
-"""What is left of a slope's square that lies along a: no information."""
+"""Share of a slope's square that rounding leaves where the slope is parallel to a."""
 THREE_SENSORS = ("axle box", "bogie", "body")
 
 
@@ -155,6 +155,7 @@ def _without_track(seen: Tensor, slopes: Tensor, count: Tensor) -> Tensor:
 
 
 def _checked(counts: ArrayLike, n_places: int) -> Tensor:
+    """Return the counts as a tensor; raise ValueError if they are not such a table."""
     numbers = torch.as_tensor(np.asarray(counts, dtype=np.float64))
     if numbers.ndim != 2 or numbers.shape[1] != n_places:
         raise ValueError(

@@ -1,1 +1,1 @@
-"""Recorded trips: one trip, a fleet, its trend along the mileage, figures and report."""
+"""Recorded trips: single trips, fleets, trends along the mileage, figures and reports."""

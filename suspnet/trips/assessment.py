@@ -14,9 +14,10 @@ from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
 
 LARGE_PERCENT = 10.0
-"""A change of this size or more is told by the level it leads to, in % of healthy."""
+"""Size of a change, in % of healthy, from which words give the level that it leads to."""
 TOLD_PERCENT = 2.0
-"""A last trip that is this far from the last trips' median, in % of healthy, is named."""
+"""Distance of the last trip from the last trips' median, in % of healthy, from which it is
+named."""
 FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = (
     "all trips are flagged: they show what was not trained for, so that none of these numbers is "
@@ -128,7 +129,7 @@ def assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
 
 
 def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
-    """Return what is told at the top of a report, the most severe first."""
+    """Return the assessments named at the top of a report, the most severe first."""
     return sorted((a for a in assessments if a.is_told), key=lambda a: -a.severity)
 
 
@@ -272,7 +273,7 @@ def _change_words(trend: Trend) -> str:
 
 
 def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
-    """Return all parts, and what is to be said of flagged trips."""
+    """Return all parts as one sentence, with a remark on flagged trips."""
     flags = []
     if last.all_flagged:
         flags.append(ALL_FLAGGED)
@@ -287,6 +288,7 @@ def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
 
 
 def _is(n: int) -> str:
+    """Return the verb for some number of things."""
     return "is" if n == 1 else "are"
 
 
@@ -299,6 +301,7 @@ def _at(value: float, limit: float) -> str:
 
 
 def _percent(value: float) -> str:
+    """Return the size of a change in %, with digits by its size."""
     size = abs(value)
     digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
     return f"{size:.{digits}f} %"

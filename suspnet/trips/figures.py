@@ -19,9 +19,9 @@ from suspnet.types import FloatArray
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
 BAND = 1.96
-"""Standard deviations on each side of 95 % of normally distributed values."""
+"""Standard deviations on each side that hold 95 % of normally distributed values."""
 LARGEST_BAND = 3.0
-"""Bands are cut off at exp(3) times the magnitude, or the rest of the axis becomes a flat line."""
+"""Largest half width of a band in log-magnitude; wider ones would flatten the rest of the axis."""
 
 
 def trip_signals(result: TripResult) -> Figure:
@@ -165,12 +165,12 @@ def _band(axis: Axes, curves: TripCurves, link: int) -> None:
 
 
 def _lone_point(time: FloatArray) -> dict[str, Any]:
-    """Return what makes a line of one point visible."""
+    """Return the style that makes a line of one point visible."""
     return {"marker": "o"} if len(time) == 1 else {}
 
 
 def say(axis: Axes, text: str, keep_x: bool = False) -> None:
-    """Write on empty axes why they are empty."""
+    """Write the reason on empty axes."""
     axis.text(0.5, 0.5, text, ha="center", va="center", color="0.4", transform=axis.transAxes)
     axis.set_yticks([])
     if not keep_x:

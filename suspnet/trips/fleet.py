@@ -51,7 +51,7 @@ class FleetSettings:
     ----------
     trips : TripSettings
     reference : {"vehicle", "first_trips"}
-        Healthy is what the vehicle's parameters say, or what its first trips show.
+        Healthy values: the vehicle's parameters, or the median of its first trips.
     n_reference : int
         Number of first trips.
     limits : mapping
@@ -119,6 +119,7 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
 
 
 def _speed_words(speed: float | None) -> str:
+    """Return a model's speed in words."""
     return "any" if speed is None else f"{speed:g} m/s"
 
 
@@ -210,7 +211,7 @@ def _evaluate_group(
     settings: FleetSettings,
     progress: bool,
 ) -> Evaluated:
-    """Evaluate one suspension's trips and write all that is to be said of them."""
+    """Evaluate one suspension's trips and write tables, figures and report."""
     fitting = models_of(models, group.place)
     outputs = fitting[0].task.outputs
     results = [
@@ -234,6 +235,7 @@ def _evaluated(
     settings: FleetSettings,
     progress: bool,
 ) -> list[TripResult]:
+    """Return the result of every trip, evaluated in parallel."""
     jobs = [delayed(evaluate_trip)(path.absolute(), models, settings.trips) for path in paths]
     bar = tqdm(total=len(paths), desc="trips", unit="trip", disable=quiet(progress))
     with bar, _backend(settings), warnings.catch_warnings():
@@ -248,7 +250,7 @@ def _evaluated(
 
 @contextmanager
 def _backend(settings: FleetSettings) -> Iterator[None]:
-    """Say where the trips are evaluated: in local processes or on a dask cluster."""
+    """Return a context that evaluates in local processes or on a dask cluster."""
     if settings.cluster is None:
         with parallel_config(n_jobs=settings.workers):
             yield
@@ -266,7 +268,7 @@ def _assessments(
     models: Sequence[TrainedModel],
     limits: Mapping[str, Limits],
 ) -> list[Assessment]:
-    """Return what each parameter's trips mean; what the models cannot resolve is no change."""
+    """Return each parameter's assessment; a change that the models cannot resolve is none."""
     mileage = np.array([r.mileage_km for r in results])
     flagged = np.array([bool(r.flags) for r in results])
     found = []
@@ -286,6 +288,7 @@ def _details(
     settings: FleetSettings,
     results: list[TripResult],
 ) -> dict[str, str]:
+    """Return what the report says of model, settings and version."""
     first = models[0]
     trained = trip_observer(first).settings
     reference = "the vehicle's parameters"
@@ -311,6 +314,7 @@ def _details(
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:
+    """Return in words where the intervals come from."""
     if model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
     return (

@@ -21,7 +21,7 @@ FLAGGED_COLOUR = "tab:purple"
 LIMIT_COLOURS = {"notice": "tab:orange", "act": "tab:red"}
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
 LEAST_SPAN_PERCENT = 2.0
-"""No axis of a parameter is finer than this, so that mere spread looks like spread."""
+"""Least span of a parameter's axis, in %, so that spread does not look like change."""
 MARGIN = 0.05
 """Share of the span that stays free above and below."""
 
@@ -118,7 +118,7 @@ def _draw(axis: Axes, trips: Sequence[TripResult], name: str, level: float) -> N
 
 
 def _limit(axis: Axes, values: FloatArray, limits: FloatArray, usual: FloatArray) -> None:
-    """Set the axis to the `usual` values, so that one odd trip does not make all others a line.
+    """Set the axis to the `usual` values, so that one odd trip does not squeeze all others.
 
     The median of neighbouring trips stays on the axis, and so does a lasting change. Other values,
     and intervals `limits` (n, 2), widen it by up to its span on each side.
@@ -160,6 +160,7 @@ def _mark_cut_off(axis: Axes, mileage: FloatArray, values: FloatArray) -> None:
 
 
 def _draw_truth(axis: Axes, trips: Sequence[TripResult], name: str) -> None:
+    """Draw the truth of simulated trips."""
     mileage = np.array([r.mileage_km / 1000 for r in trips])
     truth = _percent([r.truth.get(name, np.nan) for r in trips])
     known = np.isfinite(truth)
@@ -180,6 +181,7 @@ def _draw_limits(axis: Axes, limits: Limits | None) -> None:
 
 
 def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
+    """Mark trips without an estimate at the bottom of the axis."""
     if len(mileage):
         axis.plot(
             mileage,
@@ -195,6 +197,7 @@ def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
 
 
 def _percent(ratios: Sequence[Any]) -> FloatArray:
+    """Return ratios in %."""
     return 100 * np.array(ratios, dtype=float)
 
 

@@ -15,7 +15,7 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.types import BoolArray, IntArray
 
 N_LAST = 5
-"""Number of last trips that are held against the limits."""
+"""Number of last trips that are compared with the limits."""
 N_CONFIRMING = 3
 """Number of the last trips beyond a limit that confirm each other."""
 
@@ -109,7 +109,7 @@ def read_limits(given: Mapping[str, Any]) -> dict[str, Limits]:
 
 @dataclass(frozen=True)
 class Judged:
-    """How the last trips lie to the limits; all arrays have one shape, that of the cases.
+    """The last trips compared with the limits; all arrays have one shape, that of the cases.
 
     Attributes
     ----------

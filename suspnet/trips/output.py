@@ -1,4 +1,4 @@
-"""What is written of a fleet: tables, figures, TensorBoard, metrics and the report."""
+"""Files of a fleet: tables, figures, TensorBoard, metrics and the report."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from suspnet.recordings.manifest import Place, find_manifests, read_place
 
 log = logging.getLogger(__name__)
 TAKEN = ("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures")
-"""Names in the output that no suspension may have."""
+"""Names of files in the output that no suspension's folder may have."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,7 @@ def find_groups(folder: Path) -> list[Group]:
 
 
 def _holds_manifests(folder: Path) -> bool:
+    """Return whether a folder has a manifest directly in it."""
     return any(path.is_file() for path in folder.glob("*.yaml"))
 
 
@@ -114,4 +115,5 @@ def _named(groups: list[Group], names: list[str]) -> list[Group]:
 
 
 def _words(error: OSError) -> str:
+    """Return an error of the file system in words."""
     return f"{error.filename}: {error.strerror}" if error.filename else str(error)

@@ -1,4 +1,4 @@
-"""What is known of each trip once it has been evaluated."""
+"""Results of evaluated trips: estimates, quality, curves."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class TripResult:
         The interval of an estimate reaches from estimate * exp(-half width) to
         estimate * exp(half width); NaN where the model has no intervals.
     flags : str
-        What speaks against the estimate; empty if nothing does.
+        The flags of the estimate in words; empty if there are none.
     quality : Quality
     seconds : float, [s]
         Time the evaluation took.
@@ -132,7 +132,7 @@ class TripResult:
     curves: TripCurves | None = None
 
     def interval(self, name: str) -> tuple[float, float]:
-        """Return lower and upper limit of a parameter, [-]; NaN where there is none."""
+        """Return lower and upper end of a parameter's interval, [-]; NaN where there is none."""
         value, half = (part.get(name, np.nan) for part in (self.estimates, self.half_widths))
         with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
             return float(value * np.exp(-half)), float(value * np.exp(half))
@@ -160,8 +160,8 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     """Return results whose k and c are relative to the median of the vehicle's first trips.
 
     So is the truth, where it is known. The interval widens by the uncertainty of the median, whose
-    variance is pi / 2 times that of a mean of so many trips: right for noise, while errors that
-    last (of a regression without refinement) cancel only as long as the vehicle stays as it is.
+    variance is pi / 2 times that of a mean of `n_first` trips. That is right for noise; systematic
+    errors (of a regression without refinement) cancel only as long as the vehicle does not change.
     The car-body mass stays relative to nominal: pay-load varies from the first trip on.
 
     Raises
@@ -205,10 +205,12 @@ def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:
 
 
 def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, float]:
+    """Return the median of each parameter."""
     if not values:
         return {}
     return {name: float(np.median([v[name] for v in values])) for name in names}
 
 
 def _divided(values: dict[str, float], by: dict[str, float]) -> dict[str, float]:
+    """Return values over those of another mapping, 1 where it has none."""
     return {name: value / by.get(name, 1.0) for name, value in values.items()}

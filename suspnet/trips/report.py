@@ -76,9 +76,9 @@ SEVERITIES = {
     Severity.UNKNOWN: ("plain", "Not judged"),
     Severity.NONE: ("good", "No alarm"),
 }
-"""Tone and label of each severity; each tone has its colours in style.css."""
+"""Tone and label of each severity; style.css has the colours of each tone."""
 SVG_LIMIT = 400_000
-"""Figures whose SVG has more bytes than this are embedded as PNG."""
+"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
 PNG_DPI = 130
 NO_NUMBER = "\N{EN DASH}"
 
@@ -183,6 +183,7 @@ def render(template: str, **values: Any) -> str:
 
 
 def _packaged(name: str) -> str:
+    """Return the text of a file of this package."""
     return resources.files("suspnet.trips").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -209,6 +210,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
 
 
 def _place(result: TripResult) -> str:
+    """Return in words which suspension a trip is of."""
     return str(Place(result.suspension, result.bogie, result.side))
 
 
@@ -233,7 +235,7 @@ def _half_width(result: TripResult, name: str) -> float:
 
 
 def _digits(half_widths: Sequence[float]) -> int:
-    """Return after how many digits a column of estimates and half widths ends: 1, 2 or 3."""
+    """Return the number of decimals of a column of estimates and half widths: 1, 2 or 3."""
     known = [half for half in half_widths if math.isfinite(half) and half > 0]
     if not known:
         return 1
@@ -242,6 +244,7 @@ def _digits(half_widths: Sequence[float]) -> int:
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
+    """Return the names of figures, those with a caption first."""
     known = [name for name in CAPTIONS if name in figures]
     return known + [name for name in figures if name not in CAPTIONS]
 

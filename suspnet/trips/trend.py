@@ -14,17 +14,17 @@ from scipy import stats
 from suspnet.types import FloatArray
 
 LEVEL = 0.01
-"""How often a parameter that does not change may be said to change."""
+"""False-alarm rate of the tests: the share of unchanged parameters that are said to change."""
 MULTIPLE = 2.0
 """A change counts only if it is larger than this multiple of the spread."""
 LEAST_PERCENT = 0.1
 """A change counts only if it is larger than this, in % of healthy."""
 N_ENDS = 5
-"""Number of trips that are the first, and the last, ones."""
+"""Number of trips at the beginning, and at the end, whose medians are compared."""
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one odd trip is no step."""
 PAYLOAD = "M_s"
-"""The car-body mass, which the pay-load changes from trip to trip."""
+"""Name of the car-body mass, which the pay-load changes from trip to trip."""
 
 
 class Shape(StrEnum):

@@ -24,7 +24,7 @@ from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, T
 
 log = logging.getLogger(__name__)
 WINDOWS = 600
-"""Windows of a trip's overview."""
+"""Number of windows of a trip's overview."""
 
 
 def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
@@ -53,6 +53,7 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
+    """Return a result with what the manifest says of the trip."""
     return replace(
         result,
         vehicle=manifest.vehicle,
@@ -69,6 +70,7 @@ def _estimated(
     models: Sequence[TrainedModel],
     settings: TripSettings,
 ) -> TripResult:
+    """Return a result with the estimate from the trip's recording."""
     for name in sorted({model.vehicle.name for model in models}):
         if name != manifest.vehicle:
             raise TripError(
@@ -155,7 +157,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
 
 
 def _flags(bins: Sequence[SpeedBin]) -> str:
-    """Return what speaks against a trip's estimate: of several bins, that of the best one flagged.
+    """Return the flags of a trip's estimate: of several bins, those of the best one flagged.
 
     Each bin puts the same into other numbers.
     """
@@ -179,6 +181,7 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 
 
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
+    """Return the curves and the overview of signals behind an estimate."""
     method = trip_observer(best.method).settings.method
     n_windows = min(WINDOWS, recording.signals.shape[1])
     size = recording.signals.shape[1] // n_windows

@@ -25,7 +25,7 @@ from suspnet.types import FloatArray
 
 @dataclass(frozen=True)
 class Conformal:
-    """Scores of calibration samples, and the half widths that follow from them.
+    """Scores of the calibration samples, from which the half widths follow.
 
     Attributes
     ----------
@@ -73,6 +73,7 @@ class Conformal:
 
 
 def _quantiles(scores: FloatArray, level: float) -> FloatArray:
+    """Return the k-th smallest score of each column, k = ceil((n + 1) level)."""
     check_number("level", level, above=0, below=1)
     n = len(scores)
     k = max(1, math.ceil((n + 1) * level - 1e-9))

@@ -20,12 +20,12 @@ from suspnet.types import FloatArray
 from suspnet.uncertainty.conformal import Conformal
 
 SMALLEST_SHARE = 1e-3
-"""Residuals below this share of their median are taken as that: a logarithm needs a floor."""
+"""Floor of the residuals as a share of their median, which their logarithm needs."""
 PENALTY = 0.1
-"""C of the MSVR: the logarithm of a residual scatters by 1.1 about its mean, so it is small."""
+"""C of the MSVR; small, as the logarithm of a residual scatters by 1.1 about its mean."""
 N_COMPONENTS = 512
 SCALE = "residual_scale."
-"""Begins the names of the arrays that belong to the residual scale."""
+"""Prefix of the names of the arrays of the residual scale."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Intervals:
     ----------
     conformal : Conformal
     log : bool
-        Whether residuals are those of logarithms: limits are then estimate * exp(+-half width),
+        Whether residuals are those of logarithms: intervals are then estimate * exp(+-half width),
         else estimate +- half width.
     residual_scale : ResidualScale or None
         None where the deviations of the refined estimate serve.
@@ -114,13 +114,13 @@ class Intervals:
         return cls(Conformal.of(residuals[half:], scale.predict(inputs[half:])), log, scale)
 
     def residuals(self, estimates: FloatArray, truth: FloatArray) -> FloatArray:
-        """Return what the intervals are about, shape of the arguments (n, n_outputs)."""
+        """Return the residuals that the intervals are about, (n, n_outputs)."""
         return residuals(estimates, truth, self.log)
 
-    def limits(
+    def ends(
         self, estimates: FloatArray, scales: FloatArray, level: float, joint: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits, each (n, n_outputs), [-].
+        """Return lower and upper ends of the intervals, each (n, n_outputs), [-].
 
         Parameters
         ----------

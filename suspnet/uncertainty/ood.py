@@ -1,4 +1,4 @@
-"""What a model was not trained for: inputs and curves on which its estimate means nothing.
+"""Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
 Four kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
 cloud of the training curves; a parameter lies outside the range of the training curves; the
@@ -22,20 +22,21 @@ from suspnet.uncertainty.refine import Refined
 
 KINDS = ("missing", "cloud", "range", "misfit")
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
-"""Training curves that stand for the cloud; the distance is the mean to so many of the nearest."""
+"""Number of training features that the detector keeps, and of the nearest neighbours whose mean
+distance is compared with the threshold."""
 FALSE_ALARMS = 1e-4
-"""Share of curves like the training curves whose features are called beyond the cloud."""
+"""False-alarm rate of the distance of features, on curves like the training curves."""
 MISFIT_DEVIATIONS = 4.5
-"""A misfit is odd if it exceeds the mean of curves like the training curves by so many of their
-standard deviations."""
+"""Threshold of the misfit above its mean over curves like the training curves, in standard
+deviations of theirs."""
 EDGE_DEVIATIONS = 2.33
-"""A parameter is outside its range if it is so by this many of its standard deviations: 1 % of
-those on the very edge."""
+"""Standard deviations by which a parameter must lie outside its range to be flagged; 1 % of those
+on its edge are."""
 
 
 @dataclass(frozen=True)
 class Flags:
-    """What speaks against each estimate.
+    """Reasons not to trust each estimate.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class Flags:
 
     @classmethod
     def none(cls, n_curves: int) -> Self:
-        """Return that nothing speaks against any of some estimates."""
+        """Return flags of `n_curves` estimates of which none is set."""
         return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
 
     @property
@@ -99,6 +100,7 @@ class OODDetector:
 
     @cached_property
     def _neighbours(self) -> NearestNeighbors:
+        """Return a search structure of the reference."""
         return NearestNeighbors(n_neighbors=min(N_NEIGHBOURS, len(self.reference))).fit(
             self.reference
         )
@@ -110,7 +112,7 @@ class OODDetector:
     def flags(
         self, task: Task, missing: Sequence[str], inputs: FloatArray, refined: Refined
     ) -> Flags:
-        """Return what speaks against the estimates of some curves.
+        """Return the flags of the estimates of some curves.
 
         Parameters
         ----------
@@ -150,14 +152,14 @@ class OODDetector:
             ]
             if row[3]:
                 words.append(
-                    f"the model cannot explain the curve: what is left of it is "
-                    f"{refined.misfit[i]:.3g} times the noise, at most "
-                    f"{self.misfit_threshold:.3g} is usual"
+                    f"the model cannot explain the curve: its misfit is {refined.misfit[i]:.3g} "
+                    f"times the noise, at most {self.misfit_threshold:.3g} is usual"
                 )
             reasons.append("; ".join(words))
         return Flags(found, tuple(reasons))
 
     def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
+        """Return in words how far the features of a curve lie from the reference."""
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
@@ -188,6 +190,7 @@ class OODDetector:
 
 
 def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
+    """Return which curves have a parameter clearly outside the range trained for."""
     low, high = np.log(_range(task, name))
     ratios, deviations = refined.of((name,))
     margin = EDGE_DEVIATIONS * deviations[:, 0]
@@ -197,7 +200,7 @@ def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
 
 def _range(task: Task, name: str) -> tuple[float, float]:
     """Return the range trained for: a grid stands for what lies within half a step of it."""
-    low, high = task.limits(name)
+    low, high = task.range(name)
     if task.sampling == "sobol":
         return low, high
     step = task.mass_step if name == "M_s" else task.step
@@ -205,7 +208,8 @@ def _range(task: Task, name: str) -> tuple[float, float]:
 
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:
-    low, high = task.limits(name)
+    """Return in words that a parameter lies outside the range trained for."""
+    low, high = task.range(name)
     return (
         f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "
         "trained for"

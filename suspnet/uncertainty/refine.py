@@ -1,8 +1,9 @@
 """Gauss-Newton steps on the curve itself, started from a regression's estimate.
 
-All that varies and is not measured is fitted along, so that the result is a maximum-likelihood
-estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its information matrix
-gives the deviations, and the misfit says whether the model can explain the curve at all.
+All parameters that vary and are not measured are fitted jointly, so that the result is a
+maximum-likelihood estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its
+information matrix gives the deviations, and the misfit says whether the model can explain the
+curve at all.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ TOL = 1e-5
 FIRST_DAMPING = 1e-6
 """First damping of `levenberg_marquardt`: a good start needs little."""
 BEYOND = 5.0
-"""Parameters stay within this factor of the range that training curves have."""
+"""Factor on the range of the training curves within which parameters stay."""
 N_LEVELS = 9
-"""Levels tried of a parameter without an estimate; the best is the start."""
+"""Number of levels tried of a parameter without an estimate; the best is the start."""
 SCATTER = 1.5
-"""Scattered vehicles lie within this factor of the range."""
+"""Factor on the range within which the scattered vehicles lie."""
 ROWS = 4
-"""Curves whose misfits to all scattered vehicles are in memory at a time."""
+"""Number of curves whose misfits to all scattered vehicles are in memory at a time."""
 UNEXPLAINED = 1.3
-"""A curve with a misfit above this is fitted again from the nearest scattered vehicle."""
+"""Misfit above which a curve is fitted again from the nearest scattered vehicle."""
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Maximum-likelihood estimates of everything unknown.
+    """Maximum-likelihood estimates of all unknown parameters.
 
     Attributes
     ----------
@@ -112,8 +113,8 @@ def refine(
     device = misfit.observed.device
     full = torch.ones(len(estimates), len(PARAMETERS), dtype=torch.float64, device=device)
     usable = np.asarray(np.isfinite(estimates).all(axis=1))
-    limits = np.array([task.limits(name) for name in task.outputs])
-    inside = np.clip(np.where(usable[:, None], estimates, 1.0), limits[:, 0], limits[:, 1])
+    ranges = np.array([task.range(name) for name in task.outputs])
+    inside = np.clip(np.where(usable[:, None], estimates, 1.0), ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = torch.as_tensor(inside, device=device)
     if mass is not None:
         full[:, PARAMETERS.index("M_s")] = torch.as_tensor(mass, device=device)
@@ -136,9 +137,9 @@ class _Search:
         self._columns = torch.tensor(
             [PARAMETERS.index(name) for name in task.unknown], device=full.device
         )
-        limits = [task.limits(name) for name in task.unknown]
-        self._limits = torch.tensor(limits, dtype=full.dtype, device=full.device).T.log()
-        self._bounds = self._limits[0] - math.log(BEYOND), self._limits[1] + math.log(BEYOND)
+        ranges = [task.range(name) for name in task.unknown]
+        self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
+        self._bounds = self._range[0] - math.log(BEYOND), self._range[1] + math.log(BEYOND)
 
     def run(self, rows: Tensor, start: Tensor) -> Refined:
         """Return the best fit of the curves `rows`, each from its row of `start` (n_rows, 5)."""
@@ -166,7 +167,7 @@ class _Search:
 
     def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
         """Return the nearest of `n_scattered` vehicles to each of some curves, (n_rows, 5)."""
-        low, high = self._limits[0] - math.log(SCATTER), self._limits[1] + math.log(SCATTER)
+        low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
         theta = low + (high - low) * points.to(low)
         starts = []
@@ -191,7 +192,7 @@ def _best_level(misfit: Misfit, full: Tensor, task: Task, name: str) -> Tensor:
     column = PARAMETERS.index(name)
     rows = torch.arange(len(full), device=full.device)
     best, least = full.clone(), torch.full_like(full[:, 0], torch.inf)
-    for level in np.geomspace(*task.limits(name), N_LEVELS):
+    for level in np.geomspace(*task.range(name), N_LEVELS):
         trial = full.clone()
         trial[:, column] = level
         cost = misfit(trial, rows).square().sum(dim=1)

@@ -16,7 +16,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, train
 
-RECORD = "protocol group output metric model published measured limit n_train snr_db seed seconds"
+RECORD = "protocol group output metric model published measured bound n_train snr_db seed seconds"
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +42,10 @@ def test_run_folder_holds_everything(run):
     assert json.loads((folder / "environment.json").read_text())["packages"]["torch"]
 
 
-def test_scores_lie_between_the_limit_and_a_guess(run):
+def test_scores_lie_between_the_bound_and_a_guess(run):
     _, metrics = run
     for output in ("k_p", "c_p"):
-        assert metrics["limit"][output]["mape_percent"] < metrics["scores"][output]["mape_percent"]
+        assert metrics["bound"][output]["mape_percent"] < metrics["scores"][output]["mape_percent"]
         assert metrics["scores"][output]["mape_percent"] < 5  # a constant guess has about 38
 
 
@@ -125,7 +125,7 @@ def test_evaluate_sees_more_noise(run, tmp_path):
     noise = ["data.snr_db=26", "data.n_test=400", "progress=false"]
     noisy = run_main(evaluate, tmp_path, f"run={folder}", *noise)
     assert noisy["scores"]["c_p"]["rmse"] > 1.5 * metrics["scores"]["c_p"]["rmse"]
-    assert noisy["limit"]["c_p"]["rmse"] > 2 * metrics["limit"]["c_p"]["rmse"]
+    assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
 
 
 def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
@@ -146,11 +146,11 @@ def test_mass_known_and_mass_estimated(tmp_path):
     assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
 
 
-def test_curve_fit_comes_close_to_the_limit(tmp_path):
+def test_curve_fit_comes_close_to_the_bound(tmp_path):
     small = [*SMALL, "model=curve_fit", "data.n_test=128", "data.n_calibrate=null"]
     metrics = run_main(train, tmp_path, *small)
     for output in ("k_p", "c_p"):
-        ratio = metrics["scores"][output]["rmse"] / metrics["limit"][output]["rmse"]
+        ratio = metrics["scores"][output]["rmse"] / metrics["bound"][output]["rmse"]
         assert 0.8 < ratio < 1.25  # efficient: 1 within the sampling error of 128 curves
 
 
@@ -366,7 +366,7 @@ def test_sensitivity_error_grows_with_the_noise(tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     records = json.loads((tmp_path / "sweep" / "sensitivity.json").read_text())
-    limits = {r["snr_db"]: r["limit"] for r in records if r["output"] == "k_p"}
+    limits = {r["snr_db"]: r["bound"] for r in records if r["output"] == "k_p"}
     assert limits[26] / limits[54] == pytest.approx(10 ** (28 / 20), rel=0.02)
     assert (tmp_path / "sweep" / "sensitivity.png").exists()
 

@@ -102,7 +102,7 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
         np.testing.assert_array_equal(found, scales)
     else:
         assert loaded.intervals.residual_scale is None
-    limits = [m.intervals.limits(estimates, scales, 0.9) for m in (model, loaded)]
+    limits = [m.intervals.ends(estimates, scales, 0.9) for m in (model, loaded)]
     np.testing.assert_array_equal(limits[0], limits[1])
     distances = [m.ood.distances(known[:, :3]) for m in (model, loaded)]
     np.testing.assert_array_equal(distances[0], distances[1])

@@ -107,7 +107,7 @@ def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, mo
     predicted = model.predict(inputs)
     np.testing.assert_array_equal(found.values, predicted[0])
     scale = model.intervals.residual_scale.predict(model.with_estimates(inputs, predicted))
-    limits = model.intervals.limits(predicted, scale, LEVEL)
+    limits = model.intervals.ends(predicted, scale, LEVEL)
     np.testing.assert_allclose(found.half_widths, np.log(limits[1] / predicted)[0])
     assert (found.half_widths > 0.005).all()
 

@@ -28,7 +28,7 @@ def run(model, outputs, snr_db=34.0):
         "protocol": "multi_location",
         "model": model,
         "scores": {name: {"mape_percent": 400 / snr_db**2, "rmse": 0.02} for name in outputs},
-        "limit": {name: {"mape_percent": 100 / snr_db**2, "rmse": 0.01} for name in outputs},
+        "bound": {name: {"mape_percent": 100 / snr_db**2, "rmse": 0.01} for name in outputs},
         "n_train": 100,
         "snr_db": snr_db,
         "seed": 0,

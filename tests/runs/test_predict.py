@@ -69,10 +69,10 @@ def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
     assert outcome.predicted.shape == outcome.scales.shape == outcome.data.outputs.shape
     truth = outcome.data.outputs
     # 100 calibration and 200 test curves: 3 % and 2.1 %; three and a half of their root sum
-    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL)
+    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL)
     within = (low <= truth) & (truth <= high)
     np.testing.assert_allclose(within.mean(axis=0), LEVEL, atol=0.13)
-    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint=True)
+    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL, joint=True)
     both = ((low <= truth) & (truth <= high)).all(axis=1)
     assert both.mean() == pytest.approx(LEVEL, abs=0.13)
     assert both.mean() >= within.all(axis=1).mean()
@@ -84,12 +84,12 @@ def test_coverage_on_fresh_curves_is_that_asked_for_output_by_output():
     model = calibrated(problem, fit(problem, METHODS["msvr"](), None))
     outcome = predict_stream(problem, model, TEST)
     truth = outcome.data.outputs
-    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL)
+    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL)
     within = (low <= truth) & (truth <= high)
     # 600 scores and 3000 curves: 1.2 % and 0.5 %, three and a half of their root sum
     np.testing.assert_allclose(within.mean(axis=0), LEVEL, atol=0.046)
     assert within.mean() == pytest.approx(LEVEL, abs=0.03)
-    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint=True)
+    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL, joint=True)
     every = ((low <= truth) & (truth <= high)).all(axis=1)
     assert every.mean() == pytest.approx(LEVEL, abs=0.046)
 
@@ -201,7 +201,7 @@ def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path)
     assert_same(found, outcome)
     for joint in (False, True):
         limits = [
-            one.intervals.limits(outcome.predicted, outcome.scales, LEVEL, joint)
+            one.intervals.ends(outcome.predicted, outcome.scales, LEVEL, joint)
             for one in (model, loaded)
         ]
         np.testing.assert_array_equal(limits[0], limits[1])
@@ -247,7 +247,7 @@ def test_trips_have_intervals_and_flags_too():
     fitted = replace(fit(problem, LinearRegression(), None), refined=True)
     model = calibrated(problem, fitted)
     outcome = predict_stream(problem, model, TEST, flags=True)
-    low, high = model.intervals.limits(outcome.predicted, outcome.scales, LEVEL)
+    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL)
     truth = outcome.data.outputs
     # 48 trips of five outputs, 128 to calibrate: at least 4.3 % and 2.7 %; three of their root sum
     assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(LEVEL, abs=0.15)

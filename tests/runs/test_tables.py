@@ -27,7 +27,7 @@ KEYS = [
     "model",
     "published",
     "measured",
-    "limit",
+    "bound",
     "n_train",
     "snr_db",
     "seed",
@@ -46,7 +46,7 @@ def run(model, outputs, seconds=1.25, snr_db=34.0, protocol="multi_location"):
             name: {"mape_percent": j + 1.5 + offset, "rmse": (j + 1 + offset) / 100}
             for j, name in enumerate(outputs)
         },
-        "limit": {
+        "bound": {
             name: {"mape_percent": j + 0.125, "rmse": (j + 0.5) / 1000}
             for j, name in enumerate(outputs)
         },
@@ -121,7 +121,7 @@ def test_records_hold_the_figures_of_their_run(records):
         "model": "linear",
         "published": 0.2151,
         "measured": 0.07,
-        "limit": 0.0015,
+        "bound": 0.0015,
         "n_train": 20_000,
         "snr_db": 34.0,
         "seed": 3,
@@ -154,7 +154,7 @@ def test_markdown_holds_every_record(records):
         "MSVR ours",
         "MV-LR paper",
         "MV-LR ours",
-        "limit",
+        "bound",
     ]
     assert len(rows) == 8
     by_key = {(row[1], row[2]): row for row in rows}
@@ -167,7 +167,7 @@ def test_markdown_holds_every_record(records):
         # three digits are printed
         assert float(row[first]) == pytest.approx(record["published"], rel=6e-3)
         assert float(row[first + 1]) == pytest.approx(record["measured"], rel=6e-3)
-        assert float(row[-1]) == pytest.approx(record["limit"], rel=6e-3)
+        assert float(row[-1]) == pytest.approx(record["bound"], rel=6e-3)
 
 
 def test_markdown_marks_what_is_absent():
@@ -209,10 +209,10 @@ def test_sensitivity_records_give_the_precision_of_the_sensor():
     precision = [r["precision_percent"] for r in records[:3]]
     assert precision == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
     assert [r["mape_percent"] for r in records] == [2.5] * 3 + [1.5] * 3
-    assert [r["limit"] for r in records] == [1.125] * 3 + [0.125] * 3
+    assert [r["bound"] for r in records] == [1.125] * 3 + [0.125] * 3
 
 
-SCORES = ["output", "MAPE %", "limit", "RMSE", "limit", "Cramer-Rao sd %", "rms / bound"]
+SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]
 
 
 def scored(**changes):
@@ -221,7 +221,7 @@ def scored(**changes):
     return run("msvr", ("k_p", "c_p")) | bounds | ratios | changes
 
 
-def test_scores_table_puts_each_score_beside_its_limit():
+def test_scores_table_puts_each_score_beside_its_bound():
     header, *rows = cells(scores_table(scored()))
     assert header == SCORES
     assert rows == [
@@ -259,7 +259,7 @@ def test_sensitivity_table_has_a_row_for_each_noise():
             "model": "msvr",
             "snr_db": snr_db,
             "scores": {"k_p": {"mape_percent": mape}},
-            "limit": {"k_p": {"mape_percent": mape / 2}},
+            "bound": {"k_p": {"mape_percent": mape / 2}},
             "n_train": 10,
             "seed": 0,
         }
@@ -269,6 +269,6 @@ def test_sensitivity_table_has_a_row_for_each_noise():
     assert [r["precision_percent"] for r in records] == pytest.approx([1.995, 0.1995], rel=1e-3)
     lines = sensitivity_markdown(records).splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert cells[0] == ["model", "SNR dB", "precision %", "k_p MAPE %", "limit"]
+    assert cells[0] == ["model", "SNR dB", "precision %", "k_p MAPE %", "bound"]
     assert cells[2] == ["MSVR", "34", "2", "3.00", "1.50"]
     assert cells[3] == ["MSVR", "54", "0.2", "0.5", "0.25"]

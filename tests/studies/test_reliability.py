@@ -22,7 +22,7 @@ from suspnet.runs.predict import predict_stream
 from suspnet.studies.reliability import (
     IN_RANGE,
     N_SLICES,
-    _gp_limits,
+    _gp_intervals,
     _odd_sets,
     _slices,
     measure,
@@ -146,7 +146,7 @@ def test_gp_s_own_limits_by_hand(quarter_car, task):
     problem = Problem(quarter_car, task(), replace(SETTINGS, n_train=150), progress=False)
     model = fit(problem, MVGPR(n_optimize=60, n_restarts=0), None)
     inputs = problem.features(TEST).complete().inputs[:7]
-    low, high = _gp_limits(model, inputs, 0.9)
+    low, high = _gp_intervals(model, inputs, 0.9)
     scaled = model.input_scaling.apply(inputs)
     mean, deviation = model.estimator.predict(scaled, return_std=True)
     for j in range(2):

@@ -18,7 +18,7 @@ from suspnet.theory.information import (
     output_bounds,
     range_limited,
     relative_percent,
-    scale_ambiguity_limit,
+    scale_ambiguity_bound,
 )
 
 OBSERVED = CurveSettings()
@@ -150,15 +150,15 @@ def test_bounds_of_the_groups_are_those_of_the_design_page(task, quarter_car, gr
     np.testing.assert_allclose(relative, expected, rtol=0.1)
 
 
-def test_scale_ambiguity_limit_is_that_of_the_design_page(task):
+def test_scale_ambiguity_bound_is_that_of_the_design_page(task):
     problem = task("paper", "secondary")
-    limit = scale_ambiguity_limit(problem, continuous_population(problem, 200_000, seed=0))
+    limit = scale_ambiguity_bound(problem, continuous_population(problem, 200_000, seed=0))
     for name in ("k_s", "c_s"):
         assert limit[name]["mape_percent"] == pytest.approx(15.7, abs=0.15)
         assert limit[name]["rmse"] == pytest.approx(0.232, abs=0.002)
 
 
-def test_scale_ambiguity_limit_equals_a_predictor_learnt_by_counting(task):
+def test_scale_ambiguity_bound_equals_a_predictor_learnt_by_counting(task):
     """Count the masses met in each small cell of (k_s / M_s, c_s / M_s); predict from the counts.
 
     The counts come from one population and the errors from another.
@@ -185,7 +185,7 @@ def test_scale_ambiguity_limit_equals_a_predictor_learnt_by_counting(task):
     mass, slope = ratios[:, 4], ratios[:, 2] / ratios[:, 4]
     mape = 100 * np.mean(np.abs(median[cell] / mass - 1))
     rmse = math.sqrt(np.mean((slope * (mean[cell] - mass)) ** 2))
-    limit = scale_ambiguity_limit(problem, ratios)["k_s"]
+    limit = scale_ambiguity_bound(problem, ratios)["k_s"]
     # cells of finite width cost the counting predictor up to 1 %
     assert limit["mape_percent"] == pytest.approx(mape, rel=0.015)
     assert limit["rmse"] == pytest.approx(rmse, rel=0.015)
@@ -194,7 +194,7 @@ def test_scale_ambiguity_limit_equals_a_predictor_learnt_by_counting(task):
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(1.1, 1.2), (0.7, 0.9), (1.55, 0.7)])
-def test_scale_ambiguity_limit_equals_a_brute_force_posterior(task, stiffness, damping):
+def test_scale_ambiguity_bound_equals_a_brute_force_posterior(task, stiffness, damping):
     """A few possible masses; the best guess of k_s is searched on a fine grid."""
     problem = task("paper", "secondary", mass_step=0.25)
     levels = problem.levels("M_s")
@@ -216,7 +216,7 @@ def test_scale_ambiguity_limit_equals_a_brute_force_posterior(task, stiffness, d
     by_rmse = guesses[((guesses - actual) ** 2 @ posterior).argmin(), 0]
     for m in levels[possible]:
         ratios = np.array([[1, 1, stiffness * m, damping * m, m]])
-        limit = scale_ambiguity_limit(problem, ratios)["k_s"]
+        limit = scale_ambiguity_bound(problem, ratios)["k_s"]
         # the guesses are 1e-4 apart
         assert limit["mape_percent"] == pytest.approx(
             100 * abs(by_mape / (stiffness * m) - 1), abs=0.03
@@ -308,7 +308,7 @@ def best(quarter_car, problem, n=400):
 def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task, quarter_car):
     problem = task("paper", "secondary")
     found, ratios = best(quarter_car, problem)
-    limit = scale_ambiguity_limit(problem, ratios)
+    limit = scale_ambiguity_bound(problem, ratios)
     assert found == {name: limit[name] for name in ("k_s", "c_s")}
     assert found["k_s"]["mape_percent"] > 10
 

@@ -55,7 +55,7 @@ def test_coverage_is_that_asked_for_at_every_residual_scale(intervals):
     inputs, wrong, deviations = samples(10_000, seed=3)
     truth = np.ones_like(wrong)
     estimates = np.exp(wrong)
-    low, high = intervals.limits(estimates, intervals.residual_scale.predict(inputs), LEVEL)
+    low, high = intervals.ends(estimates, intervals.residual_scale.predict(inputs), LEVEL)
     within = (low <= truth) & (truth <= high)
     plain = Conformal.of(samples(1500, seed=1)[1], np.ones((1500, 2))).factors(LEVEL)
     unnormalised = np.abs(wrong) <= plain
@@ -70,7 +70,7 @@ def test_coverage_is_that_asked_for_at_every_residual_scale(intervals):
         blind = [unnormalised[rows, j].mean() for rows in slices]
         assert blind[0] > 0.98
         assert blind[-1] < 0.8
-    box = intervals.limits(estimates, intervals.residual_scale.predict(inputs), LEVEL, joint=True)
+    box = intervals.ends(estimates, intervals.residual_scale.predict(inputs), LEVEL, joint=True)
     both = ((box[0] <= truth) & (truth <= box[1])).all(axis=1)
     assert both.mean() == pytest.approx(LEVEL, abs=0.034)
     assert within.all(axis=1).mean() < 0.85
@@ -96,7 +96,7 @@ def test_coverage_over_many_calibrations_is_the_rank_over_one_more_than_the_scor
         wrong = np.geomspace(1e-3, 0.3, n_outputs) * spread * shape
         found = Intervals.learnt(inputs[:n], wrong[:n], log=True)
         scales = found.residual_scale.predict(inputs[n:])
-        low, high = found.limits(np.ones((n_new, n_outputs)), scales, LEVEL)
+        low, high = found.ends(np.ones((n_new, n_outputs)), scales, LEVEL)
         truth = np.exp(wrong[n:])
         covered.append(((low <= truth) & (truth <= high)).mean(axis=0))
     for part in np.array_split(np.mean(covered, axis=0), 2):  # outputs of either shape
@@ -106,11 +106,11 @@ def test_coverage_over_many_calibrations_is_the_rank_over_one_more_than_the_scor
 
 @pytest.mark.parametrize("log", [True, False])
 @pytest.mark.parametrize("joint", [True, False])
-def test_limits_are_the_estimate_and_its_half_width(log, joint):
+def test_ends_are_the_estimate_and_its_half_width(log, joint):
     scores = np.arange(1.0, 20.0)[:, None] * [0.1, 0.2]
     intervals = Intervals(Conformal(scores), log, None)
     estimates, scales = np.array([[1.2, 0.7], [0.5, 2.0]]), np.array([[0.1, 0.3], [1.0, 2.0]])
-    low, high = intervals.limits(estimates, scales, 0.5, joint)
+    low, high = intervals.ends(estimates, scales, 0.5, joint)
     factors = [2.0, 2.0] if joint else [1.0, 2.0]  # the tenth of nineteen
     for i in range(2):
         for j in range(2):
@@ -136,10 +136,10 @@ def test_residuals_are_differences_or_those_of_logarithms():
 
 def test_intervals_are_endless_where_so_few_samples_cannot_tell():
     intervals = Intervals(Conformal(np.ones((8, 1))), False, None)
-    low, high = intervals.limits(np.ones((3, 1)), np.ones((3, 1)), LEVEL)
+    low, high = intervals.ends(np.ones((3, 1)), np.ones((3, 1)), LEVEL)
     assert np.isneginf(low).all()
     assert np.isposinf(high).all()
-    low, high = Intervals(Conformal(np.ones((8, 1))), True, None).limits(
+    low, high = Intervals(Conformal(np.ones((8, 1))), True, None).ends(
         np.ones((3, 1)), np.ones((3, 1)), LEVEL
     )
     assert (low == 0).all()
@@ -168,7 +168,7 @@ def test_residuals_of_nothing_are_taken_as_a_share_of_the_median():
 def test_interval_holds_the_truth_where_the_score_is_within_the_factor(estimate, truth, scale, log):
     intervals = Intervals(Conformal(np.linspace(0.0, 2.0, 21)[:, None]), log, None)
     tables = np.array([[estimate]]), np.array([[scale]])
-    low, high = intervals.limits(*tables, 0.5)
+    low, high = intervals.ends(*tables, 0.5)
     score = abs(intervals.residuals(tables[0], np.array([[truth]]))[0, 0]) / scale
     if abs(score - 1.0) > 1e-9:  # the eleventh of twenty-one is 1
         assert (low[0, 0] <= truth <= high[0, 0]) == (score < 1.0)
@@ -206,8 +206,8 @@ def test_restored_intervals_are_the_same_bit_for_bit(intervals):
     np.testing.assert_array_equal(restored.residual_scale.predict(inputs), scales)
     estimates = np.full((100, 2), 1.3)
     for joint in (True, False):
-        limits = [one.limits(estimates, scales, 0.8, joint) for one in (intervals, restored)]
-        np.testing.assert_array_equal(limits[0], limits[1])
+        ends = [one.ends(estimates, scales, 0.8, joint) for one in (intervals, restored)]
+        np.testing.assert_array_equal(ends[0], ends[1])
 
 
 @pytest.mark.parametrize("log", [True, False])
@@ -266,4 +266,4 @@ def test_arrays_that_do_not_fit_are_rejected(intervals, name, array, message):
 
 def test_level_out_of_range_is_rejected(intervals):
     with pytest.raises(ValueError, match="`level` must be a finite number > 0 and < 1, got 90"):
-        intervals.limits(np.ones((1, 2)), np.ones((1, 2)), 90)
+        intervals.ends(np.ones((1, 2)), np.ones((1, 2)), 90)

@@ -1,4 +1,4 @@
-"""What speaks against an estimate: distances by brute force, limits, every flag and its words."""
+"""Flags of estimates: distances by brute force, thresholds, every flag and its words."""
 
 import math
 
@@ -36,13 +36,13 @@ def distance(point, reference):
     return sum(lengths[:4]) / 4
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(detector="module")
 def problem(task):
     return task("joint", "all", estimate_mass=True)
 
 
-@pytest.fixture(scope="module")
-def scope():
+@pytest.fixture(detector="module")
+def detector():
     rng = np.random.default_rng(2)
     return OODDetector.learnt(cloud(500, 0), cloud(1000, 1), 1 + 0.02 * rng.standard_normal(1000))
 
@@ -56,25 +56,25 @@ def fitted(n=1, misfit=1.0, deviation=0.01, **ratios):
     return Refined(PARAMETERS, values, deviations, np.full(n, misfit), np.ones(n, bool))
 
 
-def flags(scope, problem, refined=None, inputs=None, missing=""):
+def flags(detector, problem, refined=None, inputs=None, missing=""):
     refined = fitted() if refined is None else refined
     inputs = np.zeros((len(refined.misfit), 9)) if inputs is None else inputs
-    return scope.flags(problem, [missing] * len(inputs), inputs, refined)
+    return detector.flags(problem, [missing] * len(inputs), inputs, refined)
 
 
 # reference
 
 
-def test_distance_is_the_mean_to_the_four_nearest(scope):
-    points = np.vstack([cloud(10, 3), 5 * cloud(10, 4), scope.reference[:3]])
-    expected = [distance(point, scope.reference) for point in points]
+def test_distance_is_the_mean_to_the_four_nearest(detector):
+    points = np.vstack([cloud(10, 3), 5 * cloud(10, 4), detector.reference[:3]])
+    expected = [distance(point, detector.reference) for point in points]
     assert N_NEIGHBOURS == 4
     assert min(expected) > 0.5
     # a nearest neighbour may be found from squares, which costs half of the digits near zero
-    np.testing.assert_allclose(scope.distances(points), expected, rtol=1e-6)
+    np.testing.assert_allclose(detector.distances(points), expected, rtol=1e-6)
 
 
-def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
+def test_threshold_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert FALSE_ALARMS == 1e-4
     monkeypatch.setattr("suspnet.uncertainty.ood.FALSE_ALARMS", 5e-4)  # fewer curves will do
     reference, fresh = cloud(100, 5, 2), cloud(6000, 6, 2)
@@ -86,13 +86,13 @@ def test_limit_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert found == pytest.approx(distances[-3], rel=1e-6)
 
 
-def test_limit_of_the_distance_is_the_largest_where_fresh_curves_are_few():
+def test_threshold_of_the_distance_is_the_largest_where_fresh_curves_are_few():
     reference, fresh = cloud(50, 5, 2), cloud(100, 6, 2)
     found = OODDetector.learnt(reference, fresh, np.ones(10)).distance_threshold
     assert found == pytest.approx(max(distance(point, reference) for point in fresh), rel=1e-6)
 
 
-def test_limit_of_the_misfit_follows_mean_and_deviation():
+def test_threshold_of_the_misfit_follows_mean_and_deviation():
     misfits = np.array([1.0, 1.02, 0.98, 1.04])
     deviation = math.sqrt((0.01**2 + 0.01**2 + 0.03**2 + 0.03**2) / 4)
     found = OODDetector.learnt(cloud(20, 0), cloud(20, 1), misfits).misfit_threshold
@@ -101,8 +101,8 @@ def test_limit_of_the_misfit_follows_mean_and_deviation():
 
 def test_reference_is_the_first_of_the_training_curves():
     training = cloud(N_REFERENCE + 10, 0, 2)
-    scope = OODDetector.learnt(training, cloud(50, 1, 2), np.ones(10))
-    np.testing.assert_array_equal(scope.reference, training[:N_REFERENCE])
+    detector = OODDetector.learnt(training, cloud(50, 1, 2), np.ones(10))
+    np.testing.assert_array_equal(detector.reference, training[:N_REFERENCE])
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -110,30 +110,30 @@ def test_reference_is_the_first_of_the_training_curves():
     ("name", "edge", "sign"), [("k_s", 2.0, 1), ("c_p", 0.5, -1), ("M_s", 2.0, 1)]
 )
 def test_parameter_is_outside_its_range_beyond_some_deviations(
-    scope, problem, name, edge, sign, factor
+    detector, problem, name, edge, sign, factor
 ):
     assert EDGE_DEVIATIONS == 2.33
     refined = fitted(deviation=0.03, **{name: edge * math.exp(sign * factor * 2.33 * 0.03)})
-    found = flags(scope, problem, refined)
+    found = flags(detector, problem, refined)
     assert found.found[0].tolist() == [False, False, factor > 1, False]
 
 
 @pytest.mark.parametrize(("name", "edge"), [("k_p", 2.005), ("M_s", 2.05)])
-def test_range_of_a_grid_reaches_half_a_step_beyond_it(scope, task, name, edge):
+def test_range_of_a_grid_reaches_half_a_step_beyond_it(detector, task, name, edge):
     for factor, outside in ((0.9999, False), (1.0001, True)):
         refined = fitted(deviation=1e-9, **{name: edge * factor})
-        assert flags(scope, task(), refined).found[0, 2] == outside
+        assert flags(detector, task(), refined).found[0, 2] == outside
 
 
-def test_nothing_speaks_against_a_usual_curve(scope, problem):
-    found = flags(scope, problem, fitted(3))
+def test_nothing_speaks_against_a_usual_curve(detector, problem):
+    found = flags(detector, problem, fitted(3))
     assert found.found.shape == (3, len(KINDS))
     assert not found.flagged.any()
     assert found.reasons == ("", "", "")
 
 
-def test_parameter_that_the_curve_does_not_tell_is_not_outside(scope, problem):
-    found = flags(scope, problem, fitted(deviation=math.inf, k_p=9.0))
+def test_parameter_that_the_curve_does_not_tell_is_not_outside(detector, problem):
+    found = flags(detector, problem, fitted(deviation=math.inf, k_p=9.0))
     assert not found.flagged.any()
 
 
@@ -142,45 +142,45 @@ def test_cloud_of_fewer_points_than_neighbours():
     assert OODDetector(reference, 1.0, 1.0).distances(np.zeros((1, 2))).tolist() == [1.0]
 
 
-def test_range_of_the_mass_is_its_own(scope, task):
+def test_range_of_the_mass_is_its_own(detector, task):
     problem = task("joint", "all", estimate_mass=True, mass_lower=0.8, mass_upper=1.3)
-    found = flags(scope, problem, fitted(M_s=1.5, k_s=1.5))
+    found = flags(detector, problem, fitted(M_s=1.5, k_s=1.5))
     assert found.found[0].tolist() == [False, False, True, False]
     assert found.reasons == ("M_s at about 150 % lies outside the 80 to 130 % trained for",)
 
 
 @pytest.mark.parametrize(("name", "half_step"), [("k_p", 0.01), ("M_s", 0.05)])
-def test_grid_stands_for_what_lies_within_half_a_step(scope, task, name, half_step):
+def test_grid_stands_for_what_lies_within_half_a_step(detector, task, name, half_step):
     problem = task("multi_location", "primary", step=0.02)
     for ratio, outside in ((2 + 0.9 * half_step, False), (2 + 1.1 * half_step, True)):
         refined = fitted(deviation=1e-6, **{name: ratio})
-        assert flags(scope, problem, refined).found[0].tolist() == [False, False, outside, False]
+        assert flags(detector, problem, refined).found[0].tolist() == [False, False, outside, False]
     for ratio, outside in ((0.5 - 0.9 * half_step, False), (0.5 - 1.1 * half_step, True)):
         refined = fitted(deviation=1e-6, **{name: ratio})
-        assert flags(scope, problem, refined).found[0].tolist() == [False, False, outside, False]
+        assert flags(detector, problem, refined).found[0].tolist() == [False, False, outside, False]
 
 
 # property
 
 
-def test_missing_peak_is_said_and_its_distance_not_asked_for(scope, problem):
+def test_missing_peak_is_said_and_its_distance_not_asked_for(detector, problem):
     inputs = np.zeros((3, 9))
     inputs[1, 2] = np.nan
     inputs[2, 4] = 30.0
     missing = ["", "primary_upper (no maximum)", ""]
-    found = scope.flags(problem, missing, inputs, fitted(3))
+    found = detector.flags(problem, missing, inputs, fitted(3))
     assert found.found.tolist() == [[False] * 4, [True, *[False] * 3], [False, True, False, False]]
     assert found.reasons[:2] == ("", "missing: primary_upper (no maximum)")
     assert found.reasons[2].startswith("the features lie")
 
 
 @pytest.mark.parametrize(("column", "value"), [(4, 30.0), (7, -30.0)])
-def test_features_beyond_the_cloud_name_the_one_that_is(scope, problem, column, value):
+def test_features_beyond_the_cloud_name_the_one_that_is(detector, problem, column, value):
     inputs = np.zeros((2, 9))
     inputs[1, column] = value
-    found = flags(scope, problem, fitted(2), inputs)
+    found = flags(detector, problem, fitted(2), inputs)
     assert found.found.tolist() == [[False] * 4, [False, True, False, False]]
-    times = distance(inputs[1], scope.reference) / scope.distance_threshold
+    times = distance(inputs[1], detector.reference) / detector.distance_threshold
     assert found.reasons[1] == (
         f"the features lie {times:.2g} times as far from the training curves' as any of these, "
         f"{problem.inputs[column]} most of all"
@@ -190,13 +190,13 @@ def test_features_beyond_the_cloud_name_the_one_that_is(scope, problem, column, 
 def test_feature_within_the_cloud_but_where_no_curve_is_counts_too(problem):
     """All training curves lie on a line; each feature by itself is quite usual."""
     line = np.linspace(-1, 1, 200)[:, None] * np.ones(9)
-    scope = OODDetector.learnt(line, line[::3] + 0.001, np.ones(10))
+    detector = OODDetector.learnt(line, line[::3] + 0.001, np.ones(10))
     off = np.array([[0.9, -0.9, *[0.0] * 7]])
-    assert flags(scope, problem, inputs=off).found[0].tolist() == [False, True, False, False]
+    assert flags(detector, problem, inputs=off).found[0].tolist() == [False, True, False, False]
 
 
-def test_parameter_outside_its_range_is_named_with_the_range(scope, problem):
-    found = flags(scope, problem, fitted(k_s=2.51, c_p=0.125))
+def test_parameter_outside_its_range_is_named_with_the_range(detector, problem):
+    found = flags(detector, problem, fitted(k_s=2.51, c_p=0.125))
     assert found.found[0].tolist() == [False, False, True, False]
     assert found.reasons[0] == (
         "c_p at about 12.5 % lies outside the 50 to 200 % trained for; "
@@ -204,10 +204,10 @@ def test_parameter_outside_its_range_is_named_with_the_range(scope, problem):
     )
 
 
-def test_each_curve_has_its_own_reasons(scope, problem):
+def test_each_curve_has_its_own_reasons(detector, problem):
     refined = fitted(3)
     refined.ratios[[1, 2], [0, 3]] = [4.0, 0.1]
-    found = flags(scope, problem, refined)
+    found = flags(detector, problem, refined)
     assert found.flagged.tolist() == [False, True, True]
     assert [words.split(" lies")[0] for words in found.reasons] == [
         "",
@@ -217,20 +217,20 @@ def test_each_curve_has_its_own_reasons(scope, problem):
 
 
 def test_curve_that_is_not_explained_is_said_with_numbers(problem):
-    scope = OODDetector(cloud(50, 0), 10.0, 1.25)
-    found = flags(scope, problem, fitted(misfit=3.4567))
+    detector = OODDetector(cloud(50, 0), 10.0, 1.25)
+    found = flags(detector, problem, fitted(misfit=3.4567))
     assert found.found[0].tolist() == [False, False, False, True]
     assert found.reasons[0] == (
-        "the model cannot explain the curve: what is left of it is 3.46 times the noise, at most "
+        "the model cannot explain the curve: its misfit is 3.46 times the noise, at most "
         "1.25 is usual"
     )
-    assert not flags(scope, problem, fitted(misfit=1.25)).flagged.any()
-    assert flags(scope, problem, fitted(misfit=math.nan)).found[0, MISFIT]
+    assert not flags(detector, problem, fitted(misfit=1.25)).flagged.any()
+    assert flags(detector, problem, fitted(misfit=math.nan)).found[0, MISFIT]
 
 
-def test_all_that_speaks_against_a_curve_is_said_in_order(scope, problem):
+def test_all_that_speaks_against_a_curve_is_said_in_order(detector, problem):
     far = np.full((1, 9), 50.0)
-    found = flags(scope, problem, fitted(misfit=9.0, c_s=5.0), far, "secondary (at the edge)")
+    found = flags(detector, problem, fitted(misfit=9.0, c_s=5.0), far, "secondary (at the edge)")
     assert found.found.all()
     assert found.flagged.tolist() == [True]
     words = found.reasons[0].split("; ")
@@ -263,12 +263,12 @@ def test_few_curves_like_the_training_curves_are_flagged(problem):
 
     inputs, usual = some(300, 0)
     nine = np.random.default_rng(0).standard_normal((5, 9))  # features that follow from the ratios
-    scope = OODDetector.learnt(cloud_of(problem, 4000, 3) @ nine, inputs @ nine, usual.misfit)
+    detector = OODDetector.learnt(cloud_of(problem, 4000, 3) @ nine, inputs @ nine, usual.misfit)
     inputs, others = some(300, 1)
-    found = scope.flags(problem, [""] * 300, inputs @ nine, others)
+    found = detector.flags(problem, [""] * 300, inputs @ nine, others)
     # about 5e-4 of each kind but for the few curves that the limits were learnt from: 1 / 300
     assert (found.found.sum(axis=0) <= [0, 4, 2, 1]).all()
-    beyond = scope.flags(problem, [""] * 300, (inputs + 1.0) @ nine, others)
+    beyond = detector.flags(problem, [""] * 300, (inputs + 1.0) @ nine, others)
     assert beyond.found[:, CLOUD].mean() > 0.9
 
 
@@ -276,14 +276,14 @@ def cloud_of(problem, n, seed):
     return np.log(problem.sample(n, seed, TEST))
 
 
-def test_restored_scope_gives_the_same_flags_bit_for_bit(scope, problem):
-    restored = OODDetector.restored(scope.state())
+def test_restored_scope_gives_the_same_flags_bit_for_bit(detector, problem):
+    restored = OODDetector.restored(detector.state())
     points = cloud(30, 8)
-    np.testing.assert_array_equal(restored.distances(points), scope.distances(points))
-    assert restored.distance_threshold == scope.distance_threshold
-    assert restored.misfit_threshold == scope.misfit_threshold
+    np.testing.assert_array_equal(restored.distances(points), detector.distances(points))
+    assert restored.distance_threshold == detector.distance_threshold
+    assert restored.misfit_threshold == detector.misfit_threshold
     refined = fitted(30, misfit=1.2, c_s=3.0)
-    first, second = (flags(one, problem, refined, 2 * points) for one in (scope, restored))
+    first, second = (flags(one, problem, refined, 2 * points) for one in (detector, restored))
     np.testing.assert_array_equal(first.found, second.found)
     assert first.reasons == second.reasons
     assert first.found[:, CLOUD].any()
@@ -293,8 +293,8 @@ def test_restored_scope_gives_the_same_flags_bit_for_bit(scope, problem):
 
 
 @pytest.mark.parametrize("name", ["reference", "thresholds"])
-def test_missing_array_is_named(scope, name):
-    arrays = scope.state()
+def test_missing_array_is_named(detector, name):
+    arrays = detector.state()
     del arrays[name]
     with pytest.raises(KeyError, match=name):
         OODDetector.restored(arrays)
@@ -310,6 +310,6 @@ def test_missing_array_is_named(scope, name):
         ("thresholds", np.array([1.0, math.nan]), "`thresholds` must be two numbers"),
     ],
 )
-def test_arrays_that_are_no_scope_are_rejected(scope, name, array, message):
+def test_arrays_that_are_no_scope_are_rejected(detector, name, array, message):
     with pytest.raises(ValueError, match=message):
-        OODDetector.restored(scope.state() | {name: array})
+        OODDetector.restored(detector.state() | {name: array})

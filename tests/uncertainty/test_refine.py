@@ -315,7 +315,7 @@ def test_curves_of_another_model_are_not_explained(task):
     absorbed = curves * (1 - 0.3 * torch.exp(-((OBSERVER.frequencies_hz - 4.0) ** 2)))
     found = refine(problem, CurveMisfit(OBSERVER, absorbed), starts(problem, ratios))
     assert found.misfit.min() > 2
-    limits = np.array([problem.limits(name) for name in found.names])
+    limits = np.array([problem.range(name) for name in found.names])
     assert (found.ratios >= limits[:, 0] / BEYOND * (1 - 1e-9)).all()
     assert (found.ratios <= limits[:, 1] * BEYOND * (1 + 1e-9)).all()
 
