@@ -21,7 +21,7 @@ from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.dynamics.vertical_vehicle import UNMEASURED
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest, write_manifest
 from suspnet.simulation import Scenario
-from suspnet.simulation.fleet import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M, profile_length_m
+from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M, profile_length_m
 
 PARTS = ("bending", "dampers", "rubber", "contact")
 OFF = {  # of a vehicle that is not as its drawings say; signs as in README where it gives them

@@ -80,6 +80,13 @@ def test_model_from_a_folder_estimates_curves_as_a_run_does(trained, tmp_path):
     np.testing.assert_allclose(one.values[0], found.values[0], rtol=1e-9)
 
 
+def test_model_says_what_it_is(trained):
+    model = trained[1]
+    refined = ", refined" if model.refined else ""
+    expected = f"(linear{refined}, calibrated: k_p, c_p of am96, protocol multi_location)"
+    assert repr(model) == f"TrainedModel{expected}"
+
+
 def test_estimate_reads_aloud_and_goes_into_json(trained):
     problem, model, _ = trained
     curves = problem.curves(problem.ratios(TEST), TEST, 0)

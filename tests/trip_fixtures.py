@@ -18,8 +18,8 @@ from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import rms_percent
-from suspnet.simulation.fleet import Fleet, write_fleet
 from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.writing import Fleet, write_fleet
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 RATES_HZ = (400.0, 250.0, 250.0)

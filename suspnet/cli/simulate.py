@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from suspnet.cli import program
-from suspnet.simulation.fleet import write_fleet
+from suspnet.simulation.writing import write_fleet
 
 log = logging.getLogger(__name__)
 

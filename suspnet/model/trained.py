@@ -22,12 +22,19 @@ SAME_BIN_HZ = 1e-6
 """Difference [Hz] below which two frequency bins are the same."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrainedModel(FittedMethod):
     """A fitted method that estimates from curves, spectra and recordings.
 
     Its attributes are those of ``FittedMethod``.
     """
+
+    def __repr__(self) -> str:
+        task, calibrated = self.task, "calibrated" if self.intervals is not None else "uncalibrated"
+        return (
+            f"TrainedModel({self.name}{', refined' * self.refined}, {calibrated}: "
+            f"{', '.join(task.outputs)} of {self.vehicle.name}, protocol {task.protocol})"
+        )
 
     def estimate(
         self,

@@ -8,7 +8,7 @@ from pathlib import Path
 from suspnet.data import Protocol, Task
 from suspnet.model import ModelFileError, load_model
 from suspnet.problem import TEST, Problem
-from suspnet.runs.figures import draw_predictions
+from suspnet.runs.drawing import draw_predictions
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import Metrics, headline, log_hyperparameters, report, scores
 from suspnet.runs.tensorboard import RunLog

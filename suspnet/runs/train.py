@@ -19,7 +19,7 @@ from suspnet.learning.search import GridSearch
 from suspnet.model import save_model
 from suspnet.problem import TEST, Problem
 from suspnet.runs.calibrate import calibrated
-from suspnet.runs.figures import draw_run
+from suspnet.runs.drawing import draw_run
 from suspnet.runs.fit import fit, method_name, tune
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (

@@ -1,7 +1,7 @@
 """Simulated fleets, whose truth is known."""
 
-from suspnet.simulation.fleet import Fleet, simulate_trip, write_fleet
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.sensors import Sensor
+from suspnet.simulation.writing import Fleet, simulate_trip, write_fleet
 
 __all__ = ["Fleet", "Scenario", "Sensor", "simulate_trip", "write_fleet"]

@@ -17,7 +17,7 @@ from suspnet.features.transfer_estimate import segment_spectra
 from suspnet.features.welch import Welch
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.plausibility import check_channels
-from suspnet.simulation.fleet import profile_length_m, simulate_trip
+from suspnet.simulation.writing import profile_length_m, simulate_trip
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))

@@ -14,7 +14,8 @@ from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.features.transfer_estimate import tfestimate
 from suspnet.features.welch import Welch
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, read_manifest
-from suspnet.simulation.fleet import (
+from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.writing import (
     BLOCK,
     LEAD_IN_S,
     Fleet,
@@ -22,7 +23,6 @@ from suspnet.simulation.fleet import (
     simulate_trip,
     write_fleet,
 )
-from suspnet.simulation.scenarios import Scenario
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
 GENERATORS = {
@@ -172,7 +172,7 @@ def test_longer_trip_is_the_same_in_its_first_part(monkeypatch):
     first = simulate_trip(system, profile, short, 100.0)
     np.testing.assert_allclose(whole[:, :600], first, rtol=0, atol=1e-9)
     assert BLOCK > 3200
-    monkeypatch.setattr("suspnet.simulation.fleet.BLOCK", 2111)
+    monkeypatch.setattr("suspnet.simulation.writing.BLOCK", 2111)
     pieces = simulate_trip(system, profile, long, 100.0)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-9 * np.abs(whole).max())
 
