@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     )
     from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression
     from suspnet.model import Estimate, ModelFileError, TrainedModel, load_model, save_model
-    from suspnet.model.recording import TripSettings
+    from suspnet.model.from_recording import TripSettings
     from suspnet.problem import Problem
     from suspnet.recordings import Recording, TripError, load_recording, read_manifest
     from suspnet.recordings.segments import NoEstimateError
@@ -41,7 +41,7 @@ _HOMES = {
     ),
     "suspnet.learning": ("MSVR", "MVGPR", "SVR", "CurveFit", "LinearRegression"),
     "suspnet.model": ("Estimate", "ModelFileError", "TrainedModel", "load_model", "save_model"),
-    "suspnet.model.recording": ("TripSettings",),
+    "suspnet.model.from_recording": ("TripSettings",),
     "suspnet.problem": ("Problem",),
     "suspnet.recordings": ("Recording", "TripError", "load_recording", "read_manifest"),
     "suspnet.recordings.segments": ("NoEstimateError",),

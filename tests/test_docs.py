@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from trip_fixtures import model_at, small_fleet
 
-from suspnet.cli.options import CONFIGS, TABLES
+from suspnet.cli.configs import CONFIGS, TABLES
 from suspnet.cli.program import check_targets
 from suspnet.data import CurveSettings
 from suspnet.learning import LinearRegression

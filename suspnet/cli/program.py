@@ -21,11 +21,11 @@ from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.checks import check_number
-from suspnet.cli import naming, options
+from suspnet.cli import configs, naming
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
 
-CONFIGS = options.CONFIGS
+CONFIGS = configs.CONFIGS
 """Absolute path of the folder that Hydra composes from."""
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
@@ -33,7 +33,7 @@ NO_SLURM = 'Could not detect "srun"'
 """Begin of submitit's message where there is no Slurm cluster."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
-options.store_tables()
+configs.store_tables()
 naming.register()
 
 

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model.curves import estimate_curves
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
-from suspnet.model.recording import TripSettings, estimate_recording
-from suspnet.model.spectra import estimate_spectra
+from suspnet.model.from_curves import estimate_curves
+from suspnet.model.from_recording import TripSettings, estimate_recording
+from suspnet.model.from_spectra import estimate_spectra
 from suspnet.recordings import Recording, load_recording, read_manifest
 
 SAME_BIN_HZ = 1e-6

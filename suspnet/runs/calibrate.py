@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from suspnet.model.curves import identified
 from suspnet.model.fitted import FittedMethod
+from suspnet.model.from_curves import identified
 from suspnet.problem import CALIBRATE, TRAIN, Problem
 from suspnet.runs.predict import refine_stream, regress_stream
 from suspnet.uncertainty.conformal import Conformal

@@ -13,7 +13,8 @@ from tqdm import tqdm
 
 from suspnet.data import FeatureData
 from suspnet.data.parallel import pool_of, quiet
-from suspnet.model.curves import (
+from suspnet.model.fitted import FittedMethod
+from suspnet.model.from_curves import (
     MASS,
     identified,
     missing_words,
@@ -21,7 +22,6 @@ from suspnet.model.curves import (
     regress,
     residual_scales,
 )
-from suspnet.model.fitted import FittedMethod
 from suspnet.problem import BLOCK, Problem
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags

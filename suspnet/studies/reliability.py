@@ -23,7 +23,7 @@ from suspnet.data import Task
 from suspnet.data.parallel import quiet
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.model import TrainedModel, load_model
-from suspnet.model.curves import MASS, estimate_curves
+from suspnet.model.from_curves import MASS, estimate_curves
 from suspnet.problem import BLOCK, TEST, Problem
 from suspnet.runs.evaluate import find_runs
 from suspnet.runs.metrics import covers, interval_scores

@@ -19,8 +19,8 @@ from suspnet._version import __version__
 from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
-from suspnet.model.recording import TripSettings
-from suspnet.model.spectra import trip_observer
+from suspnet.model.from_recording import TripSettings
+from suspnet.model.from_spectra import trip_observer
 from suspnet.recordings.manifest import Place
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
-from suspnet.model.recording import SpeedBin, TripSettings, no_segment, speed_bin
-from suspnet.model.spectra import trip_observer
+from suspnet.model.from_recording import SpeedBin, TripSettings, no_segment, speed_bin
+from suspnet.model.from_spectra import trip_observer
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.recording import Recording, load_recording

@@ -30,7 +30,7 @@ from rich_trips import EFFECTS, SENSORS, drawn_ratios, write_rich_trips  # noqa:
 
 from suspnet.model import TrainedModel  # noqa: E402
 from suspnet.model.checkpoint import load_model  # noqa: E402
-from suspnet.model.recording import TripSettings  # noqa: E402
+from suspnet.model.from_recording import TripSettings  # noqa: E402
 from suspnet.recordings.manifest import find_manifests  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.trips.records import OK, TripResult, relative_to_first  # noqa: E402

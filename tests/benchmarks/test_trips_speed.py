@@ -19,7 +19,7 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
 from suspnet.learning import MSVR
 from suspnet.model.checkpoint import save_model
-from suspnet.model.recording import TripSettings
+from suspnet.model.from_recording import TripSettings
 from suspnet.problem import Problem
 from suspnet.runs.fit import fit
 from suspnet.trips.trip import evaluate_trip

@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object, instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli.options import TABLES, read_vehicles
+from suspnet.cli.configs import TABLES, read_vehicles
 from suspnet.cli.program import check_targets
 from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from suspnet.cli.options import CONFIGS, read_vehicles
+from suspnet.cli.configs import CONFIGS, read_vehicles
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY
 

@@ -16,7 +16,7 @@ from suspnet.data.misfit import CurveMisfit
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
 from suspnet.model.checkpoint import load_model, save_model
-from suspnet.model.curves import estimate_curves
+from suspnet.model.from_curves import estimate_curves
 from suspnet.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit

@@ -14,7 +14,7 @@ from suspnet.data import CurveSettings
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
 from suspnet.learning import MSVR, MVGPR
 from suspnet.model.checkpoint import save_model
-from suspnet.model.curves import estimate_curves
+from suspnet.model.from_curves import estimate_curves
 from suspnet.problem import TEST, Problem
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit

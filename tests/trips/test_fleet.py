@@ -18,7 +18,7 @@ from trip_records import fleet as made_up
 
 from suspnet.data import CurveSettings
 from suspnet.model import ModelFileError
-from suspnet.model.recording import TripSettings
+from suspnet.model.from_recording import TripSettings
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet

@@ -11,7 +11,7 @@ from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
 from trip_records import HALF_WIDTHS, trip
 
 from suspnet.model import ModelFileError
-from suspnet.model.recording import TripSettings
+from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import Place
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output

@@ -20,9 +20,9 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.welch import Welch
-from suspnet.model import recording
-from suspnet.model.recording import TripSettings
-from suspnet.model.spectra import estimate_spectra
+from suspnet.model import from_recording as recording
+from suspnet.model.from_recording import TripSettings
+from suspnet.model.from_spectra import estimate_spectra
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
 from suspnet.trips import trip

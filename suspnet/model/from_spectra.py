@@ -23,9 +23,9 @@ from torch import Tensor
 from suspnet.data.estimates import EstimateObserver, EstimateSettings
 from suspnet.data.misfit import EstimateMisfit
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model.curves import complete_ratios
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod, ModelFileError
+from suspnet.model.from_curves import complete_ratios
 from suspnet.theory.information import output_bounds
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags

@@ -13,7 +13,7 @@ from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
-from suspnet.model.spectra import MissingFeaturesError, estimate_spectra, trip_observer
+from suspnet.model.from_spectra import MissingFeaturesError, estimate_spectra, trip_observer
 from suspnet.recordings.plausibility import check_channels
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import (

@@ -14,8 +14,8 @@ from trip_fixtures import OUTPUTS, model_at
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model import spectra as trust
-from suspnet.model.spectra import ONE_SIGMA, estimate_spectra
+from suspnet.model import from_spectra as trust
+from suspnet.model.from_spectra import ONE_SIGMA, estimate_spectra
 from suspnet.theory.information import output_bounds
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals
