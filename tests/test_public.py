@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from trip_fixtures import model_at, small_fleet
 
 import suspnet
@@ -22,8 +23,9 @@ from suspnet import (
     save_model,
 )
 from suspnet.data import CurveSettings
+from suspnet.model.from_recording import speed_bin
 from suspnet.problem import TEST
-from suspnet.recordings.segments import NoEstimateError
+from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
@@ -125,6 +127,33 @@ def test_model_estimates_a_trip_as_the_program_does(kind, tmp_path_factory):
     assert found.flags.reasons[0] == expected.flags
     wider = model.estimate(given, settings=settings, level=0.99)
     assert (wider.high > found.high).all()
+
+
+def test_trips_are_read_with_the_public_tfestimate(tmp_path_factory):
+    path = small_fleet(tmp_path_factory)[0]
+    recording = load_recording(read_manifest(path), 100.0)
+    model, welch = model_at(), suspnet.Welch()
+    found = speed_bin(model, recording, recording_segments(recording, welch), TripSettings())
+    assert found.chosen.all()
+    axle_box, bogie, body = recording.signals
+    links = [(axle_box, bogie, body), (bogie, body, axle_box)]
+    for link, (x, y, third) in zip(found.spectra.responses("IV"), links, strict=True):
+        estimate = suspnet.tfestimate(x, y, 100.0, welch, "IV", instrument=third)
+        bins = torch.isin(estimate.frequencies_hz, model.settings.frequencies_hz())
+        torch.testing.assert_close(estimate.response[bins], link, rtol=1e-9, atol=0)
+
+
+def test_peaks_are_found_with_the_public_findpeaks(quarter_car):
+    observer = SETTINGS.observer(quarter_car)
+    curves = observer.observe(torch.ones(5, 5), 0)
+    table = suspnet.PeakFeatures(("secondary",), low_hz=0.3, high_hz=12.0).extract(
+        curves, observer.frequencies_hz
+    )
+    peaks = suspnet.findpeaks(
+        curves[:, 1], observer.frequencies_hz, fit=suspnet.PeakFit("lorentzian", 0.2, 0.4, 0.4)
+    )
+    expected = torch.stack([peaks.position_hz, peaks.height, peaks.width_hz], dim=1)
+    torch.testing.assert_close(table.values, expected, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize(
