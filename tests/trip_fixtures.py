@@ -6,9 +6,9 @@ from functools import cache
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
+from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.data import Protocol
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
 from suspnet.learning import MSVR
@@ -28,11 +28,6 @@ MINUTES = 5.0
 SPEED = 70.0
 N_TRIPS = 6
 N_CALIBRATE = 400
-GROUP = {
-    "outputs": list(OUTPUTS[:4]),
-    "responses": ["G_p", "G_s"],
-    "peaks": ["secondary", "primary_lower", "primary_upper"],
-}
 
 
 class NoLog:
@@ -42,18 +37,10 @@ class NoLog:
         pass
 
 
-def trips_protocol(**changes):
-    """Return configs/protocol/trips.yaml, with changes."""
-    options = {"sampling": "sobol", "lower": 0.5, "upper": 1.6, "estimate_mass": True}
-    options |= {"mass_lower": 0.8, "mass_upper": 1.3, "feature_set": "curve"}
-    options["curve"] = {"n_components": 12}
-    return Protocol("trips", {"all": GROUP}, **(options | changes))
-
-
 @cache
 def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **changes):
     """Return a model for the small fleet's vehicle, sensors and length of trips."""
-    task = trips_protocol(**changes).task("all")
+    task = shipped_protocol("trips", **changes).task("all")
     options = {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ, "cache_dir": None}
     settings = EstimateSettings(n_train, 300, n_calibrate, speed, **options)
     problem = Problem(VerticalVehicle(AM96, speed_m_per_s=speed), task, settings, progress=False)

@@ -1,17 +1,5 @@
-"""The AM96 with its geometry, for tests that need it at import."""
+"""The AM96 as shipped, for tests that need it at import; test_vehicle.py pins its numbers."""
 
-from suspnet.dynamics import Vehicle
+from suspnet.cli.options import read_vehicles
 
-AM96 = Vehicle(  # configs/vehicle/am96.yaml
-    "am96",
-    1725.0,
-    6300.0,
-    1.30e6,
-    3.7e3,
-    0.69e6,
-    22.6e3,
-    half_wheelbase_m=1.35,
-    half_pivot_distance_m=9.5,
-    bogie_gyration_m=0.8,
-    body_gyration_m=7.8,
-)
+AM96 = read_vehicles()["am96"]

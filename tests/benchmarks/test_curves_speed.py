@@ -6,23 +6,23 @@ pytest tests/benchmarks --benchmark-only
 import numpy as np
 import pytest
 import torch
+from protocols import shipped_protocol
 from scipy.optimize import curve_fit
 from scipy.signal import find_peaks, savgol_filter
+from vehicles import AM96
 
-from suspnet.data import CurveSettings, Protocol
-from suspnet.dynamics import QuarterCar, Vehicle
+from suspnet.data import CurveSettings
+from suspnet.dynamics import QuarterCar
 from suspnet.problem import BLOCK, TRAIN, Problem
 
 PEAKS = ["secondary", "primary_lower", "primary_upper"]
 WHOLE_GRID = 364_816
-GROUP = {"outputs": ["k_p", "c_p"], "responses": ["G_p", "G_s"], "peaks": PEAKS}
 
 
 def source(n_curves):
-    am96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
-    task = Protocol("multi_location", {"primary": GROUP}).task("primary")
+    task = shipped_protocol("multi_location").task("primary")
     settings = CurveSettings(n_train=n_curves, cache_dir=None)
-    return Problem(QuarterCar(am96), task, settings, threads=torch.get_num_threads())
+    return Problem(QuarterCar(AM96), task, settings, threads=torch.get_num_threads())
 
 
 def lorentzian(f, height, position, width):

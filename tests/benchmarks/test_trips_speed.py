@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from protocols import shipped_protocol
 from scipy.signal import csd, resample_poly, welch
-from trip_fixtures import AM96, SPEED, NoLog, trips_protocol, write_trips
+from trip_fixtures import AM96, SPEED, NoLog, write_trips
 
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
@@ -59,7 +60,7 @@ def hour(tmp_path_factory):
 def model():
     settings = EstimateSettings(1500, 100, SPEED, minutes=MINUTES, cache_dir=None)
     generator = VerticalVehicle(AM96, speed_m_per_s=SPEED)
-    problem = Problem(generator, trips_protocol().task("all"), settings, progress=False)
+    problem = Problem(generator, shipped_protocol("trips").task("all"), settings, progress=False)
     return fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog())
 
 

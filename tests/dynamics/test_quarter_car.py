@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.linalg import eigh
+from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, ResponseGenerator, Vehicle
+from suspnet.dynamics import QuarterCar, ResponseGenerator
 
-AM96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
 FREQUENCIES = torch.linspace(0.05, 25.0, 40, dtype=torch.float64)
 HEALTHY = torch.ones(1, 5, dtype=torch.float64)
 ratio_rows = hnp.arrays(

@@ -26,6 +26,10 @@ def rounded_as_printed(values, significant=3):
 # reference
 
 
+def test_shipped_am96_is_that_of_table_iii_in_si_units(am96):
+    assert {key: getattr(am96, key) for key in NUMBERS} == NUMBERS
+
+
 def test_g_s_coefficients_are_those_printed_in_section_iii_b(am96):
     _, _, numerator, denominator = QuarterCar(am96).transfer_coefficients(torch.ones(1, 5))
     assert (numerator[0] / 100).tolist() == [6900, 226]

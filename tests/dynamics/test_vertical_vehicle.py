@@ -9,17 +9,12 @@ import pytest
 import torch
 import trips_reference
 from scipy.linalg import eigh
+from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, VerticalVehicle
+from suspnet.dynamics.vehicle import GEOMETRY
 from suspnet.dynamics.vertical_vehicle import UNMEASURED
 
-GEOMETRY = {
-    "half_wheelbase_m": 1.35,
-    "half_pivot_distance_m": 9.5,
-    "bogie_gyration_m": 0.8,
-    "body_gyration_m": 7.8,
-}
-AM96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3, **GEOMETRY)
 FREQUENCIES = torch.tensor([0.05, 0.4, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 19.0]).double()
 HEALTHY = torch.ones(1, 5, dtype=torch.float64)
 RNG = np.random.default_rng(7)
@@ -242,7 +237,7 @@ def test_scaling_masses_dampers_and_springs_together_changes_nothing():
 
 
 def test_scaling_all_lengths_and_the_speed_together_changes_nothing():
-    larger = dataclasses.replace(AM96, **{name: 2.5 * length for name, length in GEOMETRY.items()})
+    larger = dataclasses.replace(AM96, **{name: 2.5 * getattr(AM96, name) for name in GEOMETRY})
     before = VerticalVehicle(AM96, speed_m_per_s=40.0, body_sensor_m=1.0)
     after = VerticalVehicle(larger, speed_m_per_s=100.0, body_sensor_m=2.5)
     torch.testing.assert_close(

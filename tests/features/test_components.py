@@ -9,13 +9,13 @@ import torch
 import trips_reference
 from hypothesis import given
 from hypothesis import strategies as st
+from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, Vehicle
+from suspnet.dynamics import QuarterCar
 from suspnet.features import CurveFeatures
 from suspnet.features.components import FLOOR
 from suspnet.storage import dump_arrays, read_arrays, write_atomically
 
-AM96 = Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)
 FREQUENCIES = torch.arange(12, 180, 2, dtype=torch.float64) / 20
 N_CURVES = 300
 

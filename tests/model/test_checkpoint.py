@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from protocols import shipped_protocol
+from vehicles import AM96
 
-from suspnet.data import CurveSettings, Protocol
-from suspnet.dynamics import QuarterCar, Vehicle
+from suspnet.data import CurveSettings
+from suspnet.dynamics import QuarterCar
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.checkpoint import load_model, save_model
@@ -16,9 +18,6 @@ from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals, ResidualScale
 from suspnet.uncertainty.ood import OODDetector
 
-GROUPS = {
-    "primary": {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]}
-}
 FITTED = [
     MSVR(n_components=64),
     MSVR(n_components=64, feature_map="nystroem"),
@@ -40,8 +39,8 @@ def trained(estimator):
     return TrainedModel(
         name,
         estimator,
-        Protocol("paper", GROUPS).task("primary"),
-        QuarterCar(Vehicle("am96", 1725.0, 6300.0, 1.30e6, 3.7e3, 0.69e6, 22.6e3)),
+        shipped_protocol("paper").task("primary"),
+        QuarterCar(AM96),
         CurveSettings(n_train=60),
         np.array([5.4, 2.1, 0.7]),
         *scalings,

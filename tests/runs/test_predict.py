@@ -6,11 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from conftest import GROUPS
-from trip_fixtures import trips_protocol
+from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.data import CurveSettings, Protocol
+from suspnet.data import CurveSettings
 from suspnet.data.estimates import EstimateSettings
 from suspnet.data.misfit import CurveMisfit
 from suspnet.dynamics import QuarterCar, VerticalVehicle
@@ -36,11 +35,9 @@ LEVEL = 0.9
 
 def problem_of(group="primary", protocol="multi_location", seed=0, threads=1, **changes):
     names = {"mass_known", "sampling"} & set(changes)
-    task = Protocol(protocol, GROUPS[protocol], **{name: changes.pop(name) for name in names}).task(
-        group
-    )
+    posed = shipped_protocol(protocol, **{name: changes.pop(name) for name in names})
     settings = replace(SETTINGS, **changes)
-    return Problem(QuarterCar(AM96), task, settings, seed, threads, progress=False)
+    return Problem(QuarterCar(AM96), posed.task(group), settings, seed, threads, progress=False)
 
 
 @cache
@@ -242,7 +239,7 @@ def test_few_usual_curves_are_flagged_and_many_noisier_ones():
 
 def test_trips_have_intervals_and_flags_too():
     settings = EstimateSettings(256, 48, 128, minutes=5.0, cache_dir=None)
-    task = trips_protocol().task("all")
+    task = shipped_protocol("trips").task("all")
     problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
     fitted = replace(fit(problem, LinearRegression(), None), refined=True)
     model = calibrated(problem, fitted)
@@ -275,7 +272,7 @@ def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
 
 def test_curve_fit_cannot_read_trips():
     settings = EstimateSettings(300, 20, None, minutes=5.0, cache_dir=None)
-    task = trips_protocol().task("all")
+    task = shipped_protocol("trips").task("all")
     problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
     model = fit(problem, CurveFit(8), None)
     with pytest.raises(ValueError, match="it cannot be used with data=trips"):
