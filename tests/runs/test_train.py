@@ -59,7 +59,7 @@ def test_every_method_is_calibrated_under_every_protocol(model, protocol, group,
     model = load_model(tmp_path)
     assert model.task.outputs == tuple(outputs)
     assert model.intervals is not None
-    assert model.scope is not None
+    assert model.ood is not None
 
 
 def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
