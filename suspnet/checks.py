@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import math
 from collections.abc import Collection
 from numbers import Integral, Real
 from typing import Any
@@ -51,9 +51,12 @@ def check_number(
     rule = f"{'a whole' if whole else 'a finite'} number {stated}".strip() + " or null" * optional
     if isinstance(value, bool) or not isinstance(value, Integral if whole else Real):
         raise TypeError(f"`{name}` must be {rule}, got {value!r}")
-    number: Any = value
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     inside = (
-        abs(number) <= sys.float_info.max
+        math.isfinite(number)
         and (low is None or number >= low)
         and (above is None or number > above)
         and (high is None or number <= high)

@@ -73,13 +73,13 @@ class EstimateMisfit:
 
         The covariance is that of the observation: it does not move with the ratios.
         """
-        difference = (self.observed[rows] / self.observer.noise_free(ratios)).log()
-        sigma = self.covariance[rows]
-        first = sigma[:, 0, 0].real.sqrt()
-        mixed = sigma[:, 1, 0] / first
-        second = (sigma[:, 1, 1].real - mixed.abs().square()).sqrt()
-        white_p = difference[:, 0] / first
-        white_s = (difference[:, 1] - mixed * white_p) / second
+        u = (self.observed[rows] / self.observer.noise_free(ratios)).log()
+        covariance = self.covariance[rows]
+        l_pp = covariance[:, 0, 0].real.sqrt()
+        l_sp = covariance[:, 1, 0] / l_pp
+        l_ss = (covariance[:, 1, 1].real - l_sp.abs().square()).sqrt()
+        white_p = u[:, 0] / l_pp
+        white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
         return stack(parts, dim=1).flatten(1) * math.sqrt(2 / self._correlated)
 

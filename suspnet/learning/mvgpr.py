@@ -40,12 +40,12 @@ def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
     factor : tensor of shape (n_samples, n_samples)
         Lower Cholesky factor of K' = K + sigma_n^2 I.
     """
-    n_samples, n_outputs = Y.shape
+    n, Q = Y.shape
     whitened = torch.linalg.solve_triangular(factor, Y, upper=False)
-    omega = whitened.T @ whitened / n_samples
+    omega = whitened.T @ whitened / n
     log_det = 2 * factor.diagonal().log().sum()
-    constant = n_samples * n_outputs * (math.log(2 * math.pi) + 1)
-    return -0.5 * (constant + n_outputs * log_det + n_samples * torch.logdet(omega)), omega
+    constant = n * Q * (math.log(2 * math.pi) + 1)
+    return -0.5 * (constant + Q * log_det + n * torch.logdet(omega)), omega
 
 
 @dataclass(frozen=True)

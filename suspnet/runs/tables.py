@@ -105,8 +105,8 @@ def table6_markdown(records: Sequence[Record]) -> str:
         for model in models:
             chosen = [r for r in same if r["model"] == model]
             published = chosen[0]["published"] if chosen else None
-            row += [_number(published), _number(_mean(r["measured"] for r in chosen))]
-        rows.append([*row, _number(_mean(r["bound"] for r in same))])
+            row += [in_digits(published), in_digits(mean_known(r["measured"] for r in chosen))]
+        rows.append([*row, in_digits(mean_known(r["bound"] for r in same))])
     return tabulate(rows, [*header, "bound"], tablefmt="github", disable_numparse=True)
 
 
@@ -157,7 +157,9 @@ def sensitivity_markdown(records: Sequence[Record]) -> str:
         row = [MODEL_TITLES[model], f"{snr_db:g}", f"{same[0]['precision_percent']:.2g}"]
         for output in outputs:
             chosen = [r for r in same if r["output"] == output]
-            row += [_number(_mean(r[key] for r in chosen)) for key in ("mape_percent", "bound")]
+            row += [
+                in_digits(mean_known(r[key] for r in chosen)) for key in ("mape_percent", "bound")
+            ]
         rows.append(row)
     header = ["model", "SNR dB", "precision %"]
     header += [title for output in outputs for title in (f"{output} MAPE %", "bound")]
@@ -190,7 +192,7 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
         if "intervals" in metrics:
             interval = metrics["intervals"]["outputs"][output]
             row += [interval["half_width_percent"], interval["coverage_percent"]]
-        rows.append([output, *map(_number, row)])
+        rows.append([output, *map(in_digits, row)])
     header = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms / bound"]
     if "intervals" in metrics:
         level = 100 * metrics["intervals"]["level"]
@@ -198,14 +200,14 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
-def _mean(values: Iterable[float]) -> float | None:
-    """Return the mean, None of no values."""
-    listed = list(values)
-    return fmean(listed) if listed else None
+def mean_known(values: Iterable[float | None]) -> float | None:
+    """Return the mean of the values that are not None; None if there are none."""
+    known = [value for value in values if value is not None]
+    return fmean(known) if known else None
 
 
-def _number(value: float | None) -> str:
-    """Return a number with three digits, a dash for None."""
+def in_digits(value: float | None) -> str:
+    """Return a number with three digits as tables show it; a dash for None."""
     if value is None:
         return "-"
     if value >= 100:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from statistics import fmean
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tabulate import tabulate
+
+from suspnet.runs.tables import in_digits, mean_known
 
 BASELINE = "baseline"
 """Name of the ablation that changes nothing."""
@@ -90,8 +91,8 @@ def ablation_markdown(records: Sequence[Record]) -> str:
         for output in outputs:
             chosen = [r for r in same if r["output"] == output]
             for key in ("rms_ratio", "to_baseline", "features_ratio", "mape_percent"):
-                row.append(_number(_mean(r[key] for r in chosen)))
-        row += [_number(_mean(r[key] for r in same)) for key in ("lost_percent", "seconds")]
+                row.append(in_digits(mean_known(r[key] for r in chosen)))
+        row += [in_digits(mean_known(r[key] for r in same)) for key in ("lost_percent", "seconds")]
         rows.append([*row, same[0]["change"] or ("" if name == BASELINE else "-")])
     header = ["ablation"]
     for output in outputs:
@@ -178,16 +179,3 @@ def _shown(value: Any) -> str:
 def _over(value: float | None, other: float | None) -> float | None:
     """Return a quotient, None if a part is missing or 0."""
     return None if value is None or not other else value / other
-
-
-def _mean(values: Iterable[float | None]) -> float | None:
-    """Return the mean of the known values, None of none."""
-    known = [value for value in values if value is not None]
-    return fmean(known) if known else None
-
-
-def _number(value: float | None) -> str:
-    """Return a number with three digits, a dash for None."""
-    if value is None:
-        return "-"
-    return f"{value:.2f}" if 1 <= value < 100 else f"{value:.3g}"

@@ -191,11 +191,12 @@ def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: floa
         theta.
     low, high : float, [-]
     """
-    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    e, weights = np.polynomial.hermite_e.hermegauss(NODES)
     s = np.minimum(bounds, WIDEST * (high - low))[:, None]
-    observed = ratios[:, None] + s * nodes
-    a, b = (low - observed) / s, (high - observed) / s
-    error = (observed + s * _truncated_mean(a, b) - ratios[:, None]) ** 2
+    theta = ratios[:, None]
+    x = theta + s * e
+    a, b = (low - x) / s, (high - x) / s
+    error = (x + s * _truncated_mean(a, b) - theta) ** 2
     return np.asarray(np.sqrt(error @ (weights / weights.sum())))
 
 

@@ -131,26 +131,26 @@ def _slope(
     return slope
 
 
-def _without_track(seen: Tensor, slopes: Tensor, count: Tensor) -> Tensor:
+def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
     """Return sum over bins of 2 q / (1 + q) Re(u_i^H u_j) with `count` sensors at each place.
 
     Parameters
     ----------
-    seen : complex tensor of shape (n, n_places, n_freq)
-        a of one sensor at each place.
-    slopes : complex tensor of shape (n, n_parameters, n_places, n_freq)
-        Its derivatives.
+    a : complex tensor of shape (n, n_places, n_freq)
+        Of one sensor at each place.
+    da : complex tensor of shape (n, n_parameters, n_places, n_freq)
+        The derivatives of a.
     count : tensor of shape (n_places,)
     """
     used = count > 0
     many = count[used].sqrt()[:, None]
-    a, slopes = seen[:, used] * many, slopes[:, :, used] * many
+    a, da = a[:, used] * many, da[:, :, used] * many
     q = a.abs().square().sum(dim=1)[:, None, None]
-    along = (a.conj()[:, None] * slopes).sum(dim=2, keepdim=True) / q
-    across = slopes - along * a[:, None]
-    size = (across.abs().square().sum(dim=(2, 3)), slopes.abs().square().sum(dim=(2, 3)))
-    across[size[0] <= ROUNDING * size[1]] = 0
-    flat = torch.view_as_real(across * (2 * q / (1 + q)).sqrt()).flatten(2)
+    along = (a.conj()[:, None] * da).sum(dim=2, keepdim=True) / q
+    u = da - along * a[:, None]
+    size = (u.abs().square().sum(dim=(2, 3)), da.abs().square().sum(dim=(2, 3)))
+    u[size[0] <= ROUNDING * size[1]] = 0
+    flat = torch.view_as_real(u * (2 * q / (1 + q)).sqrt()).flatten(2)
     return flat @ flat.transpose(1, 2)
 
 

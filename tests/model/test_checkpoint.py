@@ -49,7 +49,7 @@ def trained(estimator):
 
 
 def calibrated(learnt=True):
-    """Return a refined model with intervals and a scope."""
+    """Return a refined model with intervals and an OOD detector."""
     random = np.random.default_rng(2)
     known, wrong = random.standard_normal((120, 5)), 0.1 * random.standard_normal((120, 2))
     residual_scale = ResidualScale.learnt(known, wrong) if learnt else None

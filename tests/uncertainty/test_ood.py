@@ -36,12 +36,12 @@ def distance(point, reference):
     return sum(lengths[:4]) / 4
 
 
-@pytest.fixture(detector="module")
+@pytest.fixture(scope="module")
 def problem(task):
     return task("joint", "all", estimate_mass=True)
 
 
-@pytest.fixture(detector="module")
+@pytest.fixture(scope="module")
 def detector():
     rng = np.random.default_rng(2)
     return OODDetector.learnt(cloud(500, 0), cloud(1000, 1), 1 + 0.02 * rng.standard_normal(1000))

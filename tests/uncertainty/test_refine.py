@@ -31,7 +31,7 @@ def used(problem):
 
 
 def observed(problem, n, seed=0):
-    """Return vehicles (n, 5) and what is left of their noisy curves."""
+    """Return vehicles (n, 5) and the misfit of their noisy curves."""
     ratios = problem.sample(n, seed, TEST)
     return ratios, CurveMisfit(
         OBSERVER, OBSERVER.observe(torch.as_tensor(ratios), seed), used(problem)
