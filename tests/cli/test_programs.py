@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from cli_runner import FEW, ROOT, SMALL, command, run_main
+from cli_runner import FEW, ROOT, SMALL, command, run_main, typed
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
@@ -179,21 +179,35 @@ def test_mistake_gets_one_line(override, message, tmp_path):
 @pytest.mark.parametrize(
     ("program", "overrides", "message"),
     [
-        ("train.py", ["protocol=foo"], "Could not find 'protocol/foo'"),
-        ("train.py", ["data.n_trian=1"], "Could not override 'data.n_trian'"),
-        ("train.py", ["hydra.run.dir={file}/x"], "Not a directory"),
-        ("evaluate.py", [], "which run?"),
-        ("evaluate.py", ["run=nowhere"], "run=nowhere does not exist"),
-        ("evaluate.py", ["study=reliability"], "which run?"),
-        ("evaluate.py", ["experiment=table6"], "python train.py experiment=NAME"),
-        ("train.py", ["study=reliability"], "python evaluate.py study=NAME"),
-        ("train.py", ["experiment=identifiability"], "options in 'experiment': ablation"),
+        (train, ["protocol=foo"], "Could not find 'protocol/foo'"),
+        (train, ["data.n_trian=1"], "Could not override 'data.n_trian'"),
+        (train, ["hydra.run.dir={file}/x"], "Not a directory"),
+        (evaluate, [], "which run?"),
+        (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
+        (evaluate, ["study=reliability"], "which run?"),
+        (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
+        (train, ["study=reliability"], "python evaluate.py study=NAME"),
+        (train, ["experiment=identifiability"], "options in 'experiment': ablation"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
     file = tmp_path / "file"
     file.touch()
-    ended = command(program, *(o.format(file=file) for o in overrides), cwd=tmp_path)
+    is_one_line(typed(program, *(o.format(file=file) for o in overrides), cwd=tmp_path), message)
+
+
+@pytest.mark.parametrize(
+    ("program", "override", "message"),
+    [
+        ("train.py", "protocol=foo", "Could not find 'protocol/foo'"),
+        ("evaluate.py", "run=nowhere", "run=nowhere does not exist"),
+    ],
+)
+def test_mistake_in_a_process_gets_one_line(program, override, message, tmp_path):
+    is_one_line(command(program, override, cwd=tmp_path), message)
+
+
+def is_one_line(ended, message):
     assert ended.returncode == 1
     assert ended.stderr.startswith("error: ")
     assert message in ended.stderr
@@ -228,15 +242,15 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
     left = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
     again = [*FEW, "hydra.run.dir=run", "progress=false"]
-    assert command("train.py", *again, cwd=tmp_path).returncode == 0
+    assert typed(train, *again, cwd=tmp_path).returncode == 0
     assert (tmp_path / "run" / "model.json").exists()
 
 
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
-    ended = command(
-        "train.py",
+    ended = typed(
+        train,
         "experiment=table6",
         "model=linear,msvr",
         *FEW,
@@ -312,8 +326,8 @@ def test_table6_files_agree(table6):
 
 def test_evaluate_takes_a_whole_multirun(table6, tmp_path):
     folder, _ = table6
-    ended = command(
-        "evaluate.py",
+    ended = typed(
+        evaluate,
         f"run={folder}",
         "data.n_test=60",
         "progress=false",
@@ -328,8 +342,8 @@ def test_evaluate_takes_a_whole_multirun(table6, tmp_path):
 
 
 def test_table5_writes_an_override_file_that_works(tmp_path):
-    ended = command(
-        "train.py",
+    ended = typed(
+        train,
         "experiment=table5",
         "model=msvr",
         "group=primary",
@@ -347,15 +361,15 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     assert record["best"] == {"C": 100.0, "epsilon": 1e-3, "sigma": 3.0}
     assert record["n_settings"] == 4
     search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *SMALL]
-    ended = command("train.py", *search, "hydra.run.dir=tuned", cwd=tmp_path)
+    ended = typed(train, *search, "hydra.run.dir=tuned", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     metrics = json.loads((tmp_path / "tuned" / "metrics.json").read_text())
     assert metrics["training"]["parameters"]["C"] == 100.0
 
 
 def test_sensitivity_error_grows_with_the_noise(tmp_path):
-    ended = command(
-        "train.py",
+    ended = typed(
+        train,
         "experiment=sensitivity",
         "group=primary",
         "data.snr_db=26,54",

@@ -1,30 +1,26 @@
 """Fleets simulated, models trained and trips read from the command line, at small size."""
 
 import json
-import subprocess
-import sys
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
+from cli_runner import ROOT, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import open_dict
 from trip_fixtures import RATES_HZ, changed, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, simulate, train
+from suspnet.cli.program import CONFIGS
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 
-ROOT = Path(__file__).parents[2]
 SLOW = ("china_star", "chinese_coach")
 """Like the others, and tested on request only; every kind of vehicle is among the others."""
 VEHICLES = [
@@ -43,34 +39,6 @@ TRAIN = [
 ]
 EVALUATE = ["progress=false", "monitor.workers=1"]
 SOME_WITHOUT_ESTIMATE = 2
-
-
-def run_program(module, folder, *overrides):
-    """Compose and run a program in this process; return its exit code, or its last words."""
-    name = module.__name__.rpartition(".")[2]
-    with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
-        output = f"hydra.runtime.output_dir={folder}"
-        config = compose(name, overrides=[*overrides, output], return_hydra_config=True)
-    HydraConfig.instance().set_config(config)
-    with open_dict(config):
-        del config["hydra"]
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        module.compose(config)
-    except SystemExit as ended:
-        return ended.code
-    return 0
-
-
-def command(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
 
 
 def metrics(folder):
@@ -157,7 +125,7 @@ def test_every_vehicle_works_by_its_name_alone(vehicle, no_figures, tmp_path):
 
 def test_simulate_as_a_module(tmp_path):
     options = [*SIMULATE, "fleet.n_trips=2", "fleet.minutes=0.5", "scenario=random", "seed=3"]
-    ended = command("-m", "suspnet.simulate", "out=mine", *options, cwd=tmp_path)
+    ended = python("-m", "suspnet.simulate", "out=mine", *options, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert "2 trips of scenario random in mine" in ended.stdout
     assert "python evaluate.py trips=mine run=RUN" in ended.stdout
@@ -172,13 +140,13 @@ def test_whole_way_as_a_user_with_two_workers_and_dask(tmp_path):
     pytest.importorskip("distributed")
     files = {"trips": "out=trips", "run": "hydra.run.dir=run"}
     made = [
-        command(
+        python(
             "-m", "suspnet.simulate", files["trips"], *SIMULATE, "fleet.n_trips=3", cwd=tmp_path
         ),
-        command(str(ROOT / "train.py"), files["run"], *TRAIN, cwd=tmp_path),
+        command("train.py", files["run"], *TRAIN, cwd=tmp_path),
     ]
     assert [ended.returncode for ended in made] == [0, 0], made
-    program = [str(ROOT / "evaluate.py"), "run=run", "trips=trips", "progress=false"]
+    program = ["evaluate.py", "run=run", "trips=trips", "progress=false"]
     found = []
     for name, options in (
         ("one", ["monitor.workers=1"]),
@@ -246,16 +214,6 @@ def test_limits_are_set_from_the_command_line(run, fleets, tmp_path):
     assert words.startswith("error: `limits.k_s`: limits `act` must be [lower, upper] about 1")
 
 
-def multirun(monkeypatch, folder, *overrides):
-    """Run evaluate.py -m in this process, as from the command line; return its exit code."""
-    given = ["evaluate.py", "-m", f"hydra.sweep.dir={folder}", *EVALUATE, *overrides]
-    monkeypatch.setattr(sys, "argv", given)
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "")  # the program sets it: set it back
-    with pytest.raises(SystemExit) as ended:
-        evaluate.main()
-    return ended.value.code
-
-
 @pytest.mark.parametrize(
     ("names", "codes", "worst"),
     [
@@ -264,17 +222,18 @@ def multirun(monkeypatch, folder, *overrides):
     ],
 )
 def test_multirun_runs_all_jobs_and_ends_with_the_worst_code(
-    run, fleets, monkeypatch, capsys, tmp_path, names, codes, worst
+    run, fleets, tmp_path, names, codes, worst
 ):
     """It ran the first job only and ended with 0."""
     trips = ",".join(str(fleets / name) for name in names)
     folder = tmp_path / "sweep"
-    assert multirun(monkeypatch, folder, f"run={run}", f"trips={trips}") == worst
+    given = [f"hydra.sweep.dir={folder}", *EVALUATE, f"run={run}", f"trips={trips}"]
+    ended = typed(evaluate, "-m", *given, cwd=tmp_path)
+    assert ended.returncode == worst
     files = sorted(folder.glob("*/exit_code"), key=lambda file: int(file.parent.name.split("_")[0]))
     assert [file.read_text().strip() for file in files] == codes
-    words = capsys.readouterr().err
-    assert words.count("error: there is no folder") == names.count("nowhere")
-    assert "Traceback" not in words
+    assert ended.stderr.count("error: there is no folder") == names.count("nowhere")
+    assert "Traceback" not in ended.stderr
 
 
 def test_worst_code_is_the_most_urgent_one():
@@ -285,7 +244,7 @@ def test_worst_code_is_the_most_urgent_one():
 
 
 def test_exit_codes_are_those_of_the_help():
-    with initialize_config_dir(version_base="1.3", config_dir=str(ROOT / "configs")):
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         words = compose("evaluate", return_hydra_config=True).hydra.help.header
     told = " ".join(words.split()).partition("Exit codes, the worst last: ")[2]
     places = [told.index(f"{code} ") for code in evaluate.BY_URGENCY]
@@ -508,7 +467,7 @@ def test_mistake_with_simulate_gets_one_line(trips, tmp_path, overrides, message
 
 
 def test_unknown_scenario_gets_one_line(tmp_path):
-    ended = command("-m", "suspnet.simulate", "scenario=moon", cwd=tmp_path)
+    ended = typed(simulate, "scenario=moon", cwd=tmp_path)
     assert ended.returncode == 1
     assert ended.stderr.startswith("error: ")
     assert "Could not find 'scenario/moon'" in ended.stderr

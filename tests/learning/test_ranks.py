@@ -1,65 +1,22 @@
 """One fit spread over processes is the fit of one process."""
 
-import importlib.util
 import json
+import multiprocessing
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import torch.multiprocessing
-from cli_runner import SMALL, command, run_main
-from learning_reference import smooth_data
+from cli_runner import SMALL, command, run_main, typed
+from rank_worker import CASES, N_RANKS, arrays, samples, work
 from safetensors.numpy import load_file
 
 from suspnet.cli import train
-from suspnet.learning import MSVR, Scaling, ranks
+from suspnet.learning import ranks
 
-CASES = {
-    "rff": {"feature_map": "rff", "n_components": 60},
-    "no intercept": {"feature_map": "orf", "n_components": 60, "fit_intercept": False},
-    "wide tube": {"feature_map": "rff", "n_components": 60, "epsilon": 0.2},
-    "nystroem": {"feature_map": "nystroem", "n_components": 40, "sigma": 0.7},
-    "exact": {"feature_map": "exact", "sigma": 0.7},
-}
-if importlib.util.find_spec("finufft"):
-    CASES["equispaced"] = {"feature_map": "equispaced"}
-N_RANKS, ROWS = 3, (70, 30, 0)
-"""Shards of unlike size; the last rank has no rows."""
-
-
-def samples():
-    return smooth_data(3, n_samples=sum(ROWS))
-
-
-def arrays(X, Y, **case):
-    """Everything that a fit and its scaling find."""
-    scaling = Scaling.of(X, log=False, all_reduce=ranks.all_reduce)
-    model = MSVR(**({"sigma": 1.0, "C": 10.0} | case), distributed=True)
-    model.fit(scaling.apply(X), Y)
-    counts = np.array([model.n_iter_, model.support_fraction_, model.objective_])
-    predicted = model.predict(scaling.apply(smooth_data(4, n_samples=50)[0]))
-    found = {"mean": scaling.mean, "scale": scaling.scale, "numbers": counts, "y": predicted}
-    # The basis of the exact kernel's faintest directions is rounding, whoever computes it.
-    return found if case["feature_map"] == "exact" else found | model.state()
-
-
-def work(rank, folder):
-    """Fit every case with this rank's rows, then keep what was found."""
-    torch.set_num_threads(1)
-    store = torch.distributed.FileStore(str(folder / "store"), N_RANKS)
-    torch.distributed.init_process_group("gloo", store=store, rank=rank, world_size=N_RANKS)
-    X, Y = samples()
-    rows = slice(sum(ROWS[:rank]), sum(ROWS[: rank + 1]))
-    found = {
-        f"{name}.{key}": value
-        for name, case in CASES.items()
-        for key, value in arrays(X[rows], Y[rows], **case).items()
-    }
-    found["shards"] = np.array([[ranks.shard(n).start, ranks.shard(n).stop] for n in (0, 2, 7)])
-    found["is_rank_zero"] = np.array(ranks.is_rank_zero())
-    np.savez(folder / f"{rank}.npz", **found)
-    ranks.stop()
+N_TORCHRUN = 2
+"""Processes of a whole program, each of which imports all of it."""
 
 
 def torchrun(n_ranks, *overrides, cwd):
@@ -70,7 +27,11 @@ def torchrun(n_ranks, *overrides, cwd):
 @pytest.fixture(scope="module")
 def spread(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ranks")
-    torch.multiprocessing.spawn(work, (folder,), nprocs=N_RANKS)
+    # one server imports what all ranks need, and no thread of this process is copied
+    multiprocessing.set_forkserver_preload(["torch", "sklearn.base", "scipy.stats"])
+    torch.multiprocessing.start_processes(
+        work, (folder,), nprocs=N_RANKS, start_method="forkserver"
+    )
     return [dict(np.load(folder / f"{rank}.npz")) for rank in range(N_RANKS)]
 
 
@@ -102,27 +63,32 @@ def test_one_process_is_all_there_is():
 
 
 def test_torchrun_trains_the_model_of_one_process(tmp_path):
-    one, three = tmp_path / "one", tmp_path / "three"
-    assert command("train.py", *SMALL, "threads=1", f"hydra.run.dir={one}").returncode == 0
-    started = torchrun(N_RANKS, f"hydra.run.dir={three}", cwd=tmp_path)
+    one, two = tmp_path / "one", tmp_path / "two"
+    run_main(train, one, *SMALL, "threads=1")
+    started = torchrun(N_TORCHRUN, f"hydra.run.dir={two}", cwd=tmp_path)
     assert started.returncode == 0, started.stderr
     assert started.stdout.count("| k_p ") == 1  # one process prints the table
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "three"]
-    expected, found = (load_file(folder / "model.safetensors") for folder in (one, three))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "two"]
+    expected, found = (load_file(folder / "model.safetensors") for folder in (one, two))
     assert set(found) == set(expected)
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, rtol=0, atol=1e-8, err_msg=name)
-    scores = [json.loads(Path(f, "metrics.json").read_text())["scores"] for f in (one, three)]
+    scores = [json.loads(Path(f, "metrics.json").read_text())["scores"] for f in (one, two)]
     for output, values in scores[0].items():
         assert scores[1][output] == pytest.approx(values, rel=1e-9)
 
 
 def test_multirun_is_not_spread_and_said_so_once(tmp_path):
-    started = torchrun(2, "-m", "group=primary,secondary", cwd=tmp_path)
-    assert started.returncode != 0
-    own = [line for line in started.stderr.splitlines() if line.startswith("error:")]
-    assert len(own) == 1
-    assert "a multirun cannot be spread by torchrun" in own[0]
+    """As torchrun starts two ranks; the mistake is found before they join."""
+    errors = []
+    for rank in ("0", "1"):
+        variables = {"RANK": rank, "WORLD_SIZE": "2"}
+        given = ["-m", "group=primary,secondary", *SMALL, "threads=1"]
+        ended = typed(train, *given, cwd=tmp_path, **variables)
+        assert ended.returncode != 0
+        errors += [line for line in ended.stderr.splitlines() if line.startswith("error:")]
+    assert len(errors) == 1
+    assert "a multirun cannot be spread by torchrun" in errors[0]
 
 
 @pytest.mark.parametrize(
