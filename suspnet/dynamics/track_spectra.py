@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
-from suspnet.checks import check_number
+from suspnet.checks import check_choice, check_number
 from suspnet.types import FloatArray
 
 MM2_IN_M2 = 1e-6
@@ -162,8 +162,7 @@ def track_spectrum(
     >>> round(1e3 * band_rms(track_spectrum("german_low"), 3.0, 25.0), 2)
     0.98
     """
-    if name not in TRACKS:
-        raise ValueError(f"track spectrum `name` must be one of {sorted(TRACKS)}, got {name!r}")
+    check_choice("track", name, sorted(TRACKS))
     check_number("short_wave_from_m", short_wave_from_m, above=0)
     spectrum = TRACKS[name]
     if not short_waves:
