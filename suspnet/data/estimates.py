@@ -110,7 +110,7 @@ class EstimateSettings:
 
     @property
     def welch(self) -> Welch:
-        """How recordings are cut into segments."""
+        """Settings by which recordings are cut into segments."""
         return Welch(self.segment_s, self.overlap, self.window)
 
     @property

@@ -1,4 +1,4 @@
-"""Spectra of track and road unevenness in space, and what an axle box feels of them.
+"""Spectra of track and road unevenness in space, and of the axle box's acceleration on them.
 
 S(n) is one-sided in the spatial frequency n [cycles/m] and given in m^3: the integral of S over
 n > 0 is the variance of the elevation in m^2. No standard's text was at hand; each spectrum is
