@@ -1,5 +1,4 @@
-"""Parts that the programs share: one line for a user's mistake, trusted targets,
-configurations."""
+"""Parts that the programs share: one line for a mistake, trusted targets, configurations."""
 
 from __future__ import annotations
 
