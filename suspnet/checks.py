@@ -68,5 +68,5 @@ def check_number(
 
 def check_choice(name: str, value: object, allowed: Collection[object]) -> None:
     """Raise ValueError unless a setting is one of those allowed."""
-    if value not in allowed:
+    if value not in tuple(allowed):
         raise ValueError(f"`{name}` must be one of {tuple(allowed)}, got {value!r}")

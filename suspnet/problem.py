@@ -1,4 +1,4 @@
-"""What is to be learnt, and the training data that a vehicle alone gives for it.
+"""A learning problem, and its training data, which follow from the vehicle alone.
 
 Degraded vehicles -> noisy curves -> features, block by block.
 """

@@ -1,4 +1,4 @@
-"""What the programs share: one clear line for a user's mistake, trusted targets, configurations."""
+"""Parts that the programs share: one line for a mistake, trusted targets, configurations."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def run(main: Callable[[], Any]) -> None:
 
 @contextmanager
 def _one_writer() -> Iterator[None]:
-    """Where torchrun started several processes, let only the first write files and speak."""
+    """Let only the first of the processes that torchrun started write files and print."""
     with ExitStack() as stack:
         stack.callback(ranks.stop)
         if int(os.environ.get("RANK", "0")) > 0:

@@ -97,8 +97,10 @@ class EstimateSettings:
         check_number("data.low_hz", self.low_hz, above=0, below=1e4, optional=True)
         check_number("data.high_hz", self.high_hz, above=0, below=1e4, optional=True)
         check_choice("data.method", self.method, METHODS)
-        if len(self.rates_hz) != 3 or not all(rate > 0 for rate in self.rates_hz):
+        if len(self.rates_hz) != 3:
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
+        for i, rate_hz in enumerate(self.rates_hz):
+            check_number(f"data.rates_hz[{i}]", rate_hz, above=0)
         track_spectrum(self.track, self.short_waves)
         if self.n_averages < 4:
             raise ValueError(
@@ -108,7 +110,7 @@ class EstimateSettings:
 
     @property
     def welch(self) -> Welch:
-        """How recordings are cut into segments."""
+        """Settings by which recordings are cut into segments."""
         return Welch(self.segment_s, self.overlap, self.window)
 
     @property

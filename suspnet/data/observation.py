@@ -1,4 +1,4 @@
-"""How curves are observed: the interfaces of settings, observer and misfit, and common checks.
+"""Interfaces of an observation of curves: settings, observer and misfit, and common checks.
 
 An observation is a pair of classes: settings, which hold the numbers of a YAML file, and the
 observer that they make of a generator. `curves` is the paper's (magnitudes with white noise),

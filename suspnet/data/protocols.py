@@ -80,7 +80,7 @@ class Task:
 
     @property
     def used_responses(self) -> list[int]:
-        """Which of ``RESPONSES`` may be used, as indices."""
+        """Indices in ``RESPONSES`` of the curves that may be used."""
         return [RESPONSES.index(name) for name in self.responses]
 
     def describe(self) -> dict[str, Any]:

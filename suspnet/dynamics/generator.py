@@ -1,4 +1,4 @@
-"""What any source of training curves must offer: two frequency responses for degraded vehicles."""
+"""The interface of generators: sources of the two frequency responses of degraded vehicles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Spectra of track and road unevenness in space, and what an axle box feels of them.
+"""Spectra of track and road unevenness in space, and of the axle box's acceleration on them.
 
 S(n) is one-sided in the spatial frequency n [cycles/m] and given in m^3: the integral of S over
 n > 0 is the variance of the elevation in m^2. No standard's text was at hand; each spectrum is
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
-from suspnet.checks import check_number
+from suspnet.checks import check_choice, check_number
 from suspnet.types import FloatArray
 
 MM2_IN_M2 = 1e-6
@@ -162,8 +162,7 @@ def track_spectrum(
     >>> round(1e3 * band_rms(track_spectrum("german_low"), 3.0, 25.0), 2)
     0.98
     """
-    if name not in TRACKS:
-        raise ValueError(f"track spectrum `name` must be one of {sorted(TRACKS)}, got {name!r}")
+    check_choice("track", name, sorted(TRACKS))
     check_number("short_wave_from_m", short_wave_from_m, above=0)
     spectrum = TRACKS[name]
     if not short_waves:

@@ -1,4 +1,4 @@
-"""The numbers of a vehicle, in SI units, checked: the quarter car's six, the geometry if known."""
+"""Parameters of a vehicle in SI units, checked: the quarter car's six, the geometry if known."""
 
 from __future__ import annotations
 

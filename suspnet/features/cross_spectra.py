@@ -20,6 +20,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from suspnet.checks import check_choice
+
 METHODS = ("H1", "H2", "Hv", "IV")
 Method = Literal["H1", "H2", "Hv", "IV"]
 PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -64,8 +66,7 @@ class CrossSpectra:
         ValueError
             If the method is unknown, or IV has no instrument.
         """
-        if method not in METHODS:
-            raise ValueError(f"`method` must be one of {METHODS}, got {method!r}")
+        check_choice("method", method, METHODS)
         if method == "Hv":
             cross = self.between(x, y)
             return (self.auto[..., y, :] / self.auto[..., x, :]).sqrt() * cross / cross.abs()

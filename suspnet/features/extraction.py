@@ -76,7 +76,7 @@ class FeatureSet(Protocol):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What each column of the reasons is about."""
+        """Name of what each column of the reasons belongs to."""
         ...
 
     @property
@@ -172,7 +172,7 @@ class PeakFeatures:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What each column of the reasons is about."""
+        """Name of what each column of the reasons belongs to."""
         return tuple(self.peaks)
 
     @property

@@ -30,7 +30,7 @@ SMALLEST_STEP = 1e-10
 
 
 class Status(StrEnum):
-    """How a solver ended."""
+    """Outcome of a solver."""
 
     CONVERGED = "converged"
     MAX_ITER = "max_iter reached"

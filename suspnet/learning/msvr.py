@@ -17,7 +17,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.checks import check_number
+from suspnet.checks import check_choice, check_number
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
@@ -341,12 +341,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         check_number("n_components", self.n_components, low=1, whole=True)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
-        if not isinstance(self.feature_map, str) or self.feature_map not in MAPS:
-            allowed = sorted(MAPS)
-            raise ValueError(f"`feature_map` must be one of {allowed}, got {self.feature_map!r}")
+        check_choice("feature_map", self.feature_map, sorted(MAPS))
+        check_choice("dtype", self.dtype, ("float64", "float32"))
         kind = MAPS[self.feature_map]
-        if self.dtype not in ("float64", "float32"):
-            raise ValueError(f"`dtype` must be 'float64' or 'float32', got {self.dtype!r}")
         if self.dtype == "float32" and not kind.float32:
             raise ValueError(
                 f"feature_map={self.feature_map!r} needs dtype='float64': its Gram matrix is too "

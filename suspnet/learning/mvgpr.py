@@ -18,7 +18,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.checks import check_number
+from suspnet.checks import check_choice, check_number
 from suspnet.learning.landmarks import rbf_kernel, squared_distances
 from suspnet.tensors import check_device
 from suspnet.types import FloatArray
@@ -241,10 +241,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         check_number("n_restarts", self.n_restarts, low=0, whole=True)
         check_number("n_optimize", self.n_optimize, low=2, whole=True)
         check_number("max_iter", self.max_iter, low=1, whole=True)
-        if self.optimizer not in (None, "marginal_likelihood"):
-            raise ValueError(
-                f"`optimizer` must be 'marginal_likelihood' or None, got {self.optimizer!r}"
-            )
+        check_choice("optimizer", self.optimizer, ("marginal_likelihood", None))
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
         """Return K of two sets of samples, without the noise."""

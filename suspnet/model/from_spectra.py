@@ -1,4 +1,4 @@
-"""How far one trip's estimate can be trusted: its interval and its flags.
+"""Interval and flags of one trip's estimate.
 
 Intervals are calibrated on curves with the averages and the noise that a model was trained for,
 and a trip has its own. So the noise part of the residual scale in training is replaced by that of

@@ -1,4 +1,4 @@
-"""Where samples of an acceleration are faulty: one function for each kind, without loops over them.
+"""Detectors of faulty samples of an acceleration: one function for each kind, without loops.
 
 All take one piece of a signal; ``cleaning`` cuts a channel into pieces and puts them together.
 """

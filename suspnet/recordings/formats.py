@@ -196,7 +196,7 @@ READERS: dict[str, Callable[[Path, Sequence[str | None]], Iterator[Block]]] = {
     ".hdf5": _read_hdf5,
     ".tdms": _read_tdms,
 }
-"""How a file of each suffix is read; another format is one more entry."""
+"""Reader of each suffix; another format is one more entry."""
 
 _DAMAGE = (
     pa.ArrowException,

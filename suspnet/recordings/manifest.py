@@ -1,4 +1,4 @@
-"""What one trip is: where each accelerometer is stored, in which unit and at which rate."""
+"""Manifests of trips: where each accelerometer is stored, in which unit and at which rate."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
 
 ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
-"""What one unit is in m/s2."""
+"""Size of each unit in m/s2."""
 
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
-"""What one unit is in m/s."""
+"""Size of each unit in m/s."""
 
 BOGIES = ("leading", "trailing")
 """Bogies of a vehicle, in the direction of travel."""
@@ -104,7 +104,7 @@ class Source:
 
 @dataclass(frozen=True)
 class SpeedSource(Source):
-    """Where the speed of the train is stored."""
+    """Place where the speed of the train is stored."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What physics says about the channels: their order, and gain and sign at low frequency.
+"""Checks of the channels against physics: their order, and gain and sign at low frequency.
 
 Slowly, everything moves with the track: G_p and G_s tend to 1. Fast, each suspension isolates:
 the axle box shakes more than the bogie, the bogie more than the body, so that the responses get

@@ -1,4 +1,4 @@
-"""Which segments of a recording an estimate is made from."""
+"""Selection of the segments of a recording that an estimate is made from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which figures a run draws, into its folder and into TensorBoard."""
+"""The figures of a run, in its folder and in TensorBoard."""
 
 from __future__ import annotations
 

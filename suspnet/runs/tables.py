@@ -1,4 +1,4 @@
-"""Table VI: the paper's published figures beside ours, as records, Markdown and CSV."""
+"""Table VI: the paper's published figures beside measured ones, as records, Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PUBLISHED = {
     ("c_s", "mape_percent"): {"msvr": 7.53, "svr": 9.92, "mvgpr": 16.43, "linear": 20.84},
     ("c_s", "rmse"): {"msvr": 0.0739, "svr": 0.0972, "mvgpr": 0.1632, "linear": 0.2073},
 }
-"""What the paper prints in its Table VI; for comparison only."""
+"""The figures of the paper's Table VI; for comparison only."""
 
 Record = dict[str, Any]
 

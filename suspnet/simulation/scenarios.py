@@ -1,4 +1,4 @@
-"""How a suspension degrades along the mileage, trip by trip."""
+"""Scenarios of wear: parameters of a suspension along the mileage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an accelerometer makes of an acceleration: Tables II and VII of the paper, and worse."""
+"""Models of accelerometers and their faults: Tables II and VII of the paper, and worse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was found in one group of a protocol, as Markdown and as records."""
+"""The findings in one group of a protocol, as Markdown and as records."""
 
 from __future__ import annotations
 

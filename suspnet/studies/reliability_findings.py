@@ -1,4 +1,4 @@
-"""What was found of one model's reliability, as Markdown and as records."""
+"""The reliability measured of a model, as Markdown and as records."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Reliability:
-    """What was measured of one model.
+    """Coverage and flags measured of one model.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ def _record(one: Reliability, what: str, of: str, value: float) -> Record:
 
 
 def markdown(one: Reliability) -> str:
-    """Return what was measured of one model as Markdown."""
+    """Return one model's coverage and flags as Markdown."""
     rows = []
     for kind, scores in one.intervals.items():
         for output, values in scores["outputs"].items():

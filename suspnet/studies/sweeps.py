@@ -116,7 +116,7 @@ class Sensitivity(_Summary):
 
 
 class Ablation(Callback):
-    """What each change about a baseline costs or gains: see `write_ablation`."""
+    """Comparison of the changes about a baseline: see `write_ablation`."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Compare the jobs of the multirun that has just ended."""

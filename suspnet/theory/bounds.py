@@ -1,4 +1,4 @@
-"""What can be identified, in numbers and in words: bounds, directions, and what would help.
+"""Identifiability in numbers and words: bounds, uncertain directions, and helpful additions.
 
 All bounds are relative standard deviations in percent, Cramer-Rao: no unbiased estimator has less;
 a Gaussian error has a MAPE of 0.8 times that. They are infinite where nothing can be identified.

@@ -1,4 +1,4 @@
-"""What could be measured: choices of curves, sensors and masses, with the information of each."""
+"""Options of measurement: choices of curves, sensors and masses, with the information of each."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class _FurtherCurves(CurveObserver):
 
 
 def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
-    """Return what could be measured for a task; the first is what is measured now.
+    """Return the options of measurement for a task; the first is what is measured now.
 
     Of curves: one of them, both, and further ones of the same signal-to-noise ratio. Of trips: the
     recordings of fewer and of more sensors, and the estimate that is made of three. Of either: the
@@ -151,4 +151,4 @@ _OPTIONS: dict[str, Callable[..., list[Option]]] = {
     CurveSettings.kind: _from_curves,
     EstimateSettings.kind: _from_recordings,
 }
-"""What could be measured, by the kind of the observation."""
+"""Function that lists the options, by the kind of the observation."""

@@ -1,4 +1,4 @@
-"""What a suspension's trips mean for those who maintain it: a severity and its reason in words."""
+"""Assessment of a suspension by its trips, for maintenance: a severity and its reason in words."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class LastTrips:
 
 @dataclass(frozen=True)
 class Assessment:
-    """What one parameter's trips mean.
+    """Assessment of one parameter by its trips.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How far a parameter may lie from healthy before somebody looks at it, or must act."""
+"""Limits of maintenance: how far from healthy a parameter calls for a look, or for work."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ N_CONFIRMING = 3
 
 
 class Severity(IntEnum):
-    """How urgent a finding is; the larger, the worse."""
+    """Urgency of a finding; the larger, the worse."""
 
     NONE = 0
     UNKNOWN = 1
@@ -38,7 +38,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Between which values a parameter is left alone.
+    """Values between which a parameter raises no alarm.
 
     Parameters
     ----------

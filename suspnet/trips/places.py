@@ -1,4 +1,4 @@
-"""Which trips of a folder are of which suspension."""
+"""Grouping of the trips of a folder by suspension."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a parameter changes along the mileage: the statistical tests; no words."""
+"""Statistical tests of whether a parameter changes along the mileage."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PAYLOAD = "M_s"
 
 
 class Shape(StrEnum):
-    """What the change along the mileage looks like."""
+    """Shape of the change along the mileage."""
 
     TOO_FEW = "too few trips"
     NONE = "no change"

@@ -1,1 +1,1 @@
-"""How far an estimate can be trusted: refinement, intervals, out-of-distribution detection."""
+"""Trust in estimates: refinement, prediction intervals, out-of-distribution detection."""

@@ -407,8 +407,8 @@ def test_speed_and_track_move_the_densities():
         ({"high_hz": 2e4}, r"`data\.high_hz` must be a finite number > 0 and <"),
         ({"method": "H3"}, r"`data\.method` must be one of .*'H3'"),
         ({"rates_hz": (5000.0, 2000.0)}, r"`data\.rates_hz` must be three rates > 0"),
-        ({"rates_hz": (5000.0, 2000.0, 0.0)}, r"`data\.rates_hz` must be three rates > 0"),
-        ({"track": "moon"}, r"track spectrum `name` must be one of .*'moon'"),
+        ({"rates_hz": (5000.0, 2000.0, 0.0)}, r"`data\.rates_hz\[2\]` must be .* > 0, got 0.0"),
+        ({"track": "moon"}, r"`track` must be one of .*'moon'"),
         ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
         (
             {"minutes": 0.8},

@@ -266,7 +266,7 @@ def test_spectra_can_be_pickled_for_parallel_runs():
 
 
 def test_unknown_spectrum_is_named_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"one of \['chinese_ballastless', .*got 'swiss'"):
+    with pytest.raises(ValueError, match=r"one of \('chinese_ballastless', .*got 'swiss'"):
         track_spectrum("swiss")
 
 

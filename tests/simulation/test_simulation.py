@@ -330,7 +330,7 @@ def test_loggers_are_those_of_table_2_unless_given():
         ({"speed_m_per_s": math.inf}, "`speed_m_per_s` must be a finite number > 0"),
         ({"speed_m_per_s": math.nan}, "`speed_m_per_s` must be a finite number > 0"),
         ({"journey": "scenic"}, "`journey` must be one of .*'steady', 'service'.*, got 'scenic'"),
-        ({"track": "moon"}, "track spectrum `name` must be one of .*'moon'"),
+        ({"track": "moon"}, "`track` must be one of .*'moon'"),
         ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
         ({"sensors": {"roof": {}}}, r"`sensors` must be named as in .*\['roof'\]"),
         ({"sensors": {"body": {"rate_hz": 0.0}}}, "`sensor.rate_hz` must be a finite number > 0"),
