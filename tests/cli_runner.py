@@ -17,7 +17,7 @@ from suspnet.cli.program import CONFIGS, DEBUG
 
 ROOT = Path(__file__).parents[1]
 FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
-SMALL = [*FEW, "data.cache_dir=null", "progress=false"]
+SMALL = [*FEW, "data.cache_dir=null", "progress=false", "figures=false"]
 
 
 def run_composed(module, folder, *overrides):

@@ -22,7 +22,7 @@ RECORD = "protocol group output metric model published measured bound n_train sn
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    return folder, run_main(train, folder, *SMALL, "threads=1")
+    return folder, run_main(train, folder, *SMALL, "figures=true", "threads=1")
 
 
 def test_run_folder_holds_everything(run):
@@ -141,7 +141,7 @@ def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
 def test_mass_known_and_mass_estimated(tmp_path):
     known = run_main(train, tmp_path / "known", *SMALL, "protocol.mass_known=true", "model=linear")
     assert known["mass_known"] is True
-    mass = ["protocol=joint", "protocol.estimate_mass=true", "model=linear"]
+    mass = ["protocol=joint", "protocol.estimate_mass=true", "model=linear", "figures=true"]
     asked = run_main(train, tmp_path / "asked", *SMALL, *mass)
     assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
 
@@ -241,7 +241,7 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
     assert "interrupted" in errors
     left = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
-    again = [*FEW, "hydra.run.dir=run", "progress=false"]
+    again = [*FEW, "hydra.run.dir=run", "progress=false", "figures=false"]
     assert typed(train, *again, cwd=tmp_path).returncode == 0
     assert (tmp_path / "run" / "model.json").exists()
 

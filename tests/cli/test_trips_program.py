@@ -109,7 +109,8 @@ def test_every_vehicle_works_by_its_name_alone(vehicle, no_figures, tmp_path):
     noise = ["data.snr_db=60"] if vehicle in CARS else []
     name = f"vehicle={vehicle}"
     folder, run = tmp_path / "trips", tmp_path / "run"
-    assert run_program(train, run, *TRAIN, "data.n_test=16", name, *noise) == 0
+    few = ["data.n_test=16", "data.n_calibrate=100", "figures=false"]
+    assert run_program(train, run, *TRAIN, *few, name, *noise) == 0
     options = [f"out={folder}", "fleet.n_trips=2", name, *snr]
     assert run_program(simulate, tmp_path / "log", *SIMULATE, *options) == 0
     out = tmp_path / "out"

@@ -20,8 +20,6 @@ from suspnet.theory.information import output_bounds
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals
 
-pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
-
 LEVEL = 0.9
 WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import rich_motion
 import torch
+import trip_fixtures
 from rich_motion import BergFriction, march, simulate
 from rich_trips import PARTS, SENSORS, drawn_ratios, off_ratios, write_rich_trips
 from rich_vehicle import RichVehicle, bending_shape, build
@@ -22,10 +23,10 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.motion import SampledMotion
+from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import CHANNELS, read_manifest
 from suspnet.simulation import Fleet, Scenario, write_fleet
-
-pytestmark = pytest.mark.slow  # the whole suite must stay below five minutes
+from suspnet.trips.trip import evaluate_trip
 
 SPEED = 70.0
 LAGS_S = np.array([0.0, 2.7, 19.0, 21.7]) / SPEED
@@ -421,6 +422,20 @@ def test_inertias_and_geometry_that_are_off_stand_in_their_columns():
     np.testing.assert_allclose(row[:9], [*DEGRADED, 1, 1, 1, 1])
     np.testing.assert_allclose(row[9:], [*expected.values(), 1])
     np.testing.assert_allclose(names, np.cumsum([0, 2.97, 17.1 - 2.97, 2.97]))
+
+
+@pytest.mark.parametrize(
+    ("effects", "output", "low", "high"),
+    [((), "k_p", 0, 2), (("bending", "contact"), "c_s", 10, 90)],
+)
+def test_what_the_model_does_not_know_biases_its_estimates(effects, output, low, high, tmp_path):
+    """As README's table of mismatch, at small size: rms error in % over two trips of 4 minutes."""
+    fleet = small_fleet(n_trips=2, minutes=4.0, sensors=trip_fixtures.SENSORS)
+    ratios = drawn_ratios(0, fleet, seed=0)
+    manifests = write_rich_trips(tmp_path, effects, ratios, fleet, seed=0)
+    read = [evaluate_trip(path, [trip_fixtures.model_at()], TripSettings()) for path in manifests]
+    errors = [100 * (one.estimates[output] / one.truth[output] - 1) for one in read]
+    assert low < np.sqrt(np.mean(np.square(errors))) < high
 
 
 # the script
