@@ -188,7 +188,7 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
     for output, values in metrics["scores"].items():
         bound = metrics["bound"][output]
         row = [values["mape_percent"], bound["mape_percent"], values["rmse"], bound["rmse"]]
-        row += [metrics["cramer_rao_percent"][output], metrics["rms_ratio"][output]]
+        row += [metrics["cramer_rao_percent"][output], metrics["rms_ratio"][output] or None]
         if "intervals" in metrics:
             interval = metrics["intervals"]["outputs"][output]
             row += [interval["half_width_percent"], interval["coverage_percent"]]
