@@ -226,7 +226,7 @@ def test_scores_table_puts_each_score_beside_its_bound():
     assert header == SCORES
     assert rows == [
         ["k_p", "1.50", "0.125", "0.01", "0.0005", "0.157", "1.02"],
-        ["c_p", "2.50", "1.12", "0.02", "0.0015", "inf", "0"],
+        ["c_p", "2.50", "1.12", "0.02", "0.0015", "inf", "-"],
     ]
 
 
