@@ -1,11 +1,13 @@
 """Fixtures shared by the tests: the AM96 and the protocols, as shipped."""
 
+import os
 from collections.abc import Callable
 
 import pytest
 import torch
 from hypothesis import settings
 from protocols import shipped_protocol
+from threadpoolctl import threadpool_limits
 from vehicles import AM96
 
 from suspnet.data import Protocol, Task
@@ -23,9 +25,15 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _one_torch_thread():
-    """Two threads on a busy machine can be 30 times slower than one."""
+def _one_thread():
+    """Two threads on a busy machine can be 30 times slower than one.
+
+    OMP_NUM_THREADS sets another number, but for torch; processes of tests inherit it.
+    """
     torch.set_num_threads(1)
+    n_threads = int(os.environ.setdefault("OMP_NUM_THREADS", "1"))
+    with threadpool_limits(n_threads):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -230,8 +230,9 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "run" / "config.yaml").exists() and time.monotonic() < deadline:
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "run" / "config.yaml").exists():
+            assert time.monotonic() < deadline, "the program does not start"
             time.sleep(0.1)
         time.sleep(1.5)  # well inside the generation of 364,816 curves
         process.send_signal(signal.SIGINT)
