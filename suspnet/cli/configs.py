@@ -31,9 +31,9 @@ def store_tables() -> None:
     """
     for group, (file, package) in TABLES.items():
         table = OmegaConf.load(Path(CONFIGS) / file)
-        first = table[next(iter(table))]
+        first = next(iter(table))
         for name, entry in table.items():
-            node = OmegaConf.merge(first, entry)
+            node = entry if name == first else {"defaults": [first, "_self_"], **entry}
             ConfigStore.instance().store(name=str(name), node=node, group=group, package=package)
 
 
