@@ -25,11 +25,16 @@ from suspnet.trips.limits import Severity
 from suspnet.trips.overview import Evaluated
 
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
-"""Exit codes: nothing to tell, a user's mistake, a trip without an estimate, and the alarms."""
+"""Exit codes: nothing to tell; a user's mistake; a trip without an estimate, or a parameter that
+cannot be judged; and the alarms."""
 BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 """Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
 notice."""
-ALARMS = {Severity.NOTICE: NOTICE, Severity.ACT: ACT}
+ALARMS = {
+    Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE,
+    Severity.NOTICE: NOTICE,
+    Severity.ACT: ACT,
+}
 EXIT_CODE = "exit_code"
 """Name of the file in the folder of each job of a multirun that holds its exit code."""
 

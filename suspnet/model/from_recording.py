@@ -156,6 +156,7 @@ def speed_bin(
             f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, at least "
             f"{settings.min_averages:g} are needed (half of the trip is run at "
             f"{float(speeds.mean(dim=1).median()):.1f} m/s or less)"
+            f"{_advice(segments, within, settings)}"
         )
     spectra = band.average(chosen)
     deviation = float(spectra.deviations(trained.method).median(dim=1).values.amax())
@@ -171,6 +172,15 @@ def speed_bin(
         raise NoEstimateError(f"features are missing: {error}") from None
     speed = float(speeds[chosen].mean())
     return SpeedBin(method, spectra, band, chosen, speed, estimate, doubts)
+
+
+def _advice(segments: SegmentSpectra, within: Tensor, settings: TripSettings) -> str:
+    """Return what to do where too few segments are at a method's speed."""
+    if segments.welch.n_averages(len(within)) < settings.min_averages:
+        return ": the recording is too short"
+    if not bool(within.any()):
+        return ": is the speed in m/s? If so, train a model for it, speed_m_per_s=..."
+    return ""
 
 
 def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:

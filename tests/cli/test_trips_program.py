@@ -3,6 +3,7 @@
 import json
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +21,7 @@ from suspnet.cli.program import CONFIGS
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
+from suspnet.trips.limits import Severity
 
 SLOW = ("china_star", "chinese_coach")
 """Like the others, and tested on request only; every kind of vehicle is among the others."""
@@ -114,14 +116,32 @@ def test_every_vehicle_works_by_its_name_alone(vehicle, no_figures, tmp_path):
     options = [f"out={folder}", "fleet.n_trips=2", name, *snr]
     assert run_program(simulate, tmp_path / "log", *SIMULATE, *options) == 0
     out = tmp_path / "out"
-    assert run_program(evaluate, out, f"run={run}", f"trips={folder}", *EVALUATE) == 0
+    code = run_program(evaluate, out, f"run={run}", f"trips={folder}", *EVALUATE)
     found = metrics(out)
+    assert code == {"none": 0, "unknown": 2}[found["severity"]]
+    if vehicle != "sedan":  # whose c_p is too uncertain to be judged
+        assert code == 0
     assert found["n_estimated"] == 2
     generator = "QuarterCar" if vehicle in CARS else "VerticalVehicle"
     assert found["details"]["model"].endswith(generator)
     for parameter, error in found["rms_error_percent"].items():
         # two trips of 5 min, 1000 curves; a sedan's tyre has hardly any damping to be seen
         assert 0 < error < (20 if (vehicle, parameter) == ("sedan", "c_p") else 5)
+
+
+@pytest.mark.parametrize(
+    ("severities", "complete", "expected"),
+    [
+        ([Severity.NONE], True, 0),
+        ([Severity.NONE], False, 2),
+        ([Severity.NONE, Severity.UNKNOWN], True, 2),
+        ([Severity.UNKNOWN, Severity.NOTICE], True, 3),
+        ([Severity.ACT, Severity.UNKNOWN], False, 4),
+    ],
+)
+def test_exit_code_is_that_of_the_worst_suspension(severities, complete, expected):
+    done = [SimpleNamespace(severity=one, is_complete=complete) for one in severities]
+    assert evaluate.exit_code(done) == expected
 
 
 def test_simulate_as_a_module(tmp_path):

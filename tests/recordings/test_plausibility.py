@@ -63,6 +63,14 @@ def scaled(signals, channel, factor):
 # limit: nothing is wrong
 
 
+def test_noise_is_not_called_swapped_channels():
+    generator, signals = simulated("am96")
+    noise = torch.randn(signals.shape, generator=torch.manual_seed(0), dtype=torch.float64)
+    assert check(generator, noise) == (
+        "channels not checked: two of them have nothing to do with each other"
+    )
+
+
 @pytest.mark.parametrize("state", RATIOS)
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_right_channels_pass(vehicle, state):
