@@ -16,7 +16,7 @@ from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
 from suspnet.types import FloatArray, IntArray
 from suspnet.uncertainty.ood import Flags
-from suspnet.uncertainty.refine import Refined, refine
+from suspnet.uncertainty.refine import Refined, complete_ratios, refine
 
 MASS = PARAMETERS.index("M_s")
 
@@ -108,22 +108,6 @@ def refine_curves(
     near = torch.as_tensor(complete_ratios(task, predicted, mass))
     misfit = observer.misfit(curves, near, task.used_responses)
     return refine(task, misfit, predicted, mass)
-
-
-def complete_ratios(
-    task: Task, predicted: FloatArray, mass: FloatArray | None = None
-) -> FloatArray:
-    """Return all ratios (n, 5) near estimates (n, n_outputs), within the range trained for.
-
-    The ratio is 1 where there is no estimate.
-    """
-    full = np.ones((len(predicted), len(PARAMETERS)))
-    ranges = np.array([task.range(name) for name in task.outputs])
-    inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
-    full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
-    if mass is not None:
-        full[:, MASS] = mass
-    return full
 
 
 def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:

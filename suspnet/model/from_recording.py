@@ -13,7 +13,7 @@ from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
-from suspnet.model.from_spectra import MissingFeaturesError, estimate_spectra, trip_observer
+from suspnet.model.from_spectra import MissingFeaturesError, estimate_spectra, trip_settings
 from suspnet.recordings.plausibility import check_channels
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import (
@@ -111,7 +111,7 @@ def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
     """Return a method's estimate from a recording, of one row; raises what `speed_bin` does."""
-    welch = trip_observer(method).settings.welch
+    welch = trip_settings(method).welch
     segments = recording_segments(recording, welch)
     if not len(segments.values):
         raise NoEstimateError(no_segment(recording, welch))
@@ -139,11 +139,10 @@ def speed_bin(
     TripError
         If a channel has the wrong unit or sign, or two are swapped.
     """
-    observer = trip_observer(method)
-    trained = observer.settings
+    trained = trip_settings(method)
     speeds = segment_speeds(recording, segments)
     within, words = _within(speeds, method, settings)
-    band = in_band(segments, observer.frequencies_hz)
+    band = in_band(segments, trained.frequencies_hz())
     candidates = without_loud(band, within)
     chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
     doubts = ""

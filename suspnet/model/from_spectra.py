@@ -25,11 +25,10 @@ from suspnet.data.misfit import EstimateMisfit
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod, ModelFileError
-from suspnet.model.from_curves import complete_ratios
 from suspnet.theory.information import output_bounds
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
-from suspnet.uncertainty.refine import Refined, refine
+from suspnet.uncertainty.refine import Refined, complete_ratios, refine
 
 
 class MissingFeaturesError(ValueError):
@@ -63,11 +62,12 @@ def estimate_spectra(method: FittedMethod, spectra: CrossSpectra, level: float) 
     MissingFeaturesError
         If the regression lacks a feature; the message says which and why.
     """
-    observer = trip_observer(method)
-    inputs = _inputs(method, spectra, observer)
+    settings = trip_settings(method)
+    inputs = _inputs(method, spectra, settings)
     predicted = method.predict(inputs)
     if method.intervals is None and not method.refined:
         return _estimate(method, predicted[0], None, level)
+    observer = settings.observer(method.generator.on("cpu"))  # as the spectra are
     refined = _refined(method, observer, spectra, predicted)
     if method.intervals is None or method.ood is None:
         return _estimate(method, refined.of(method.task.outputs)[0][0], None, level)
@@ -91,8 +91,8 @@ def estimate_spectra(method: FittedMethod, spectra: CrossSpectra, level: float) 
     return _estimate(method, values, factor / usual * spread, level, flags)
 
 
-def trip_observer(method: FittedMethod) -> EstimateObserver:
-    """Return the observer of a method's training, on the CPU as the spectra are.
+def trip_settings(method: FittedMethod) -> EstimateSettings:
+    """Return how the trips that a method was trained for are estimated.
 
     Raises
     ------
@@ -104,14 +104,14 @@ def trip_observer(method: FittedMethod) -> EstimateObserver:
             f"the model of protocol {method.task.protocol!r} was trained on curves of section "
             "III-B; trips need one of: python train.py experiment=trips"
         )
-    return method.settings.observer(method.generator.on("cpu"))
+    return method.settings
 
 
-def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:
+def _inputs(method: FittedMethod, spectra: CrossSpectra, settings: EstimateSettings) -> FloatArray:
     """Return the features of a trip, shape (1, n_inputs)."""
     extractor = method.task.extractor
-    responses = spectra.responses(observer.settings.method)[None]
-    table = extractor.extract(responses, observer.frequencies_hz)
+    responses = spectra.responses(settings.method)[None]
+    table = extractor.extract(responses, settings.frequencies_hz())
     inputs = extractor.relative(table.values.numpy(), method.healthy_features)
     if not np.isfinite(inputs).all():
         raise MissingFeaturesError(extractor.missing(table.reasons[0].numpy()))

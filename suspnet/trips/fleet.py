@@ -20,7 +20,7 @@ from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
-from suspnet.model.from_spectra import trip_observer
+from suspnet.model.from_spectra import trip_settings
 from suspnet.recordings.manifest import Place
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits
@@ -95,7 +95,7 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
         in vehicle or outputs or share a speed.
     """
     for model in models:
-        trip_observer(model)
+        trip_settings(model)
         if model.task.mass_known:
             raise ModelFileError("models with protocol.mass_known=true cannot read trips")
     first = models[0]
@@ -183,7 +183,7 @@ def evaluate_fleet(
     if len(groups) == 1 and groups[0].folder == folder:
         return [_evaluate_group(groups[0], models, output, settings, progress)]
     for model in models:
-        trip_observer(model)
+        trip_settings(model)
     done = []
     for group in groups:
         if group.error:
@@ -290,7 +290,7 @@ def _details(
 ) -> dict[str, str]:
     """Return what the report says of model, settings and version."""
     first = models[0]
-    trained = trip_observer(first).settings
+    trained = trip_settings(first)
     reference = "the vehicle's parameters"
     if settings.reference == "first_trips":
         reference = f"the median of the first {settings.n_reference} trips (k and c)"

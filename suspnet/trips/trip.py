@@ -15,7 +15,7 @@ from torch import Tensor
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.from_recording import SpeedBin, TripSettings, no_segment, speed_bin
-from suspnet.model.from_spectra import trip_observer
+from suspnet.model.from_spectra import trip_settings
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
@@ -82,7 +82,7 @@ def _estimated(
         usable_percent=100 * float(recording.usable.mean()),
         faults="; ".join(str(fault) for fault in recording.faults),
     )
-    welches = [trip_observer(model).settings.welch for model in models]
+    welches = [trip_settings(model).welch for model in models]
     segments = {welch: recording_segments(recording, welch) for welch in welches}
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
@@ -182,7 +182,7 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
     """Return the curves and the overview of signals behind an estimate."""
-    method = trip_observer(best.method).settings.method
+    method = trip_settings(best.method).method
     n_windows = min(WINDOWS, recording.signals.shape[1])
     size = recording.signals.shape[1] // n_windows
     windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)

@@ -85,6 +85,22 @@ class Refined:
         return Refined(self.names, **merged)
 
 
+def complete_ratios(
+    task: Task, predicted: FloatArray, mass: FloatArray | None = None
+) -> FloatArray:
+    """Return all ratios (n, 5) near estimates (n, n_outputs), within the range trained for.
+
+    The ratio is 1 where there is no estimate.
+    """
+    full = np.ones((len(predicted), len(PARAMETERS)))
+    ranges = np.array([task.range(name) for name in task.outputs])
+    inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
+    full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
+    if mass is not None:
+        full[:, PARAMETERS.index("M_s")] = mass
+    return full
+
+
 def refine(
     task: Task,
     misfit: Misfit,
@@ -111,13 +127,9 @@ def refine(
         Vehicles of which the nearest is a second start for a curve that is not explained.
     """
     device = misfit.observed.device
-    full = torch.ones(len(estimates), len(PARAMETERS), dtype=torch.float64, device=device)
     usable = np.asarray(np.isfinite(estimates).all(axis=1))
-    ranges = np.array([task.range(name) for name in task.outputs])
-    inside = np.clip(np.where(usable[:, None], estimates, 1.0), ranges[:, 0], ranges[:, 1])
-    full[:, task.output_indices] = torch.as_tensor(inside, device=device)
-    if mass is not None:
-        full[:, PARAMETERS.index("M_s")] = torch.as_tensor(mass, device=device)
+    start = complete_ratios(task, np.where(usable[:, None], estimates, np.nan), mass)
+    full = torch.as_tensor(start, device=device)
     for name in set(task.unknown) - set(task.outputs):
         full = _best_level(misfit, full, task, name)
     search = _Search(task, misfit, full, max_iter)
