@@ -13,7 +13,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal, small_fleet
+from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal
 from trip_records import fleet as made_up
 
 from suspnet.data import CurveSettings
@@ -36,16 +36,6 @@ def read(folder, models, out, settings=SETTINGS):
     """Return the results of a folder of one suspension."""
     (one,) = evaluate_fleet(folder, models, out, settings, progress=False)
     return one.results
-
-
-@pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
-
-
-@pytest.fixture(scope="module")
-def model():
-    return model_at()
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from trip_fixtures import (
     changed,
     model_at,
     signal,
-    small_fleet,
     write_trips,
 )
 
@@ -33,16 +32,6 @@ from suspnet.uncertainty.ood import Flags
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
 N_SEGMENTS = 28  # (299.86 s - 20 s) // 10 s + 1
-
-
-@pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
-
-
-@pytest.fixture(scope="module")
-def model():
-    return model_at()
 
 
 @pytest.fixture(scope="module")
