@@ -14,10 +14,11 @@ from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_spectra import MissingFeaturesError, estimate_spectra, trip_settings
-from suspnet.recordings.plausibility import check_channels
+from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import (
     NoEstimateError,
+    difference_segments,
     in_band,
     recording_segments,
     segment_speeds,
@@ -137,7 +138,7 @@ def speed_bin(
     NoEstimateError
         If the recording is sound but nothing can be estimated from it.
     TripError
-        If a channel has the wrong unit or sign, or two are swapped.
+        If a channel or one sensor of a pair has the wrong unit or sign, or two are swapped.
     """
     trained = trip_settings(method)
     speeds = segment_speeds(recording, segments)
@@ -147,7 +148,11 @@ def speed_bin(
     chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
     doubts = ""
     if settings.check_channels and bool(candidates.any()):
-        doubts = _checked(segments, chosen if bool(chosen.any()) else candidates, method)
+        looked_at = chosen if bool(chosen.any()) else candidates
+        if any(recording.paired):
+            differences = difference_segments(recording, segments.welch)
+            check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
+        doubts = _checked(segments, looked_at, method)
     n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
     if n_averages < settings.min_averages:
         raise NoEstimateError(

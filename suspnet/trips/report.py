@@ -22,6 +22,7 @@ from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.limits import Limits, Severity
 from suspnet.trips.records import OK, TripResult
+from suspnet.trips.sides import sides_finding
 
 NAMES = {
     "k_p": "stiffness of the primary spring",
@@ -144,6 +145,7 @@ def write_report(
         tone="plain" if tone == "good" and (doubts or told) else tone,
         finding=finding,
         doubts=doubts,
+        sides=sides_finding(trips),
         told=told,
         assessments=assessments,
         limits=limits or {},
