@@ -380,7 +380,7 @@ def test_same_keeps_the_other_bogie_equal():
 
 
 def test_a_sixth_column_is_the_speed():
-    given = torch.cat([FIVE, torch.tensor([[0.8], [1.0], [1.3]]).double()], dim=1)
+    given = torch.cat([FIVE, torch.tensor([[0.8], [1.0], [1.3]], dtype=torch.float64)], dim=1)
     found = stacked(VerticalVehicle(AM96, speed_m_per_s=50.0), given)
     for row, speed in enumerate((40.0, 50.0, 65.0)):
         alone = stacked(VerticalVehicle(AM96, speed_m_per_s=speed), FIVE[row : row + 1])
