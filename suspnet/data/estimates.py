@@ -23,7 +23,7 @@ from suspnet.data.observation import check_counts
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
-from suspnet.features.cross_spectra import METHODS, CrossSpectra, Method
+from suspnet.features.cross_spectra import METHODS, PAIRS, CrossSpectra, Method
 from suspnet.features.welch import Welch
 from suspnet.types import FloatArray
 
@@ -187,7 +187,7 @@ class EstimateObserver:
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
         self._spectrum = track_spectrum(settings.track, settings.short_waves)
         self._track = torch.as_tensor(self.track_density(self._bins.numpy()))
-        self._noise = self.noise_densities(self._chain, settings.rates_hz)
+        self._noise = self.noise_densities(self._gains, settings.rates_hz)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return the limit of the estimate of G_p and G_s for infinitely long trips.
@@ -292,12 +292,11 @@ class EstimateObserver:
 
     def expected(self, ratios: Tensor) -> CrossSpectra:
         """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
-        primary, secondary = self.generator.responses(ratios, self._bins)
-        track = self._track.to(primary.device)
-        body = primary * secondary
-        auto = torch.stack([primary.abs().square(), body.abs().square()], dim=1) * track
-        auto = torch.cat([track.expand(len(auto), 1, -1), auto], dim=1)
-        cross = torch.stack([primary, body, primary.conj() * body], dim=1) * track
+        channels = self.generator.channels(ratios, self._bins)
+        track = self._track.to(channels.device)
+        auto = channels.abs().square().sum(dim=1) * track
+        pairs = [(channels[:, :, x].conj() * channels[:, :, y]).sum(dim=1) for x, y in PAIRS]
+        cross = torch.stack(pairs, dim=1) * track
         noise = self._noise.to(auto)[:, None]
         return CrossSpectra(
             self._smeared(auto) + noise, self._smeared(cross), self.settings.n_averages
@@ -310,7 +309,7 @@ class EstimateObserver:
             float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
         )
 
-    def _chain(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return the responses from axle box to axle box, bogie and body, (n_vehicles, 3, n)."""
-        primary, secondary = self.generator.responses(ratios, frequencies_hz)
-        return torch.stack([torch.ones_like(primary), primary, primary * secondary], dim=1)
+    def _gains(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return the root of each channel's power over that of the mean track, (n, 3, n_freq)."""
+        channels = self.generator.channels(ratios, frequencies_hz)
+        return channels.abs().square().sum(dim=1).sqrt()
