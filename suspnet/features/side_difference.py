@@ -6,27 +6,30 @@ right springs and dampers are kappa (1 + d) and kappa (1 - d), kappa = k + j ome
 the frame, over the springs' half distance and of one side's share, are in balance::
 
     - omega^2 M_f u_f + kappa_p (u_f - lambda P w_d) + (kappa_s + rho) (u_f - u_b)
-        + kappa_p d_p (v - P w) + kappa_s d_s (v - y) = 0,                        (1)
+        + kappa_p d_p (z - P w) + kappa_s d_s (z - y) = 0,                        (1)
 
 with M_f the roll inertia over the square of the springs' half distance, rho the anti-roll bar,
-lambda how far apart the frame's sensors are relative to the axle box's, and P = (1 + Z) / 2 of both
-wheelsets, Z the phase of the second one. What the springs carry follows from the bounce,
-kappa_p (v - P w) = omega^2 M_p v - kappa_s (v - y), v at the bogie's centre. Neither the other
-bogie, nor sway and roll of the body, nor an eccentric load are in (1) otherwise than by u_b, which
-is measured.
+lambda how far apart the frame's sensors are relative to the axle box's, P = (1 + Z) / 2 of both
+wheelsets, Z the phase of the second one, and z the mean of the frame at its centre. That follows
+from w and y by the balance of its bounce, wherever v is measured::
+
+    (kappa_p + kappa_s - omega^2 M_p) z = kappa_p P w + kappa_s y.                (2)
+
+Neither the bogie's pitch, nor the other bogie, nor sway, roll and bending of the body, nor an
+eccentric load are in (1) and (2) otherwise than by what is measured.
 
 A track's mean and cross level are independent processes. So the response F of a difference to v,
 with w_d held fixed (two inputs v and w_d, one regression for each bin), is 0 in a symmetric
 vehicle, and (1) leaves::
 
     (D F_f - (kappa_s + rho) F_b) = - (kappa_p d_p sigma_p + kappa_s d_s sigma_s),
-    D = kappa_p + kappa_s + rho - omega^2 M_f,                                    (2)
+    D = kappa_p + kappa_s + rho - omega^2 M_f,                                    (3)
 
-sigma_p = (v - P w) / v and sigma_s = (v - y) / v from the model of the bounce. It is linear in d of
-k_p, c_p, k_s and c_s. Sensors of a pair whose sensitivities differ by 2 g add g v to u_f, g y to
-u_b, g w to w_d; these three g are estimated along, with a narrow prior. M_f, rho and lambda come
-from (1) correlated with u_f after what v explains has been taken away: there d is of second order.
-Their posterior is their prior in the regression on (2).
+with sigma_p = (z - P w) / v and sigma_s = (z - y) / v. It is linear in d of k_p, c_p, k_s and c_s.
+Sensors of a pair whose sensitivities differ by 2 g add g v to u_f, g y to u_b, g w to w_d; these
+three g are estimated along, with a narrow prior. M_f, rho and lambda come from (1) correlated with
+u_f after what v explains has been taken away: there d is of second order.
+Their posterior is their prior in the regression on (3).
 
 The variance of F is that of a regression with two inputs (Bendat and Piersol, Random Data, 2010,
 section 9.2), S_ee / (n S_vv.w_d), with S_ee the part of the difference that neither input explains.
@@ -60,14 +63,14 @@ D_DEVIATION, GAIN_DEVIATION = 0.5, 0.02
 
 @dataclass(frozen=True)
 class Bounce:
-    """The bogie side's bounce by the model, at the parameters of the trip.
+    """Means of left and right: a bogie side's numbers, and the measured motion.
 
     Attributes
     ----------
     k_p, c_p, k_s, c_s, bogie_mass : float
         SI units, M_p the mass over one side's springs.
-    box, centre, body : complex arrays of shape (n_freq,), [-]
-        w, v at the bogie's centre and y, relative to v under the frame's sensors.
+    box, body : complex arrays of shape (n_freq,), [-]
+        w / v and y / v.
     wheelsets : complex array of shape (n_freq,), [-]
         P.
     """
@@ -78,9 +81,16 @@ class Bounce:
     c_s: float
     bogie_mass: float
     box: ComplexArray
-    centre: ComplexArray
     body: ComplexArray
     wheelsets: ComplexArray
+
+    def stretches(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return sigma_p and sigma_s at some angular frequencies [rad/s], each (n_freq,)."""
+        kappa_p, kappa_s = self.kappas(omega)
+        rail = self.wheelsets * self.box
+        inertia = omega**2 * self.bogie_mass
+        centre = (kappa_p * rail + kappa_s * self.body) / (kappa_p + kappa_s - inertia)
+        return centre - rail, centre - self.body
 
     def kappas(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return kappa_p and kappa_s at some angular frequencies [rad/s], each (n_freq,)."""
@@ -143,7 +153,6 @@ def side_difference(
     spectra = np.einsum("sif,sjf->ijf", values.conj(), values) / len(values)
     spectra[[1, 2, 3], [1, 2, 3]] += FLOOR * spectra[0, 0]
     omega = 2 * np.pi * frequencies_hz
-    kappa_p, kappa_s = bounce.kappas(omega)
     partial = _without(spectra, 0)
     roll, roll_covariance = _roll(omega, partial, bounce, n_averages)
     f, covariance = _responses(spectra, partial, n_averages)
@@ -151,16 +160,15 @@ def side_difference(
     terms = _roll_terms(omega, bounce, f[0], f[1])
     weights = np.einsum("k,kif->if", moved, _roll_terms(omega, bounce, *np.eye(2)[:, :, None]))
     variance = np.einsum("if,ijf,jf->f", weights, covariance, weights.conj()).real
-    stretch_s = bounce.centre - bounce.body
-    carried_p = omega**2 * bounce.bogie_mass * bounce.centre - kappa_s * stretch_s
+    stretch_p, stretch_s = bounce.stretches(omega)
     columns = [
-        -carried_p * bounce.k_p / kappa_p,
-        -carried_p * 1j * omega * bounce.c_p / kappa_p,
+        -bounce.k_p * stretch_p,
+        -1j * omega * bounce.c_p * stretch_p,
         -bounce.k_s * stretch_s,
         -1j * omega * bounce.c_s * stretch_s,
         weights[0],
         weights[1] * bounce.body,
-        -apart * kappa_p * bounce.wheelsets * bounce.box,
+        -apart * bounce.kappas(omega)[0] * bounce.wheelsets * bounce.box,
     ]
     prior = np.diag([D_DEVIATION] * 4 + [GAIN_DEVIATION] * 3 + [0.0] * 2) ** 2
     prior[7:, 7:] = roll_covariance[1:, 1:]
@@ -179,7 +187,7 @@ def side_difference(
 def _roll_terms(
     omega: FloatArray, bounce: Bounce, frame: ComplexArray, body: ComplexArray
 ) -> ComplexArray:
-    """Return the factors of 1, M_f / M_p and rho / k_s on the left of (2), (3, ..., n_freq).
+    """Return the factors of 1, M_f / M_p and rho / k_s on the left of (3), (3, ..., n_freq).
 
     `frame` and `body` are half differences, or their responses.
     """

@@ -7,20 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.features.side_difference import (
-    SIDE_PARAMETERS,
-    Bounce,
-    SideDifference,
-    side_difference,
-)
+from suspnet.dynamics.motion import LinearSystem
+from suspnet.features.side_difference import Bounce, SideDifference, side_difference
 from suspnet.model.from_recording import SpeedBin
 from suspnet.recordings.manifest import SIDES
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import difference_segments, in_band
 from suspnet.trips.limits import N_LAST
 from suspnet.trips.records import OK, TripResult
-from suspnet.types import FloatArray
+from suspnet.types import ComplexArray, FloatArray
 from suspnet.uncertainty.refine import complete_ratios
 
 SPOKEN = ("primary spring", "primary damper", "secondary spring", "secondary damper")
@@ -28,10 +23,12 @@ SPOKEN = ("primary spring", "primary damper", "secondary spring", "secondary dam
 CERTAIN = 4.0
 """A difference is named if it exceeds this multiple of its standard deviation: of four parts, by
 chance on one of 4,000 trips."""
+UNEXPLAINED = "left and right differ, but which part and side is weaker cannot be told"
 LEAST = 0.1
 """A difference is named if the weaker side has at least this share less than the other one."""
-LARGEST_MISFIT = 3.0
-"""Above this misfit the parts are not told apart well, and only the clearest one is named."""
+LARGEST_MISFIT = 2.0
+"""Above this misfit the sides differ in a way that the equations do not explain, so that no part is
+named."""
 
 
 def weaker_sides(
@@ -53,36 +50,50 @@ def weaker_sides(
     differences = in_band(difference_segments(recording, segments.welch), segments.frequencies_hz)
     values = torch.cat([segments.values[chosen, 1:2], differences.values[chosen]], dim=1)
     ratios = complete_ratios(method.task, np.asarray([estimates], dtype=float))[0]
+    system = method.generator.on("cpu").motion_system(torch.as_tensor(ratios))
+    frequencies_hz = segments.frequencies_hz.numpy()
+    to_frame, to_body = speed_bin.spectra.responses("IV").numpy()
     return side_difference(
-        segments.frequencies_hz.numpy(),
+        frequencies_hz,
         values.numpy(),
-        bounce_of(method.generator, segments.frequencies_hz.numpy(), ratios),
+        bounce_of(system, frequencies_hz, to_frame, to_body, speed_bin.speed_m_per_s),
         speed_bin.spectra.n_averages,
         segments.welch.correlated_bins,
     )
 
 
 def bounce_of(
-    generator: ResponseGenerator, frequencies_hz: FloatArray, ratios: FloatArray
+    system: LinearSystem,
+    frequencies_hz: FloatArray,
+    to_frame: ComplexArray,
+    to_body: ComplexArray,
+    speed_m_per_s: float,
 ) -> Bounce:
-    """Return a vehicle's bounce as its generator has it, at some ratios of ``PARAMETERS``, (5,)."""
-    rows, bins = (torch.as_tensor(x, dtype=torch.float64) for x in (ratios[None], frequencies_hz))
-    on_cpu = generator.on("cpu")
-    frame, to_body = (
-        np.asarray(part[0], dtype=np.complex128) for part in on_cpu.responses(rows, bins)
-    )
-    further = dict(
-        zip(on_cpu.further_places, on_cpu.further_responses(rows, bins)[0].numpy(), strict=True)
-    )
-    healthy = dict(zip(PARAMETERS, generator.vehicle.healthy_values(), strict=True))
-    values = {name: healthy[name] * ratios[PARAMETERS.index(name)] for name in SIDE_PARAMETERS}
+    """Return the numbers of a bogie side out of a vehicle's equations, with measured responses.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        The frame's bounce is the first coordinate under the frame's sensor.
+    frequencies_hz : array of shape (n_freq,), [Hz]
+    to_frame, to_body : complex arrays of shape (n_freq,), [-]
+        Measured G_p and G_s.
+    speed_m_per_s : float, [m/s]
+    """
+    bounce = int(np.flatnonzero(system.sensors[0])[0])
+    wheels, dampers = system.input_stiffness[bounce], system.input_damping[bounce]
+    k_p, c_p = float(wheels.sum()), float(dampers.sum())
+    late_s = np.array(system.behind_m) / speed_m_per_s
+    phases = np.exp(-2j * np.pi * late_s[:, None] * frequencies_hz)
     return Bounce(
-        **values,
-        bogie_mass=generator.vehicle.bogie_mass_kg,
-        box=1 / frame,
-        centre=further.get("frame centre", frame) / frame,
+        k_p=k_p,
+        c_p=c_p,
+        k_s=float(system.stiffness[bounce, bounce]) - k_p,
+        c_s=float(system.damping[bounce, bounce]) - c_p,
+        bogie_mass=float(system.mass[bounce, bounce]),
+        box=1 / to_frame,
         body=to_body,
-        wheelsets=(1 + further.get("second axle box", np.ones_like(frame))) / 2,
+        wheelsets=wheels @ phases / k_p,
     )
 
 
@@ -90,10 +101,10 @@ def spoken_sides(found: SideDifference | None) -> str:
     """Return which side of which part is weaker, by how much; empty if nothing stands out."""
     if found is None:
         return ""
-    clear = np.abs(found.d) / found.deviations
-    named = (clear >= CERTAIN) & (found.weaker_by >= LEAST)
     if found.misfit > LARGEST_MISFIT:
-        named &= clear == clear[named].max(initial=0.0)
+        return UNEXPLAINED
+    clear = np.abs(found.d) >= CERTAIN * found.deviations
+    named = clear & (found.weaker_by >= LEAST)
     return "; ".join(
         f"{SPOKEN[i]}: the {SIDES[0] if found.d[i] < 0 else SIDES[1]} side is weaker "
         f"(about {100 * found.weaker_by[i]:.0f} %)"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from roll_reference import sided_responses, track_amplitudes
@@ -47,9 +48,15 @@ def segments(
     return np.stack([(left + right)[:, 1] / 2, *half.transpose(1, 0, 2)], axis=1)
 
 
+def bounce_at(speed, generator=None, ratios=HEALTHY, **vehicle):
+    generator = generator or VerticalVehicle(AM96, speed_m_per_s=speed)
+    mean = sided_responses(FREQUENCIES_HZ, speed, ratios=ratios, **vehicle).mean(axis=1)[:, 0]
+    system = generator.motion_system(torch.tensor(ratios, dtype=torch.float64))
+    return bounce_of(system, FREQUENCIES_HZ, mean[1] / mean[0], mean[2] / mean[1], speed)
+
+
 def found(speed, *arguments, ratios=HEALTHY, n_averages=N_SEGMENTS, **options):
-    generator = VerticalVehicle(AM96, speed_m_per_s=speed)
-    bounce = bounce_of(generator, FREQUENCIES_HZ, np.array(ratios))
+    bounce = bounce_at(speed, ratios=ratios)
     options = {"n_segments": N_SEGMENTS if not n_averages > 2 else n_averages} | options
     values = segments(speed, *arguments, ratios=ratios, **options)
     return side_difference(FREQUENCIES_HZ, values, bounce, n_averages)
@@ -60,26 +67,43 @@ def found(speed, *arguments, ratios=HEALTHY, n_averages=N_SEGMENTS, **options):
 
 @pytest.mark.parametrize("speed", [30.0, 70.0])
 @pytest.mark.parametrize("ratios", [HEALTHY, WORN])
-def test_bounce_is_that_of_the_corners(speed, ratios):
-    generator = VerticalVehicle(AM96, speed_m_per_s=speed, other_bogie="same")
-    bounce = bounce_of(generator, FREQUENCIES_HZ, np.array(ratios))
-    mean = sided_responses(FREQUENCIES_HZ, speed, ratios=ratios).mean(axis=1)[:, 0]
-    np.testing.assert_allclose(mean[0] / mean[1], bounce.box, rtol=1e-9)
-    np.testing.assert_allclose(mean[2] / mean[1], bounce.body, rtol=1e-9)
-    # balance of the bogie side's bounce, with both wheelsets
-    kappa_p, kappa_s = bounce.kappas(2 * np.pi * FREQUENCIES_HZ)
-    stretch_p = bounce.centre - bounce.wheelsets * bounce.box
-    stretch_s = bounce.centre - bounce.body
-    inertia = (2 * np.pi * FREQUENCIES_HZ) ** 2 * bounce.bogie_mass * bounce.centre
-    np.testing.assert_allclose(
-        kappa_p * stretch_p + kappa_s * stretch_s, inertia, atol=1e-9 * np.abs(inertia).max()
+@pytest.mark.parametrize("axle", ["leading", "trailing"])
+def test_stretches_are_those_of_the_generator(speed, ratios, axle):
+    """The frame's centre follows from axle box and body, although neither sensor is there."""
+    settings = {"speed_m_per_s": speed, "axle": axle}
+    row = torch.tensor([ratios], dtype=torch.float64)
+    above, centre = (
+        VerticalVehicle(AM96, frame_sensor=place, **settings).responses(row, FREQUENCIES_HZ)
+        for place in ("axle", "centre")
     )
+    to_frame, to_body = (part[0].numpy() for part in above)
+    system = VerticalVehicle(AM96, **settings).motion_system(row[0])
+    bounce = bounce_of(system, FREQUENCIES_HZ, to_frame, to_body, speed)
+    _, second = VerticalVehicle(AM96, **settings).further_responses(row, FREQUENCIES_HZ)[0, 1:]
+    z = centre[0][0].numpy()
+    stretch_p, stretch_s = bounce.stretches(2 * np.pi * FREQUENCIES_HZ)
+    assert np.abs(z - to_frame).max() > 0.1
+    np.testing.assert_allclose(stretch_p, (z - (1 + second.numpy()) / 2) / to_frame, atol=1e-9)
+    np.testing.assert_allclose(stretch_s, (z - to_frame * to_body) / to_frame, atol=1e-9)
+    assert bounce.k_p == pytest.approx(ratios[0] * AM96.primary_stiffness_n_per_m)
+    assert bounce.c_p == pytest.approx(ratios[1] * AM96.primary_damping_ns_per_m)
+    assert bounce.k_s == pytest.approx(ratios[2] * AM96.secondary_stiffness_n_per_m)
+    assert bounce.c_s == pytest.approx(ratios[3] * AM96.secondary_damping_ns_per_m)
 
 
-def test_quarter_car_has_one_wheelset_at_the_centre():
-    bounce = bounce_of(QuarterCar(AM96), FREQUENCIES_HZ, np.array(HEALTHY))
+def test_corners_bounce_as_the_generator_does():
+    generator = VerticalVehicle(AM96, speed_m_per_s=30.0, other_bogie="same")
+    mean = sided_responses(FREQUENCIES_HZ, 30.0, ratios=WORN).mean(axis=1)[:, 0]
+    to_frame, to_body = generator.responses(torch.tensor([WORN]), FREQUENCIES_HZ)
+    np.testing.assert_allclose(mean[1] / mean[0], to_frame[0], rtol=1e-6)
+    np.testing.assert_allclose(mean[2] / mean[1], to_body[0], rtol=1e-6)
+
+
+def test_quarter_car_has_one_wheelset():
+    bounce = bounce_at(70.0, QuarterCar(AM96))
     np.testing.assert_array_equal(bounce.wheelsets, 1.0)
-    np.testing.assert_allclose(bounce.centre, 1.0, rtol=1e-12)
+    assert bounce.k_s == pytest.approx(AM96.secondary_stiffness_n_per_m)
+    assert bounce.bogie_mass == AM96.bogie_mass_kg
 
 
 @pytest.mark.parametrize("speed", [30.0, 70.0])
@@ -128,7 +152,7 @@ def test_symmetric_vehicle_shows_nothing(speed, cross):
 def test_equal_sensors_differ_by_nothing():
     values = segments(70.0)
     values[:, 1:] = 0.0
-    bounce = bounce_of(VerticalVehicle(AM96), FREQUENCIES_HZ, np.array(HEALTHY))
+    bounce = bounce_at(70.0)
     one = side_difference(FREQUENCIES_HZ, values, bounce, N_SEGMENTS)
     np.testing.assert_allclose(one.d, 0, atol=1e-3)
     assert np.isfinite(one.deviations).all()
@@ -161,7 +185,7 @@ def test_vertical_track_still_gives_the_clearest_part():
 @given(st.lists(st.floats(-0.3, 0.3), min_size=4, max_size=4), st.integers(0, 99))
 def test_exchanged_sides_change_the_sign_alone(d, seed):
     values = segments(50.0, d, seed=seed)
-    bounce = bounce_of(VerticalVehicle(AM96, speed_m_per_s=50.0), FREQUENCIES_HZ, np.array(HEALTHY))
+    bounce = bounce_at(50.0)
     one = side_difference(FREQUENCIES_HZ, values, bounce, N_SEGMENTS)
     turned = values * np.array([1, -1, -1, -1])[:, None]
     other = side_difference(FREQUENCIES_HZ, 7.0 * turned, bounce, N_SEGMENTS)
