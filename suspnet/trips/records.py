@@ -147,7 +147,6 @@ class TripResult:
             f: getattr(self, f)
             for f in ("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle")
         } | {"suspension": self.suspension, "bogie": self.bogie, "side": self.side}
-        head |= {"sides": self.sides}
         numbers = {name: self.estimates.get(name, np.nan) for name in outputs}
         for name in outputs:
             numbers[f"{name}_low"], numbers[f"{name}_high"] = self.interval(name)
@@ -157,7 +156,7 @@ class TripResult:
             head
             | numbers
             | asdict(self.quality)
-            | {"seconds": self.seconds, "manifest": self.manifest}
+            | {"sides": self.sides, "seconds": self.seconds, "manifest": self.manifest}
         )
 
 

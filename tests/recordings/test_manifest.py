@@ -368,7 +368,7 @@ def test_list_of_one_is_one_sensor(folder):
         ([LEFT, RIGHT | {"file": "x.mat"}], "`channels.body right.file` must name an existing"),
         (
             [LEFT, RIGHT | {"file": "sub/bogie.csv", "column": "a"}],
-            "two `channels` have the same file and column, bogie and body right; each is one sensor",
+            "two `channels` have the same file and column, bogie and body right; each is one",
         ),
     ],
 )
