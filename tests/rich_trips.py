@@ -17,8 +17,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.journey import Journey
+from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.dynamics.vertical_vehicle import UNMEASURED
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest, write_manifest
 from suspnet.simulation import Scenario
 from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M, profile_length_m

@@ -35,7 +35,7 @@ def test_generators_take_arrays(generator):
 
 
 def test_vertical_vehicle_samples_and_sees_further_from_arrays():
-    vehicle = VerticalVehicle(AM96, uncertainty={"speed": 0.1})
+    vehicle = VerticalVehicle(AM96, distribution={"speed": 0.1})
     sampled = vehicle.sample_unmeasured(RATIOS, 1)
     assert torch.equal(sampled, vehicle.sample_unmeasured(torch.tensor(RATIOS), 1))
     expected = vehicle.further_responses(sampled, torch.tensor(BINS_HZ))

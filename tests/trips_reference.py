@@ -7,23 +7,23 @@ import numpy as np
 
 
 def pitching_numbers(vehicle, ratios, speed_m_per_s, other_bogie="healthy"):
-    """Return every number of a pitching vehicle by name, from 5 or 15 ratios."""
+    """Return every number of a pitching vehicle by name, from 5 or at least 15 ratios."""
     ratios = [float(r) for r in ratios]
     if len(ratios) == 5:
         other = ratios[:4] if other_bogie == "same" else [1.0] * 4
-        ratios = ratios + other + [1.0] * 6
+        ratios = ratios + [1.0] + other + [1.0] * 5
     k_p, c_p = vehicle.primary_stiffness_n_per_m, vehicle.primary_damping_ns_per_m
     k_s, c_s = vehicle.secondary_stiffness_n_per_m, vehicle.secondary_damping_ns_per_m
     return {
         "measured": (k_p * ratios[0], c_p * ratios[1], k_s * ratios[2], c_s * ratios[3]),
-        "other": (k_p * ratios[5], c_p * ratios[6], k_s * ratios[7], c_s * ratios[8]),
+        "other": (k_p * ratios[6], c_p * ratios[7], k_s * ratios[8], c_s * ratios[9]),
         "half_body_kg": 2 * vehicle.body_mass_kg * ratios[4],
-        "bogie_kg": vehicle.bogie_mass_kg * ratios[9],
-        "a": vehicle.half_wheelbase_m * ratios[10],
-        "L": vehicle.half_pivot_distance_m * ratios[11],
-        "bogie_gyration": vehicle.bogie_gyration_m * ratios[12],
-        "body_gyration": vehicle.body_gyration_m * ratios[13],
-        "speed": speed_m_per_s * ratios[14],
+        "bogie_kg": vehicle.bogie_mass_kg * ratios[10],
+        "a": vehicle.half_wheelbase_m * ratios[11],
+        "L": vehicle.half_pivot_distance_m * ratios[12],
+        "bogie_gyration": vehicle.bogie_gyration_m * ratios[13],
+        "body_gyration": vehicle.body_gyration_m * ratios[14],
+        "speed": speed_m_per_s * ratios[5],
     }
 
 

@@ -24,7 +24,7 @@ from suspnet.data.observation import check_counts
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
-from suspnet.features.cross_spectra import METHODS, CrossSpectra, Method
+from suspnet.features.cross_spectra import METHODS, PAIRS, CrossSpectra, Method
 from suspnet.features.welch import NEGLIGIBLE, Welch
 from suspnet.types import FloatArray
 
@@ -232,7 +232,7 @@ class EstimateObserver:
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
         self._spectrum = track_spectrum(settings.track, settings.short_waves)
         self._track = self._density_at(1.0)
-        self._noise = self.noise_densities(self._chain, settings.rates_hz)
+        self._noise = self.noise_densities(self._gains, settings.rates_hz)
 
     def at(self, speeds: Speeds) -> EstimateObserver:
         """Return the observer of a trip at other speeds."""
@@ -426,12 +426,11 @@ class EstimateObserver:
 
     def _spectra(self, ratios: Tensor, density: Tensor) -> tuple[Tensor, Tensor]:
         """Return auto and cross spectra without leakage and noise, on all bins."""
-        primary, secondary = self.generator.responses(ratios, self._bins)
-        track = density.to(primary.device)
-        body = primary * secondary
-        auto = torch.stack([primary.abs().square(), body.abs().square()], dim=1) * track
-        auto = torch.cat([track.expand(len(auto), 1, -1), auto], dim=1)
-        return auto, torch.stack([primary, body, primary.conj() * body], dim=1) * track
+        channels = self.generator.channels(ratios, self._bins)
+        track = density.to(channels.device)
+        auto = channels.abs().square().sum(dim=1) * track
+        pairs = [(channels[:, :, x].conj() * channels[:, :, y]).sum(dim=1) for x, y in PAIRS]
+        return auto, torch.stack(pairs, dim=1) * track
 
     def _smeared(self, spectra: Tensor) -> Tensor:
         """Return spectra on the inner bins, each the weighted sum of its neighbours."""
@@ -440,10 +439,10 @@ class EstimateObserver:
             float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
         )
 
-    def _chain(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return the responses from axle box to axle box, bogie and body, (n_vehicles, 3, n)."""
-        primary, secondary = self.generator.responses(ratios, frequencies_hz)
-        return torch.stack([torch.ones_like(primary), primary, primary * secondary], dim=1)
+    def _gains(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return the root of each channel's power over that of the mean track, (n, 3, n_freq)."""
+        channels = self.generator.channels(ratios, frequencies_hz)
+        return channels.abs().square().sum(dim=1).sqrt()
 
 
 def _bridged(relative: Tensor, weak: Tensor) -> Tensor:

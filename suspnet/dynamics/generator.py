@@ -52,13 +52,25 @@ class ResponseGenerator(Protocol):
 
         Parameters
         ----------
-        ratios : tensor of shape (n_vehicles, 5)
-            k_p, c_p, k_s, c_s, M_s relative to healthy, [-].
+        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 6)
+            k_p, c_p, k_s, c_s, M_s relative to healthy, [-]; then the speed relative to
+            ``speed_m_per_s``.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
 
         Returns
         -------
         tuple of complex tensors of shape (n_vehicles, n_freq), [-]
+        """
+        ...
+
+    def channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return axle box, frame and body for each independent input of the track.
+
+        Returns
+        -------
+        complex tensor of shape (n_vehicles, n_inputs, 3, n_freq), [-]
+            Each input is scaled to the density of the first, the mean of both rails: expected
+            spectra are sums over inputs.
         """
         ...
 

@@ -70,9 +70,12 @@ class QuarterCar:
         Raises
         ------
         ValueError
-            If `ratios` is not a positive, finite tensor of shape (n_vehicles, 5).
+            If `ratios` is not a positive, finite tensor of shape (n_vehicles, 5), or 6 with the
+            speed.
         """
         ratios = as_tensor(ratios)
+        if ratios.ndim == 2 and ratios.shape[1] == len(PARAMETERS) + 1:
+            ratios = ratios[:, : len(PARAMETERS)]  # the responses belong to any speed
         check_ratios(ratios, len(PARAMETERS))
         healthy = torch.tensor(self.vehicle.healthy_values(), dtype=torch.float64)
         return (ratios.to(self.device, torch.float64) * healthy.to(self.device)).T.unsqueeze(-1)
@@ -125,6 +128,11 @@ class QuarterCar:
             for c in self.transfer_coefficients(ratios)
         )
         return num_p / den_p, num_s / den_s
+
+    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+        """Return axle box, frame and body for the one input, (n_vehicles, 1, 3, n_freq), [-]."""
+        primary, secondary = self.responses(ratios, frequencies_hz)
+        return torch.stack([torch.ones_like(primary), primary, primary * secondary], 1)[:, None]
 
     def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) from ratios of real polynomials in omega^2.

@@ -1,25 +1,37 @@
-"""A vehicle that pitches: body and two bogies, four wheelsets on one track, six coordinates.
+"""A family of vehicles: body and two bogies that pitch, four wheelsets on one track.
 
-Seen from above the leading bogie, with kappa = k + j omega c, the bogies' bounce z_1, z_2, the
-body's bounce z and its pitch times the half pivot distance phi (so that the body moves by
-y_1 = z + phi and y_2 = z - phi above the bogies), psi the bogie's pitch times the half wheelbase::
+Seen from above the leading bogie, with s = j omega, kappa the dynamic stiffness of a suspension
+(`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers of one side::
 
-    (kappa_p + kappa_s - omega^2 M_p) z_i - kappa_s y_i = kappa_p (w_i1 + w_i2) / 2
-    (kappa_p - omega^2 M_p (rho_b / a)^2) psi_i         = kappa_p (w_i1 - w_i2) / 2
-    2 M_s omega^2 z = sum_i kappa_si (y_i - z_i),
-    2 M_s (rho_c / L)^2 omega^2 phi = kappa_s1 (y_1 - z_1) - kappa_s2 (y_2 - z_2)
+    (kappa_p + kappa_s + s^2 M_p) z_i - kappa_s y_i                 = kappa_p m_i
+    (kappa_p + gamma + kappa_x (h_3 / a)^2 + s^2 M_p (rho_b / a)^2) psi_i + X phi = kappa_p d_i
+    2 M_s s^2 z + sum_i F_i = 0,      (M_s s^2 + ...) q + p sum_i F_i = 0,
+    (2 M_s (rho_c / L)^2 s^2 + 2 kappa_x (h_2 / L)^2) phi + X sum_i psi_i + F_1 - F_2 = 0
 
-k_p, c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. Bogie
-pitch stands alone and the bounces can be eliminated, so that two equations in z and phi remain;
-their closed solution costs a few products for each frequency, no 6 x 6 system. All wheelsets follow
-the same track, each delayed by its distance over the speed.
+z_i is the bounce of bogie i, psi_i its pitch times the half wheelbase a, m_i and d_i half the sum
+and half the difference of the track under its axles; z is the bounce of the body, phi its pitch
+times the half pivot distance L, q its first bending with the shape p at the pivots, so that the
+body moves by y_1 = z + phi + p q and y_2 = z - phi + p q above the bogies; F_i = kappa_si (y_i -
+z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
+levers h_2 and h_3, X = kappa_x h_2 h_3 / (L a).
+
+Roll stands apart where left and right are alike, with x_i the mean of half the cross level at both
+axles, b the half distances of springs and of the rails, and S_i = kappa_si b_s^2 + k_bar / 2::
+
+    (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta = kappa_p b_p^2 x_i / b_rail
+    2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) = 0
+
+The bogies are eliminated, and two equations in y = z + p q and phi, and one in theta remain. k_p,
+c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets
+follow the same track, each delayed by its distance over the speed. Cross level and mean are
+independent processes: spectra are sums over both.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,27 +40,20 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.checks import check_choice, check_number
+from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.elements import longitudinal, primary, secondary
 from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
 from suspnet.tensors import as_tensor, check_device
 from suspnet.types import FloatArray
 
-UNMEASURED = (
-    "other_k_p",
-    "other_c_p",
-    "other_k_s",
-    "other_c_s",
-    "bogie_mass",
-    "half_wheelbase",
-    "half_pivot_distance",
-    "bogie_gyration",
-    "body_gyration",
-    "speed",
-)
-"""Quantities that may differ from nominal besides ``PARAMETERS``, as further columns of ratios."""
 SIDES = ("leading", "trailing")
+RAIL_LATERAL_M = 0.75
+"""Half distance of the rails' centres, of standard gauge."""
+N_ALL = len(PARAMETERS) + len(UNMEASURED)
 
 
 @dataclass(frozen=True)
@@ -68,12 +73,19 @@ class VerticalVehicle:
         Sensor on the frame above the measured axle, or at the bogie's centre.
     body_sensor_m : float, [m]
         Sensor on the body, ahead of the bogie's centre.
-    other_bogie : {"healthy", "same", "varies"}
-        The bogie that is not measured: healthy, as degraded as the measured one, or apart from it
-        (uniform, healthy times 1 +- `other_spread`).
-    other_spread : float, [-]
-    uncertainty : mapping, optional
-        Names from ``UNMEASURED`` to half widths: training curves sample 1 +- half width.
+    other_bogie : {"healthy", "same"}
+        The bogie that is not measured: healthy, or as degraded as the measured one.
+    parts : sequence of str
+        From ``PARTS``: what the vehicle has beyond rigid bodies on linear springs and dampers.
+    sensor_lateral_m : sequence of 3 floats, [m]
+        Lateral place of the sensors on axle box, frame and body; 0 for the mean of a left and a
+        right one, which does not see roll.
+    nominal : mapping, optional
+        Nominal values of quantities of ``QUANTITIES`` that have one, instead of theirs, SI units.
+    distribution : LogNormal or mapping or "prior", optional
+        Of uncertain numbers, which training curves sample; a mapping from names of ``UNMEASURED``
+        to standard deviations of their logarithms. Its median is what five columns of ratios stand
+        for. None: nominal.
 
     Raises
     ------
@@ -88,9 +100,11 @@ class VerticalVehicle:
     axle: Literal["leading", "trailing"] = "leading"
     frame_sensor: Literal["axle", "centre"] = "axle"
     body_sensor_m: float = 0.0
-    other_bogie: Literal["healthy", "same", "varies"] = "healthy"
-    other_spread: float = 0.4
-    uncertainty: Mapping[str, float] = field(default_factory=dict)
+    other_bogie: Literal["healthy", "same"] = "healthy"
+    parts: tuple[str, ...] = ()
+    sensor_lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    nominal: Mapping[str, float] | None = None
+    distribution: LogNormal | None = None
 
     def __post_init__(self) -> None:
         check_device(self.device)
@@ -103,47 +117,67 @@ class VerticalVehicle:
         check_choice("bogie", self.bogie, SIDES)
         check_choice("axle", self.axle, SIDES)
         check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
-        check_choice("other_bogie", self.other_bogie, ("healthy", "same", "varies"))
+        check_choice("other_bogie", self.other_bogie, ("healthy", "same"))
         check_number("speed_m_per_s", self.speed_m_per_s, above=0)
-        check_number("other_spread", self.other_spread, low=0, below=1)
-        unknown = sorted(set(self.uncertainty) - set(UNMEASURED))
+        check_number("body_sensor_m", self.body_sensor_m)
+        for part in self.parts:
+            check_choice("parts", part, PARTS)
+        object.__setattr__(self, "parts", tuple(p for p in PARTS if p in self.parts))
+        self._check_places()
+        self._check_nominal()
+        object.__setattr__(self, "distribution", _distribution(self.distribution, self.parts))
+
+    def _check_places(self) -> None:
+        """Raise ValueError unless there are three lateral places, and roll where one is not 0."""
+        if len(self.sensor_lateral_m) != 3:
+            raise ValueError(
+                f"`sensor_lateral_m` must be three places, got {self.sensor_lateral_m}"
+            )
+        for i, place in enumerate(self.sensor_lateral_m):
+            check_number(f"sensor_lateral_m[{i}]", place, low=-2, high=2)
+        object.__setattr__(self, "sensor_lateral_m", tuple(map(float, self.sensor_lateral_m)))
+
+    def _check_nominal(self) -> None:
+        """Raise ValueError unless `nominal` holds positive values of quantities that have one."""
+        allowed = {quantity.name for quantity in QUANTITIES if quantity.nominal is not None}
+        unknown = sorted(set(self.nominal or {}) - allowed)
         if unknown:
-            raise ValueError(f"`uncertainty` must be named as in {UNMEASURED}, got {unknown}")
-        for name, value in self.uncertainty.items():
-            check_number(f"uncertainty.{name}", value, low=0, below=1)
+            raise ValueError(f"`nominal` must be named as in {sorted(allowed)}, got {unknown}")
+        for name, value in (self.nominal or {}).items():
+            check_number(f"nominal.{name}", value, above=0)
 
     def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
-        """Return the ratios with a random column for each name of ``UNMEASURED``.
+        """Return the ratios with a column for each name of ``UNMEASURED``.
 
         Parameters
         ----------
-        ratios : tensor of shape (n_vehicles, 5), [-]
+        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 6), [-]
         seed : int
 
         Returns
         -------
-        tensor of shape (n_vehicles, 15), [-]
-            Uniform in 1 +- half width; 1 where nothing is uncertain.
+        tensor of shape (n_vehicles, 5 + n_unmeasured), [-]
+            Drawn from the distribution; 1 where nothing is uncertain.
         """
-        widths = dict.fromkeys(UNMEASURED, 0.0) | dict(self.uncertainty)
-        if self.other_bogie == "varies":
-            widths |= dict.fromkeys(UNMEASURED[:4], self.other_spread)
-        ratios = as_tensor(ratios).to("cpu", torch.float64)
-        half = torch.tensor([widths[name] for name in UNMEASURED], dtype=torch.float64)
-        source = torch.Generator().manual_seed(seed)
-        draws = torch.rand(len(ratios), len(half), generator=source, dtype=torch.float64)
-        columns = self._complete(ratios)[:, len(PARAMETERS) :]
-        return torch.cat([ratios, columns * (1 + half * (2 * draws - 1))], 1)
+        columns = self._complete(as_tensor(ratios).to("cpu", torch.float64)).clone()
+        if self.distribution is not None and self.distribution.names:
+            standard = np.random.default_rng(seed).standard_normal(
+                (len(columns), len(self.distribution.names))
+            )
+            columns[:, self._uncertain] = torch.as_tensor(self.distribution.ratios(standard))
+        return columns
 
     def responses(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> tuple[Tensor, Tensor]:
         """Return complex G_p (axle box to frame sensor) and G_s (frame to body sensor).
 
+        They are the responses to the mean of both rails; see `channels`.
+
         Parameters
         ----------
-        ratios : tensor or array of shape (n_vehicles, 5) or (n_vehicles, 15), [-]
-            ``PARAMETERS`` and, if given, ``UNMEASURED``, relative to healthy and nominal.
+        ratios : tensor or array of shape (n_vehicles, 5), (n_vehicles, 6) or all columns, [-]
+            ``PARAMETERS`` and, if given, speed or all of ``UNMEASURED``, relative to nominal.
         frequencies_hz : tensor or array of shape (n_freq,), [Hz]
 
         Returns
@@ -155,24 +189,28 @@ class VerticalVehicle:
         ValueError
             If `ratios` has another shape or a value that is not positive and finite.
         """
-        p = self._numbers(ratios)
-        omega = 2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
-        wheels = self._wheels(p, omega)
-        first, other = _bogie(p, "", omega, wheels[:2]), _bogie(p, "other_", omega, wheels[2:])
-        inertia = 2 * p["M_s"] * omega**2
-        total = first.resistance + other.resistance
-        difference = first.resistance - other.resistance
-        bounce_force, pitch_force = first.force + other.force, first.force - other.force
-        a, b = total - inertia, total - inertia * (p["body_gyration"] / p["half_pivot"]) ** 2
-        determinant = a * b - difference**2
-        bounce = (b * bounce_force - difference * pitch_force) / determinant
-        pitch = (a * pitch_force - difference * bounce_force) / determinant
-        frame = first.link * (bounce + pitch) + first.free
-        if self.frame_sensor == "axle":
-            frame = frame + (first.pitch if self.axle == "leading" else -first.pitch)
-        forward = 1.0 if self.bogie == "leading" else -1.0
-        body = bounce + (1 + forward * self.body_sensor_m / p["half_pivot"]) * pitch
+        frame, body = _bounced(self, *self._prepared(ratios, frequencies_hz))
         return frame, body / frame
+
+    def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+        """Return axle box, frame and body for each independent input of the track.
+
+        Parameters
+        ----------
+        ratios, frequencies_hz : as of `responses`
+
+        Returns
+        -------
+        complex128 tensor of shape (n_vehicles, n_inputs, 3, n_freq), [-]
+            Inputs: the mean of both rails, and with roll and a sensor off the middle the cross
+            level, scaled such that each input has the density of the mean.
+        """
+        p, omega = self._prepared(ratios, frequencies_hz)
+        frame, body = _bounced(self, p, omega)
+        inputs = [torch.stack([torch.ones_like(frame), frame, body], dim=1)]
+        if "roll" in self.parts and any(self.sensor_lateral_m):
+            inputs.append(_rolled(self, p, omega))
+        return torch.stack(inputs, dim=1)
 
     def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
@@ -238,12 +276,12 @@ class VerticalVehicle:
 
         Parameters
         ----------
-        ratios : tensor of shape (5,) or (15,), [-]
+        ratios : tensor of shape (5,), (6,) or all columns, [-]
         """
         p = {name: float(v.squeeze()) for name, v in self._numbers(as_tensor(ratios)[None]).items()}
         m_p, m_s = p["bogie_mass"], p["M_s"]
         pitch = m_p * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
-        body_pitch = 2 * m_s * (p["body_gyration"] / p["half_pivot"]) ** 2
+        body_pitch = 2 * m_s * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
         mass = np.diag([2 * m_s, body_pitch, m_p, pitch, m_p, pitch])
         damping, stiffness = (_couple(p, kind) for kind in "ck")
         input_damping, input_stiffness = (_drive(p, kind) for kind in "ck")
@@ -252,33 +290,71 @@ class VerticalVehicle:
         if self.frame_sensor == "axle":
             sensors[0, 3] = 1.0 if self.axle == "leading" else -1.0
         forward = 1.0 if self.bogie == "leading" else -1.0
-        sensors[1, :2] = 1.0, 1 + forward * self.body_sensor_m / p["half_pivot"]
-        behind = self._behind(p["half_wheelbase"], p["half_pivot"])
+        sensors[1, :2] = 1.0, 1 + forward * self.body_sensor_m / p["half_pivot_distance"]
+        behind = self._behind(p["half_wheelbase"], p["half_pivot_distance"])
         return LinearSystem(
             mass, damping, stiffness, input_damping, input_stiffness, sensors, tuple(behind)
         )
 
     def _complete(self, ratios: Tensor) -> Tensor:
-        """Return ratios with all 15 columns: what is not given is nominal."""
-        if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS):
-            check_ratios(ratios, len(PARAMETERS) + len(UNMEASURED))
+        """Return ratios with all columns: what is not given is the distribution's median."""
+        if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS) + 1:
+            check_ratios(ratios, N_ALL)
             return ratios
-        check_ratios(ratios, len(PARAMETERS))
-        same = ratios[:, :4] if self.other_bogie == "same" else torch.ones_like(ratios[:, :4])
-        rest = torch.ones(len(ratios), len(UNMEASURED) - 4).to(ratios)
-        return torch.cat([ratios, same, rest], dim=1)
+        n_given = ratios.shape[-1] if ratios.ndim == 2 else len(PARAMETERS)
+        check_ratios(ratios, max(n_given, len(PARAMETERS)))
+        columns = torch.ones(len(ratios), N_ALL).to(ratios)
+        if self.distribution is not None:
+            columns[:, self._uncertain] = (
+                torch.tensor(self.distribution.mean, dtype=torch.float64).exp().to(ratios)
+            )
+        columns[:, :n_given] = ratios
+        if self.other_bogie == "same":
+            columns[:, _OTHER] = ratios[:, :4]
+        return columns
+
+    @property
+    def _uncertain(self) -> list[int]:
+        """Columns of the numbers that the distribution is of."""
+        assert self.distribution is not None
+        return [len(PARAMETERS) + UNMEASURED.index(name) for name in self.distribution.names]
+
+    def _prepared(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """Return every number of the vehicles, and the angular frequencies [rad/s]."""
+        bins = as_tensor(frequencies_hz).to(self.device, torch.float64)
+        return self._numbers(ratios), 2 * math.pi * bins
 
     def _numbers(self, ratios: Tensor | ArrayLike) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
+        columns = self._complete(as_tensor(ratios).to(self.device, torch.float64))
+        nominal = torch.tensor(self.nominal_values(), dtype=torch.float64, device=self.device)
+        values = (columns * nominal).T.unsqueeze(-1)
+        p = dict(zip((*PARAMETERS, *UNMEASURED), values, strict=True))
+        for name in PARAMETERS[:4]:  # healthy first, then what is worn of it
+            p[name] = p[name] * p[f"healthy_{name}"]
+            p[f"other_{name}"] = p[f"other_{name}"] * p[f"healthy_{name}"]
+        return p
+
+    def nominal_values(self) -> tuple[float, ...]:
+        """Return what a ratio of 1 stands for: ``PARAMETERS``, then ``UNMEASURED``.
+
+        SI units, but 1 for k_p, c_p, k_s, c_s of both bogies: they multiply the healthy values.
+        """
         v = self.vehicle
-        healthy = v.healthy_values()
-        geometry = [float(getattr(v, name)) for name in GEOMETRY]
-        nominal = [*healthy, *healthy[:4], v.bogie_mass_kg, *geometry, self.speed_m_per_s]
-        names = [*PARAMETERS, *UNMEASURED[:5], "half_wheelbase", "half_pivot"]
-        names += ["bogie_gyration", "body_gyration", "speed"]
-        values = self._complete(as_tensor(ratios).to(self.device, torch.float64))
-        values = values * torch.tensor(nominal, dtype=torch.float64, device=self.device)
-        return dict(zip(names, values.T.unsqueeze(-1), strict=True))
+        given = dict(
+            zip((f"healthy_{name}" for name in PARAMETERS), v.healthy_values(), strict=True)
+        )
+        given |= {"speed": self.speed_m_per_s, "bogie_mass": v.bogie_mass_kg}
+        given |= {name.removesuffix("_m"): float(getattr(v, name)) for name in GEOMETRY}
+        places = zip(("axle_box", "frame", "body"), self.sensor_lateral_m, strict=True)
+        given |= {f"{name}_lateral": place for name, place in places} | dict(self.nominal or {})
+        first = (1.0, 1.0, 1.0, 1.0, float(v.body_mass_kg))
+        standard = (1.0 if q.nominal is None else q.nominal for q in QUANTITIES)
+        return first + tuple(
+            float(given.get(q.name, value)) for q, value in zip(QUANTITIES, standard, strict=True)
+        )
 
     def _behind(self, half_wheelbase: float, half_pivot: float) -> list[float]:
         """Return how far the wheelsets run behind the measured one: its bogie's two, the other's.
@@ -292,7 +368,7 @@ class VerticalVehicle:
 
     def _wheels(self, p: Mapping[str, Tensor], omega: Tensor) -> list[Tensor]:
         """Return the motion of each wheelset relative to the measured one, exp(-j omega delay)."""
-        a, pivot = p["half_wheelbase"], p["half_pivot"]
+        a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
         # one exponential for each length, not for each wheelset
         unit = _phasor(omega * 2 * a / p["speed"])
         apart = _phasor(omega * 2 * pivot / p["speed"])
@@ -318,34 +394,163 @@ def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> Re
     return VerticalVehicle(vehicle, device, **settings)
 
 
+_OTHER = slice(
+    len(PARAMETERS) + UNMEASURED.index("other_k_p"),
+    len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
+)
+"""Columns of the bogie that is not measured."""
+
+
+def _distribution(
+    given: LogNormal | Mapping[str, Any] | str | None, parts: tuple[str, ...]
+) -> LogNormal | None:
+    """Return a distribution from what a configuration or a model file may hold of one."""
+    if given is None or isinstance(given, LogNormal):
+        return given
+    if isinstance(given, str):
+        check_choice("distribution", given, ("prior",))
+        return LogNormal.prior(parts)
+    if set(given) == {"names", "mean", "covariance"}:
+        return LogNormal(**given)
+    unknown = sorted(set(given) - set(UNMEASURED))
+    if unknown:
+        raise ValueError(f"`distribution` must be named as in {UNMEASURED}, got {unknown}")
+    return LogNormal.independent(given)
+
+
 @dataclass(frozen=True)
 class _Bogie:
-    """One bogie with its bounce eliminated: z_i = link y_i + free, force on body f - r y_i."""
+    """One bogie without its coordinates: bounce z_i = link y_i + free, pitch = swing - tilt phi.
+
+    Its secondary suspension pushes the body down by resistance y_i - force.
+    """
 
     link: Tensor
     free: Tensor
     resistance: Tensor
     force: Tensor
-    pitch: Tensor
+    swing: Tensor
+    tilt: Tensor | float
 
 
-def _bogie(p: Mapping[str, Tensor], which: str, omega: Tensor, wheels: list[Tensor]) -> _Bogie:
-    """Return the measured ("") or the other bogie with its bounce eliminated."""
-    primary = torch.complex(*torch.broadcast_tensors(p[which + "k_p"], omega * p[which + "c_p"]))
-    secondary = torch.complex(*torch.broadcast_tensors(p[which + "k_s"], omega * p[which + "c_s"]))
+def _bounced(
+    vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the motion under the sensors on frame and body for 1 m of mean track."""
+    wheels = vehicle._wheels(p, omega)
+    forward = 1.0 if vehicle.bogie == "leading" else -1.0
+    # phi counts positive where the measured bogie rises, psi where the leading axle does
+    p = {**p, "body_lever": forward * p["body_lever"]}
+    link_x = longitudinal(p, omega) if "longitudinal" in vehicle.parts else None
+    first = _bogie(p, "", omega, wheels[:2], link_x, vehicle.parts)
+    other = _bogie(p, "other_", omega, wheels[2:], link_x, vehicle.parts)
+    inertia = 2 * p["M_s"] * omega**2
+    total = first.resistance + other.resistance
+    difference = first.resistance - other.resistance
+    bounce_force, pitch_force = first.force + other.force, first.force - other.force
+    stiffness = -inertia  # of the body against bounce with its bending, and against pitch
+    pitch_stiffness = -inertia * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
+    if link_x is not None:
+        lever = p["body_lever"] / p["half_pivot_distance"]
+        cross = link_x * lever * p["bogie_lever"] / p["half_wheelbase"]
+        pitch_stiffness = pitch_stiffness + 2 * link_x * lever**2
+        pitch_stiffness = pitch_stiffness - cross * (first.tilt + other.tilt)
+        pitch_force = pitch_force - cross * (first.swing + other.swing)
+    at_sensor: Tensor | float = 1.0
+    if "bending" in vehicle.parts:
+        stiffness, at_sensor = _bent(vehicle, p, omega, inertia)
+    a, b = total + stiffness, total + pitch_stiffness
+    determinant = a * b - difference**2
+    bounce = (b * bounce_force - difference * pitch_force) / determinant
+    pitch = (a * pitch_force - difference * bounce_force) / determinant
+    frame = first.link * (bounce + pitch) + first.free
+    if vehicle.frame_sensor == "axle":
+        tilted = first.swing - first.tilt * pitch
+        frame = frame + (tilted if vehicle.axle == "leading" else -tilted)
+    ahead = 1 + forward * vehicle.body_sensor_m / p["half_pivot_distance"]
+    return frame, at_sensor * bounce + ahead * pitch
+
+
+def _bogie(
+    p: Mapping[str, Tensor],
+    which: str,
+    omega: Tensor,
+    wheels: list[Tensor],
+    link_x: Tensor | None,
+    parts: tuple[str, ...],
+) -> _Bogie:
+    """Return the measured ("") or the other bogie with its bounce and pitch eliminated."""
+    kappa_p, kappa_s = primary(p, which, omega, parts), secondary(p, which, omega, parts)
     inertia = p["bogie_mass"] * omega**2
-    link = secondary / (primary + secondary - inertia)
-    rest = 0.5 * (wheels[0] + wheels[1]) * primary
-    pitch = 0.5 * (wheels[0] - wheels[1]) * primary
-    pitch_inertia = inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
-    free = rest / (primary + secondary - inertia)
+    below = kappa_p + kappa_s - inertia
+    link = kappa_s / below
+    free = 0.5 * (wheels[0] + wheels[1]) * kappa_p / below
+    upright = kappa_p - inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
+    if "guidance" in parts:
+        upright = upright + torch.complex(
+            *torch.broadcast_tensors(
+                p["guidance_stiffness"] * p["healthy_k_p"],
+                p["guidance_damping"] * p["healthy_c_p"] * omega,
+            )
+        )
+    tilt: Tensor | float = 0.0
+    if link_x is not None:
+        lever = p["bogie_lever"] / p["half_wheelbase"]
+        upright = upright + link_x * lever**2
+        tilt = link_x * lever * (p["body_lever"] / p["half_pivot_distance"]) / upright
     return _Bogie(
         link=link,
         free=free,
-        resistance=secondary * (1 - link),
-        force=secondary * free,
-        pitch=pitch / (primary - pitch_inertia),
+        resistance=kappa_s * (1 - link),
+        force=kappa_s * free,
+        swing=0.5 * (wheels[0] - wheels[1]) * kappa_p / upright,
+        tilt=tilt,
     )
+
+
+def _bent(
+    vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor, inertia: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the body's stiffness against bounce over the pivots, and its motion at the sensor.
+
+    Pay-load adds to the modal mass of M_s, not to the stiffness.
+    """
+    own, empty = 2 * math.pi * p["bending_frequency"], vehicle.vehicle.body_mass_kg
+    modal = torch.complex(
+        *torch.broadcast_tensors(
+            empty * own**2 - p["M_s"] * omega**2, 2 * p["bending_damping"] * empty * own * omega
+        )
+    )
+    at_pivot = p["bending_at_pivot"]
+    both = modal - inertia * at_pivot**2
+    at_sensor = (modal - inertia * at_pivot * p["bending_at_sensor"]) / both
+    return -inertia * modal / both, at_sensor
+
+
+def _rolled(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return axle box, frame and body sensor for the cross level, (n_vehicles, 3, n_freq)."""
+    wheels = vehicle._wheels(p, omega)
+    mass = p["bogie_mass"] * (p["bogie_roll_gyration"] * omega) ** 2
+    total: Tensor | float = -2 * p["M_s"] * (p["body_roll_gyration"] * omega) ** 2
+    force: Tensor | float = 0.0
+    links, frees = [], []
+    for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
+        below = primary(p, which, omega, vehicle.parts) * p["primary_lateral"] ** 2
+        above = secondary(p, which, omega, vehicle.parts) * p["secondary_lateral"] ** 2
+        above = above + p["anti_roll_bar"] / 2
+        all_ = below + above - mass
+        links.append(above / all_)
+        frees.append(below * 0.5 * (pair[0] + pair[1]) / (RAIL_LATERAL_M * all_))
+        total = total + above * (1 - links[-1])
+        force = force + above * frees[-1]
+    body = force / total
+    frame = links[0] * body + frees[0]
+    box = torch.full_like(frame, 1 / RAIL_LATERAL_M)
+    places = [p[f"{name}_lateral"] for name in ("axle_box", "frame", "body")]
+    angles = torch.stack(
+        [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1
+    )
+    return p["cross_level"].sqrt()[..., None] * angles
 
 
 def _phasor(angle: Tensor) -> Tensor:

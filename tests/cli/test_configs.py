@@ -14,7 +14,6 @@ from suspnet.cli.program import check_targets
 from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
 from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.dynamics.vertical_vehicle import UNMEASURED
 from suspnet.features import PeakFeatures
 from suspnet.learning import METHODS
 
@@ -124,10 +123,8 @@ def plain(value):
 
 def test_mappings_that_are_spelled_out_say_what_their_class_does_without():
     config = composed(name="simulate")
-    fleet, vehicle = instantiate(config.fleet), instantiate(config.generator)
+    fleet = instantiate(config.fleet)
     assert fleet.loggers() == replace(fleet, sensors=None).loggers()
-    assert set(vehicle.uncertainty) < set(UNMEASURED)
-    assert not any(vehicle.uncertainty.values())
 
 
 @pytest.mark.parametrize("name", NAMES["protocol"])

@@ -355,7 +355,7 @@ def test_given_band_is_kept_and_bins_near_zero_are_left_out():
 
 def test_what_is_uncertain_is_drawn_with_every_curve():
     certain = VerticalVehicle(AM96)
-    uncertain = VerticalVehicle(AM96, uncertainty={"body_gyration": 0.3, "other_c_s": 0.5})
+    uncertain = VerticalVehicle(AM96, distribution={"body_gyration": 0.3, "other_c_s": 0.5})
     many = RATIOS.expand(300, 5)
     quiet = {"snr_db": 100.0, "minutes": 9e4}
     spread = [

@@ -12,14 +12,17 @@ from scipy.linalg import eigh
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, VerticalVehicle
+from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.dynamics.vertical_vehicle import UNMEASURED
 
 FREQUENCIES = torch.tensor([0.05, 0.4, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 19.0]).double()
 HEALTHY = torch.ones(1, 5, dtype=torch.float64)
 RNG = np.random.default_rng(7)
 FIVE = torch.as_tensor(RNG.uniform(0.5, 2.0, (3, 5)))
-FIFTEEN = torch.as_tensor(RNG.uniform(0.7, 1.4, (3, 15)))
+ALL = torch.as_tensor(RNG.uniform(0.7, 1.4, (3, 5 + len(UNMEASURED))))
+ALL[:, 15:] = 1.0  # healthy values and parts are those of test_family.py
+N_ALL = 5 + len(UNMEASURED)
 SIDES = ("leading", "trailing")
 PLACES = list(itertools.product(SIDES, SIDES, ("axle", "centre"), (0.0, 1.7)))
 
@@ -43,7 +46,7 @@ def stacked(generator, ratios, frequencies_hz=FREQUENCIES):
 
 
 @pytest.mark.parametrize(("bogie", "axle", "frame_sensor", "body_sensor_m"), PLACES)
-@pytest.mark.parametrize("ratios", [FIVE, FIFTEEN], ids=["five", "fifteen"])
+@pytest.mark.parametrize("ratios", [FIVE, ALL], ids=["five", "all"])
 def test_responses_solve_newtons_equations(bogie, axle, frame_sensor, body_sensor_m, ratios):
     generator = VerticalVehicle(
         AM96,
@@ -60,7 +63,7 @@ def test_responses_solve_newtons_equations(bogie, axle, frame_sensor, body_senso
         np.testing.assert_allclose(found[row], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("other_bogie", ["healthy", "same", "varies"])
+@pytest.mark.parametrize("other_bogie", ["healthy", "same"])
 @pytest.mark.parametrize("bogie", SIDES)
 def test_other_bogie_is_healthy_or_the_same_unless_columns_say_otherwise(other_bogie, bogie):
     generator = VerticalVehicle(AM96, bogie=bogie, other_bogie=other_bogie)
@@ -71,8 +74,8 @@ def test_other_bogie_is_healthy_or_the_same_unless_columns_say_otherwise(other_b
         rtol=1e-9,
     )
     # columns that are given win over `other_bogie`
-    rows = stacked(generator, FIFTEEN[:1])[0].numpy()
-    np.testing.assert_allclose(rows, naive(generator, FIFTEEN[0], FREQUENCIES), rtol=1e-9)
+    rows = stacked(generator, ALL[:1])[0].numpy()
+    np.testing.assert_allclose(rows, naive(generator, ALL[0], FREQUENCIES), rtol=1e-9)
     apart = stacked(VerticalVehicle(AM96, bogie=bogie, other_bogie="same"), ratios)[0]
     healthy = stacked(VerticalVehicle(AM96, bogie=bogie), ratios)[0]
     assert (apart / healthy - 1).abs().max() > 0.01
@@ -88,7 +91,7 @@ def test_magnitudes_are_absolute_values_of_responses():
 
 
 @pytest.mark.parametrize(("bogie", "axle", "frame_sensor", "body_sensor_m"), PLACES)
-@pytest.mark.parametrize("ratios", [FIVE[0], FIFTEEN[0]], ids=["five", "fifteen"])
+@pytest.mark.parametrize("ratios", [FIVE[0], ALL[0]], ids=["five", "all"])
 def test_motion_system_has_the_same_frequency_response(
     bogie, axle, frame_sensor, body_sensor_m, ratios
 ):
@@ -101,7 +104,7 @@ def test_motion_system_has_the_same_frequency_response(
         other_bogie="same",
     )
     system = generator.motion_system(ratios)
-    speed = 70.0 * (float(ratios[14]) if len(ratios) == 15 else 1.0)
+    speed = 70.0 * (float(ratios[5]) if len(ratios) > 5 else 1.0)
     a, b, c, d = system.state_space()
     assert d.shape == (2, 4)
     assert not d.any()
@@ -116,7 +119,7 @@ def test_motion_system_has_the_same_frequency_response(
 
 @pytest.mark.parametrize("bogie", SIDES)
 def test_eigenfrequencies_are_those_of_newtons_matrices(bogie):
-    ratios = FIFTEEN[1]
+    ratios = ALL[1]
     system = VerticalVehicle(AM96, bogie=bogie).motion_system(ratios)
     numbers = trips_reference.pitching_numbers(AM96, ratios, 70.0)
     mass, damping, stiffness, _, _ = trips_reference.pitching_matrices(numbers, bogie)
@@ -171,7 +174,7 @@ def test_locked_pitch_and_wheelsets_in_step_leave_the_quarter_car(bogie, frame_s
 @pytest.mark.parametrize("bogie", SIDES)
 def test_gain_at_zero_frequency_is_one(bogie):
     generator = VerticalVehicle(AM96, bogie=bogie, body_sensor_m=2.0)
-    for ratios in (FIVE, FIFTEEN):
+    for ratios in (FIVE, ALL):
         gains = stacked(generator, ratios, torch.tensor([0.0]))
         torch.testing.assert_close(gains, torch.ones_like(gains), rtol=1e-12, atol=1e-12)
     # the delays change it in first order of frequency: 1e-6 Hz * 20 m / (70 m/s)
@@ -195,7 +198,8 @@ def test_vehicle_seen_from_the_rear_is_its_mirror_image_if_nothing_is_delayed(fr
 def test_undamped_vehicle_seen_from_the_rear_runs_backwards_in_time():
     undamped = FIVE.clone()
     undamped[:, [1, 3]] = 1e-13
-    columns = torch.cat([undamped, undamped[:, :4], torch.ones(3, 6)], dim=1)
+    columns = torch.ones(3, 5 + len(UNMEASURED))
+    columns[:, :5], columns[:, 6:10] = undamped, undamped[:, :4]
     front = stacked(VerticalVehicle(AM96), columns)
     rear = stacked(VerticalVehicle(AM96, bogie="trailing", axle="trailing"), columns)
     assert front.imag.abs().max() > 0.1
@@ -229,8 +233,8 @@ def test_scaling_masses_dampers_and_springs_together_changes_nothing():
     names += ("primary_damping_ns_per_m", "secondary_damping_ns_per_m")
     heavier = dataclasses.replace(AM96, **{name: 3.0 * getattr(AM96, name) for name in names})
     torch.testing.assert_close(
-        stacked(VerticalVehicle(heavier), FIFTEEN),
-        stacked(VerticalVehicle(AM96), FIFTEEN),
+        stacked(VerticalVehicle(heavier), ALL),
+        stacked(VerticalVehicle(AM96), ALL),
         rtol=1e-11,
         atol=0,
     )
@@ -240,13 +244,11 @@ def test_scaling_all_lengths_and_the_speed_together_changes_nothing():
     larger = dataclasses.replace(AM96, **{name: 2.5 * getattr(AM96, name) for name in GEOMETRY})
     before = VerticalVehicle(AM96, speed_m_per_s=40.0, body_sensor_m=1.0)
     after = VerticalVehicle(larger, speed_m_per_s=100.0, body_sensor_m=2.5)
-    torch.testing.assert_close(
-        stacked(after, FIFTEEN), stacked(before, FIFTEEN), rtol=1e-11, atol=0
-    )
+    torch.testing.assert_close(stacked(after, ALL), stacked(before, ALL), rtol=1e-11, atol=0)
 
 
 @pytest.mark.parametrize("bogie", SIDES)
-@pytest.mark.parametrize("ratios", [FIVE[0], FIFTEEN[0]], ids=["five", "fifteen"])
+@pytest.mark.parametrize("ratios", [FIVE[0], ALL[0]], ids=["five", "all"])
 def test_matrices_of_the_motion_are_symmetric_and_positive(bogie, ratios):
     system = VerticalVehicle(AM96, bogie=bogie).motion_system(ratios)
     for matrix in (system.mass, system.damping, system.stiffness):
@@ -256,7 +258,7 @@ def test_matrices_of_the_motion_are_symmetric_and_positive(bogie, ratios):
 
 
 def test_track_that_rises_as_a_whole_lifts_everything_alike():
-    system = VerticalVehicle(AM96, body_sensor_m=3.0).motion_system(FIFTEEN[0])
+    system = VerticalVehicle(AM96, body_sensor_m=3.0).motion_system(ALL[0])
     for inner, outer in (
         (system.stiffness, system.input_stiffness),
         (system.damping, system.input_damping),
@@ -282,8 +284,8 @@ def test_wheelsets_run_behind_the_measured_one_by_their_distance(bogie, axle, ex
 
 def test_batch_equals_one_by_one():
     generator = VerticalVehicle(AM96)
-    alone = torch.cat([stacked(generator, row[None]) for row in FIFTEEN])
-    torch.testing.assert_close(stacked(generator, FIFTEEN), alone, rtol=1e-13, atol=0)
+    alone = torch.cat([stacked(generator, row[None]) for row in ALL])
+    torch.testing.assert_close(stacked(generator, ALL), alone, rtol=1e-13, atol=0)
 
 
 def test_ratios_are_left_untouched_and_float32_gives_float64():
@@ -299,9 +301,13 @@ def test_vertical_vehicle_is_a_response_generator():
 
 def test_every_parameter_changes_the_responses():
     generator = VerticalVehicle(AM96)
-    before = stacked(generator, torch.ones(1, 15))
+    n_columns = 5 + len(UNMEASURED)
+    before = stacked(generator, torch.ones(1, n_columns))
+    own = {quantity.name for quantity in QUANTITIES if not quantity.part}
     for column, name in enumerate((*PARAMETERS, *UNMEASURED)):
-        ratios = torch.ones(1, 15)
+        if name in UNMEASURED and name not in own:
+            continue
+        ratios = torch.ones(1, n_columns)
         ratios[0, column] = 1.1
         change = (stacked(generator, ratios) / before - 1).abs().max()
         assert change > 1e-3, name
@@ -310,35 +316,56 @@ def test_every_parameter_changes_the_responses():
 # sample_unmeasured
 
 
-def test_samples_fill_their_half_widths_and_are_nominal_elsewhere():
+def test_samples_have_the_distribution_asked_for_and_are_nominal_elsewhere():
     widths = {"speed": 0.02, "body_gyration": 0.1, "other_c_s": 0.5}
     ratios = torch.as_tensor(np.random.default_rng(1).uniform(0.5, 2.0, (4000, 5)))
-    samples = VerticalVehicle(AM96, uncertainty=widths).sample_unmeasured(ratios, seed=3)
-    assert samples.shape == (4000, 15)
+    samples = VerticalVehicle(AM96, distribution=widths).sample_unmeasured(ratios, seed=3)
+    assert samples.shape == (4000, 5 + len(UNMEASURED))
     assert torch.equal(samples[:, :5], ratios)
     for name, column in zip(UNMEASURED, samples[:, 5:].T, strict=True):
         width = widths.get(name, 0.0)
-        deviation = column - 1
         if width == 0:
-            assert not deviation.any()
+            assert (column == 1).all()
             continue
-        # the extremes of 4000 uniform draws lie within 20 / 4000 of the ends
-        assert 0.995 * width < deviation.max() <= width
-        assert -width <= deviation.min() < -0.995 * width
-        # mean 0 with a standard error of width / sqrt(3 * 4000)
-        assert deviation.mean().abs() < 4 * width / math.sqrt(12_000)
-        assert float(deviation.square().mean()) == pytest.approx(width**2 / 3, rel=0.05)
+        # standard errors of mean and deviation of 4000 draws
+        assert float(column.log().mean()) == pytest.approx(0, abs=4 * width / math.sqrt(4000))
+        assert float(column.log().std()) == pytest.approx(width, rel=4 / math.sqrt(8000))
+
+
+def test_samples_follow_a_given_mean_and_covariance():
+    covariance = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, -0.01], [0.0, -0.01, 0.01]])
+    names, mean = ("healthy_k_p", "bogie_gyration", "half_wheelbase"), (0.2, -0.1, 0.0)
+    belief = LogNormal(names, mean, covariance)
+    generator = VerticalVehicle(AM96, distribution=belief)
+    samples = generator.sample_unmeasured(torch.ones(20_000, 5), seed=0)
+    logs = samples[:, [5 + UNMEASURED.index(name) for name in names]].log().numpy()
+    np.testing.assert_allclose(logs.mean(axis=0), mean, atol=4 * 0.3 / math.sqrt(20_000))
+    np.testing.assert_allclose(np.cov(logs.T), covariance, atol=4 * 0.09 * math.sqrt(2 / 20_000))
+    # five columns stand for the median
+    median = torch.ones(1, 5 + len(UNMEASURED), dtype=torch.float64)
+    median[0, [5 + UNMEASURED.index(name) for name in names]] = torch.tensor(
+        mean, dtype=torch.float64
+    ).exp()
+    assert torch.equal(stacked(generator, torch.ones(1, 5)), stacked(generator, median))
 
 
 def test_columns_are_drawn_independently():
-    generator = VerticalVehicle(AM96, uncertainty=dict.fromkeys(UNMEASURED, 0.2))
+    generator = VerticalVehicle(AM96, distribution=dict.fromkeys(UNMEASURED, 0.2))
     samples = generator.sample_unmeasured(torch.ones(4000, 5), seed=0)[:, 5:]
-    correlation = np.corrcoef(samples.numpy().T) - np.eye(10)
-    assert np.abs(correlation).max() < 4.5 / math.sqrt(4000)
+    correlation = np.corrcoef(samples.log().numpy().T) - np.eye(len(UNMEASURED))
+    assert np.abs(correlation).max() < 5.0 / math.sqrt(4000)
+
+
+def test_the_prior_is_of_the_parts_that_there_are():
+    for parts in ((), ("bending",), PARTS):
+        belief = VerticalVehicle(AM96, parts=parts, distribution="prior").distribution
+        expected = {q.name: q.deviation for q in QUANTITIES if q.part in ("", *parts)}
+        expected = {name: value for name, value in expected.items() if value}
+        assert dict(zip(belief.names, belief.deviations, strict=True)) == pytest.approx(expected)
 
 
 def test_samples_are_those_of_their_seed():
-    generator = VerticalVehicle(AM96, uncertainty={"speed": 0.1})
+    generator = VerticalVehicle(AM96, distribution={"speed": 0.1})
     ratios = torch.ones(5, 5)
     first = generator.sample_unmeasured(ratios, seed=4)
     assert torch.equal(first, generator.sample_unmeasured(ratios, seed=4))
@@ -346,19 +373,21 @@ def test_samples_are_those_of_their_seed():
 
 
 def test_same_keeps_the_other_bogie_equal():
-    generator = VerticalVehicle(AM96, other_bogie="same", uncertainty={"speed": 0.1})
+    generator = VerticalVehicle(AM96, other_bogie="same", distribution={"speed": 0.1})
     samples = generator.sample_unmeasured(FIVE, seed=0)
-    assert torch.equal(samples[:, 5:9], FIVE[:, :4])
-    assert not (samples[:, 14] == 1).any()
+    assert torch.equal(samples[:, 6:10], FIVE[:, :4])
+    assert not (samples[:, 5] == 1).any()
 
 
-def test_varies_samples_the_other_bogie_around_healthy():
-    generator = VerticalVehicle(AM96, other_bogie="varies", other_spread=0.3)
-    samples = generator.sample_unmeasured(FIVE[:1].expand(2000, 5), seed=0)
-    other = samples[:, 5:9] - 1
-    assert (other.abs() <= 0.3).all()
-    assert (other.abs().amax(dim=0) > 0.29).all()
-    assert (samples[:, 9:] == 1).all()
+def test_a_sixth_column_is_the_speed():
+    given = torch.cat([FIVE, torch.tensor([[0.8], [1.0], [1.3]], dtype=torch.float64)], dim=1)
+    found = stacked(VerticalVehicle(AM96, speed_m_per_s=50.0), given)
+    for row, speed in enumerate((40.0, 50.0, 65.0)):
+        alone = stacked(VerticalVehicle(AM96, speed_m_per_s=speed), FIVE[row : row + 1])
+        torch.testing.assert_close(found[row : row + 1], alone, rtol=1e-10, atol=0)
+    assert torch.equal(VerticalVehicle(AM96).sample_unmeasured(given, 0)[:, :6], given)
+    cars = [torch.stack(QuarterCar(AM96).responses(rows, FREQUENCIES)) for rows in (given, FIVE)]
+    assert torch.equal(*cars)
 
 
 def test_nothing_uncertain_gives_the_responses_of_five_columns():
@@ -391,17 +420,22 @@ def test_vehicle_without_geometry_is_rejected(name):
         ({"speed_m_per_s": -1.0}, r"`speed_m_per_s` must be a finite number > 0"),
         ({"speed_m_per_s": math.nan}, r"`speed_m_per_s` must be a finite number > 0"),
         ({"speed_m_per_s": math.inf}, r"`speed_m_per_s` must be a finite number > 0"),
-        ({"other_spread": 1.0}, r"`other_spread` must be a finite number >= 0 and < 1, got 1.0"),
-        ({"other_spread": -0.1}, r"`other_spread` must be a finite number >= 0 and < 1"),
-        ({"uncertainty": {"k_p": 0.1}}, r"`uncertainty` must be named as in .*\['k_p'\]"),
+        ({"distribution": {"k_p": 0.1}}, r"`distribution` must be named as in .*\['k_p'\]"),
         (
-            {"uncertainty": {"speed": 1.0}},
-            r"`uncertainty.speed` must be a finite number >= 0 and < 1, got 1.0",
+            {"distribution": {"speed": 10.0}},
+            r"`distribution.speed` must be a finite number >= 0 and < 10, got 10.0",
         ),
         (
-            {"uncertainty": {"speed": -0.1}},
-            r"`uncertainty.speed` must be a finite number >= 0 and < 1",
+            {"distribution": {"speed": -0.1}},
+            r"`distribution.speed` must be a finite number >= 0 and < 10",
         ),
+        ({"distribution": "posterior"}, r"`distribution` must be one of .*'posterior'"),
+        ({"parts": ("wings",)}, r"`parts` must be one of .*'wings'"),
+        ({"nominal": {"speed": 3.0}}, r"`nominal` must be named as in .*\['speed'\]"),
+        ({"nominal": {"rubber_loss": 0.0}}, r"`nominal.rubber_loss` must be a finite number > 0"),
+        ({"sensor_lateral_m": (1.0, 1.0)}, r"`sensor_lateral_m` must be three places"),
+        ({"sensor_lateral_m": (1.0, 1.0, 3.0)}, r"`sensor_lateral_m\[2\]` must be a finite"),
+        ({"body_sensor_m": math.nan}, r"`body_sensor_m` must be a finite number"),
         ({"device": "cuda:99"}, r"`device`='cuda:99' cannot be used here"),
     ],
 )
@@ -415,12 +449,14 @@ def test_settings_that_are_no_numbers_are_rejected(value):
     with pytest.raises(TypeError, match="`speed_m_per_s` must be a finite number > 0"):
         VerticalVehicle(AM96, speed_m_per_s=value)
     with pytest.raises(
-        TypeError, match=r"`uncertainty\.speed` must be a finite number >= 0 and < 1"
+        TypeError, match=r"`distribution\.speed` must be a finite number >= 0 and < 10"
     ):
-        VerticalVehicle(AM96, uncertainty={"speed": value})
+        VerticalVehicle(AM96, distribution={"speed": value})
 
 
-@pytest.mark.parametrize(("n_columns", "expected"), [(4, 5), (6, 15), (14, 15), (16, 15)])
+@pytest.mark.parametrize(
+    ("n_columns", "expected"), [(4, 5), (7, N_ALL), (N_ALL - 1, N_ALL), (N_ALL + 1, N_ALL)]
+)
 def test_ratios_of_the_wrong_shape_are_rejected(n_columns, expected):
     with pytest.raises(ValueError, match=rf"must have shape \(n_vehicles, {expected}\)"):
         VerticalVehicle(AM96).responses(torch.ones(2, n_columns), FREQUENCIES)
@@ -429,7 +465,7 @@ def test_ratios_of_the_wrong_shape_are_rejected(n_columns, expected):
 @pytest.mark.parametrize("value", [0.0, -0.5, math.nan, math.inf])
 @pytest.mark.parametrize("column", [2, 12])
 def test_ratios_that_are_not_positive_and_finite_are_rejected(value, column):
-    ratios = torch.ones(3, 15)
+    ratios = torch.ones(3, N_ALL)
     ratios[1, column] = value
     with pytest.raises(ValueError, match="`ratios` must be positive and finite"):
         VerticalVehicle(AM96).magnitudes(ratios, FREQUENCIES)

@@ -1,0 +1,104 @@
+"""Dynamic stiffness of springs and dampers, kappa(s) with s = j omega, batched over vehicles.
+
+Each is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
+
+    kappa = k (1 + j eta) + c s + sum_i b_i s / (s + r_i)
+
+A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds one of a
+share of k at 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
+(Nishimura) is k_1 on top of k_2 and the orifice beside each other, both beside the stiffness k_3
+of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 that is the branch
+b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
+square of k_1 / (k_1 + k_2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+RUBBER_RATE = 2 * math.pi * 5.0
+"""Relaxation rate of the rubber's Maxwell branch, [1/s]."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """A spring and damper with Maxwell branches, its numbers of shape (n_vehicles, 1).
+
+    Attributes
+    ----------
+    stiffness : tensor, [N/m]
+    damping : tensor or None, [N s/m]
+    branches : sequence of pairs of tensors
+        Stiffness [N/m] and rate [1/s] of each.
+    loss : tensor or None, [-]
+        Loss factor of the spring.
+    """
+
+    stiffness: Tensor
+    damping: Tensor | None
+    branches: Sequence[tuple[Tensor, Tensor | float]] = ()
+    loss: Tensor | None = None
+
+    def at(self, omega: Tensor) -> Tensor:
+        """Return kappa at angular frequencies (n_freq,) [rad/s], (n_vehicles, n_freq), [N/m]."""
+        real, imaginary = self.stiffness, torch.zeros_like(self.stiffness)
+        if self.damping is not None:
+            imaginary = imaginary + self.damping * omega
+        if self.loss is not None:
+            imaginary = imaginary + self.loss * self.stiffness
+        for stiffness, rate in self.branches:
+            share = stiffness * omega / (omega**2 + rate**2)
+            real, imaginary = real + share * omega, imaginary + share * rate
+        return torch.complex(*torch.broadcast_tensors(real, imaginary))
+
+
+def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
+    """Return the primary suspension of the measured ("") or the other bogie ("other_")."""
+    stiffness, damping = p[which + "k_p"], p[which + "c_p"]
+    branches: list[tuple[Tensor, Tensor | float]] = []
+    if "bushings" in parts:
+        branches.append((p["primary_bushing"], p["primary_bushing"] / damping))
+    if "rubber" in parts:
+        branches.append((p["rubber_share"] * stiffness, RUBBER_RATE))
+    return Element(
+        stiffness,
+        None if "bushings" in parts else damping,
+        branches,
+        p["rubber_loss"] if "rubber" in parts else None,
+    )
+
+
+def secondary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
+    """Return the secondary suspension of the measured ("") or the other bogie ("other_")."""
+    stiffness, damping = p[which + "k_s"], p[which + "c_s"]
+    if "air_spring" in parts:
+        ratio = p["volume_ratio"]
+        volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
+        orifice = damping * ((1 + ratio) / ratio) ** 2
+        # k_1 + k_2 = volumes (1 + N)^2 / N
+        rate = volumes * (1 + ratio) ** 2 / ratio / orifice
+        return Element(stiffness, None, [(ratio * volumes, rate)])
+    if "bushings" in parts:
+        bushing = p["secondary_bushing"]
+        return Element(stiffness, None, [(bushing, bushing / damping)])
+    return Element(stiffness, damping)
+
+
+def primary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequence[str]) -> Tensor:
+    """Return kappa_p of a bogie, (n_vehicles, n_freq), [N/m]."""
+    return primary_element(p, which, parts).at(omega)
+
+
+def secondary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequence[str]) -> Tensor:
+    """Return kappa_s of a bogie, (n_vehicles, n_freq), [N/m]."""
+    return secondary_element(p, which, parts).at(omega)
+
+
+def longitudinal(p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return kappa_x between body and bogie, (n_vehicles, n_freq), [N/m]."""
+    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"]).at(omega)

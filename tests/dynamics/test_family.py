@@ -1,0 +1,245 @@
+"""Every part of the vertical vehicle against point springs on rigid bodies, solved naively."""
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+import torch
+from vehicles import AM96
+
+from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
+
+FREQUENCIES = torch.tensor([0.3, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0]).double()
+RNG = np.random.default_rng(11)
+NAMES = (*PARAMETERS, *UNMEASURED)
+ALL = torch.as_tensor(RNG.uniform(0.7, 1.4, (3, len(NAMES))))
+SENSORS = (1.0, 0.95, -1.1)
+COMBINATIONS = [(part,) for part in PARTS] + [PARTS, PARTS[:-1]]
+
+
+def numbers(generator, ratios):
+    """Return every number of one vehicle in SI units, from the tables rather than the class."""
+    p = dict(zip(NAMES, [float(r) for r in ratios], strict=True))
+    v = generator.vehicle
+    nominal = {
+        "M_s": v.body_mass_kg,
+        "speed": generator.speed_m_per_s,
+        "bogie_mass": v.bogie_mass_kg,
+        "half_wheelbase": v.half_wheelbase_m,
+        "half_pivot_distance": v.half_pivot_distance_m,
+        "bogie_gyration": v.bogie_gyration_m,
+        "body_gyration": v.body_gyration_m,
+        "healthy_k_p": v.primary_stiffness_n_per_m,
+        "healthy_c_p": v.primary_damping_ns_per_m,
+        "healthy_k_s": v.secondary_stiffness_n_per_m,
+        "healthy_c_s": v.secondary_damping_ns_per_m,
+        "axle_box_lateral": generator.sensor_lateral_m[0],
+        "frame_lateral": generator.sensor_lateral_m[1],
+        "body_lateral": generator.sensor_lateral_m[2],
+    }
+    nominal |= {q.name: q.nominal for q in QUANTITIES if q.nominal is not None}
+    return {name: value * nominal.get(name, 1.0) for name, value in p.items()}
+
+
+def kappas(n, which, parts, s):
+    """Return the primary and secondary dynamic stiffness of one bogie's side."""
+    k_p, c_p, k_s, c_s = (
+        n[which + name] * n[f"healthy_{name}"] for name in ("k_p", "c_p", "k_s", "c_s")
+    )
+    damper_p, damper_s = c_p * s, c_s * s
+    if "bushings" in parts:  # in series: compliances add
+        damper_p = 1 / (1 / damper_p + 1 / n["primary_bushing"])
+        damper_s = 1 / (1 / damper_s + 1 / n["secondary_bushing"])
+    spring_p = k_p
+    if "rubber" in parts:
+        branch, rate = n["rubber_share"] * k_p, 2 * math.pi * 5
+        spring_p += 1 / (1 / branch + 1 / (branch / rate * s)) + 1j * n["rubber_loss"] * k_p
+    secondary = k_s + damper_s
+    if "air_spring" in parts:
+        ratio = n["volume_ratio"]
+        k_3 = n["area_share"] * k_s
+        k_2 = (k_s - k_3) * (1 + ratio) / ratio
+        k_1 = ratio * k_2
+        orifice = c_s / (k_1 / (k_1 + k_2)) ** 2
+        secondary = k_3 + 1 / (1 / k_1 + 1 / (k_2 + orifice * s))
+    return spring_p + damper_p, secondary
+
+
+def naive(generator, ratios, frequency_hz):
+    """Return axle box, frame and body for mean and cross level, (2, 3), one system of equations.
+
+    Coordinates: z, pitch, roll [rad] and bending of the body, then z, pitch, roll of both bogies;
+    every spring acts between two points, left and right, all of the vehicle and not of a side.
+    """
+    n, parts = numbers(generator, ratios), generator.parts
+    s = 2j * math.pi * frequency_hz
+    a, pivot = n["half_wheelbase"], n["half_pivot_distance"]
+    leading = generator.bogie == "leading"
+    system = np.zeros((10, 10), dtype=complex)
+    body, bogie = 4 * n["M_s"], 2 * n["bogie_mass"]
+    inertias = [body, body * n["body_gyration"] ** 2, body * n["body_roll_gyration"] ** 2]
+    system[:3, :3] = np.diag(inertias) * s**2
+    empty = 2 * AM96.body_mass_kg
+    own = 2 * math.pi * n["bending_frequency"]
+    # the shape is given per modal mass of a quarter: both sides have two
+    modal = 2 * n["M_s"] * s**2 + empty * own**2 + 2 * n["bending_damping"] * empty * own * s
+    system[3, 3] = modal
+    shape = n["bending_at_pivot"] if "bending" in parts else 0.0
+    drive = np.zeros((10, 2), dtype=complex)
+    b_p, b_s = n["primary_lateral"], n["secondary_lateral"]
+    for i, place in enumerate((pivot, -pivot)):
+        which = "" if (i == 0) == leading else "other_"
+        kappa_p, kappa_s = kappas(n, which, parts, s)
+        first = 4 + 3 * i
+        rows = np.eye(10)[first : first + 3]
+        gyrations = (1.0, n["bogie_gyration"] ** 2, n["bogie_roll_gyration"] ** 2)
+        for row, square in zip(rows, gyrations, strict=True):
+            system += bogie * square * s**2 * np.outer(row, row)
+        for side in (1.0, -1.0):
+            stretch = -(rows[0] + side * b_s * rows[2])
+            stretch[[0, 1, 2, 3]] += 1.0, place, side * b_s, shape
+            system += kappa_s * np.outer(stretch, stretch)
+            for x in (a, -a):
+                stretch = rows[0] + x * rows[1] + side * b_p * rows[2]
+                system += kappa_p / 2 * np.outer(stretch, stretch)
+                delay = cmath.exp(s * (place + x - reference(generator, n)) / n["speed"])
+                # the rails are 0.75 m off the middle; the rigid axle continues their slope
+                track = delay * np.array([1.0, side * b_p / 0.75])
+                drive += kappa_p / 2 * np.outer(stretch, track)
+            if "longitudinal" in parts:
+                link = np.zeros(10)
+                link[1], link[first + 1] = n["body_lever"], n["bogie_lever"]
+                kappa_x = n["longitudinal_stiffness"] + n["longitudinal_damping"] * s
+                system += kappa_x * np.outer(link, link)
+        if "guidance" in parts:
+            gamma = n["guidance_stiffness"] * n["healthy_k_p"]
+            gamma += n["guidance_damping"] * n["healthy_c_p"] * s
+            system += 2 * gamma * a**2 * np.outer(rows[1], rows[1])
+        bar = rows[2].copy()
+        bar[2] = -1.0
+        system += n["anti_roll_bar"] * np.outer(bar, bar)
+    motion = np.linalg.solve(system, drive)
+    frame, body_sensor = np.zeros(10), np.zeros(10)
+    row = 4 if leading else 7
+    offset = a if generator.axle == "leading" else -a
+    frame[row : row + 3] = 1.0, offset * (generator.frame_sensor == "axle"), n["frame_lateral"]
+    place = (pivot if leading else -pivot) + generator.body_sensor_m
+    at_sensor = n["bending_at_sensor"] if "bending" in parts else 0.0
+    body_sensor[:4] = 1.0, place, n["body_lateral"], at_sensor
+    box = np.array([1.0, n["axle_box_lateral"] / 0.75])
+    return (
+        np.stack([box, frame @ motion, body_sensor @ motion]) * [1, math.sqrt(n["cross_level"])]
+    ).T
+
+
+def reference(generator, n):
+    """Return the place of the measured axle, ahead of the body's centre."""
+    pivot = n["half_pivot_distance"] if generator.bogie == "leading" else -n["half_pivot_distance"]
+    offset = n["half_wheelbase"] if generator.axle == "leading" else -n["half_wheelbase"]
+    return pivot + offset
+
+
+@pytest.mark.parametrize("parts", COMBINATIONS, ids="+".join)
+@pytest.mark.parametrize(
+    ("bogie", "axle", "frame_sensor", "body_sensor_m"),
+    [("leading", "leading", "axle", 0.0), ("trailing", "leading", "centre", 1.7)],
+)
+def test_channels_solve_the_equations_of_point_springs(
+    parts, bogie, axle, frame_sensor, body_sensor_m
+):
+    generator = VerticalVehicle(
+        AM96,
+        speed_m_per_s=52.0,
+        bogie=bogie,
+        axle=axle,
+        frame_sensor=frame_sensor,
+        body_sensor_m=body_sensor_m,
+        parts=parts,
+        sensor_lateral_m=SENSORS,
+    )
+    found = generator.channels(ALL, FREQUENCIES).numpy()
+    assert found.shape == (3, 1 + ("roll" in parts), 3, len(FREQUENCIES))
+    for row, ratios in enumerate(ALL):
+        for column, frequency in enumerate(FREQUENCIES.tolist()):
+            expected = naive(generator, ratios, frequency)[: found.shape[1]]
+            np.testing.assert_allclose(found[row, :, :, column], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("parts", [PARTS, PARTS[:-1]], ids="+".join)
+def test_responses_are_those_to_the_mean_of_both_rails(parts):
+    generator = VerticalVehicle(AM96, parts=parts, sensor_lateral_m=SENSORS)
+    mean = generator.channels(ALL, FREQUENCIES)[:, 0]
+    g_p, g_s = generator.responses(ALL, FREQUENCIES)
+    torch.testing.assert_close(g_p, mean[:, 1], rtol=1e-14, atol=0)
+    torch.testing.assert_close(g_s, mean[:, 2] / mean[:, 1], rtol=1e-14, atol=0)
+
+
+VANISHING = {
+    "bushings": {"primary_bushing": 1e14, "secondary_bushing": 1e14},
+    "rubber": {"rubber_share": 1e-16, "rubber_loss": 1e-16},
+    "guidance": {"guidance_stiffness": 1e-16, "guidance_damping": 1e-16},
+    "longitudinal": {"longitudinal_stiffness": 1e-16, "longitudinal_damping": 1e-16},
+    "bending": {"bending_at_pivot": 1e-16, "bending_at_sensor": 1e-16},
+    "roll": {},
+}
+
+
+@pytest.mark.parametrize("part", VANISHING)
+def test_a_part_that_vanishes_leaves_the_vehicle_without_it(part):
+    ratios = ALL.clone()
+    for name, value in VANISHING[part].items():
+        ratios[:, NAMES.index(name)] = value
+    found = VerticalVehicle(AM96, parts=(part,)).channels(ratios, FREQUENCIES)
+    plain = VerticalVehicle(AM96).channels(ratios, FREQUENCIES)
+    torch.testing.assert_close(found, plain, rtol=1e-11, atol=1e-14)
+
+
+def test_an_air_spring_with_a_vast_second_volume_and_no_area_is_a_spring_and_a_damper():
+    ratios = ALL.clone()
+    ratios[:, NAMES.index("volume_ratio")] = 1e13
+    ratios[:, NAMES.index("area_share")] = 1e-16
+    found = VerticalVehicle(AM96, parts=("air_spring",)).channels(ratios, FREQUENCIES)
+    plain = VerticalVehicle(AM96).channels(ratios, FREQUENCIES)
+    torch.testing.assert_close(found, plain, rtol=1e-8, atol=1e-10)
+
+
+def test_no_cross_level_leaves_the_mean_alone():
+    ratios = ALL.clone()
+    ratios[:, NAMES.index("cross_level")] = 1e-30
+    generator = VerticalVehicle(AM96, parts=("roll",), sensor_lateral_m=SENSORS)
+    channels = generator.channels(ratios, FREQUENCIES)
+    assert channels[:, 1].abs().max() < 1e-14
+    assert channels[:, 0].abs().min() > 1e-3
+
+
+def test_averaged_sensors_do_not_see_roll():
+    pair = VerticalVehicle(AM96, parts=PARTS)
+    assert pair.channels(ALL, FREQUENCIES).shape[1] == 1
+    one = VerticalVehicle(AM96, parts=PARTS, sensor_lateral_m=SENSORS)
+    torch.testing.assert_close(
+        pair.channels(ALL, FREQUENCIES)[:, 0], one.channels(ALL, FREQUENCIES)[:, 0]
+    )
+
+
+def test_quarter_car_has_one_input():
+    channels = QuarterCar(AM96).channels(torch.ones(2, 5), FREQUENCIES)
+    g_p, g_s = QuarterCar(AM96).responses(torch.ones(2, 5), FREQUENCIES)
+    assert channels.shape == (2, 1, 3, len(FREQUENCIES))
+    torch.testing.assert_close(
+        channels[:, 0], torch.stack([torch.ones_like(g_p), g_p, g_p * g_s], 1)
+    )
+
+
+def test_every_quantity_of_a_full_vehicle_changes_its_channels():
+    options = {"sensor_lateral_m": SENSORS}
+    vehicles = [VerticalVehicle(AM96, parts=p, **options) for p in (PARTS, PARTS[:-1])]
+    for column, name in enumerate(NAMES):
+        ratios = torch.ones(2, len(NAMES), dtype=torch.float64)
+        ratios[1, column] = 1.2
+        changes = []
+        for vehicle in vehicles:
+            before, after = vehicle.channels(ratios, FREQUENCIES)
+            changes.append(float((after - before).abs().max()))
+        assert max(changes) > 1e-6, name
