@@ -141,7 +141,9 @@ class CrossSpectra:
                     - g_j * self.between(x_j, y_i)
                     + g_i * g_j * self.between(x_j, x_i)
                 )
-                row_scales.append(self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj())
+                row_scales.append(
+                    self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj()
+                )
                 row.append(self.between(chosen[i], chosen[j]) * residual / self.n_averages)
             rows.append(torch.stack(row, dim=-2))
             scales.append(torch.stack(row_scales, dim=-2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -129,7 +130,7 @@ def corrected(
     estimates = predicted
     for _ in range(n_steps if method.corrected else 0):
         parts = []
-        for rows in np.array_split(np.arange(len(predicted)), -(-len(predicted) // ROWS)):
+        for rows in np.array_split(np.arange(len(predicted)), math.ceil(len(predicted) / ROWS)):
             near = complete_ratios(method.task, estimates[rows])
             curves = observer.for_features(observer.noise_free(torch.as_tensor(near)))
             inputs = method.relative_features(curves.cpu().numpy(), bins)

@@ -70,17 +70,32 @@ def estimate_spectra(
     MissingFeaturesError
         If the regression lacks a feature; the message says which and why.
     """
+    return estimate_with_noise(method, spectra, level, speeds)[0]
+
+
+def estimate_with_noise(
+    method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
+) -> tuple[Estimate, FloatArray]:
+    """Return one trip's estimate as `estimate_spectra` does, and the share of noise in it.
+
+    Returns
+    -------
+    estimate : Estimate
+    noise_share : array of shape (n_outputs,), [-]
+        n^2 / s^2; 1 without an interval.
+    """
     settings = trip_settings(method)
     observer = settings.observer(method.generator.on("cpu"))  # as the spectra are
     if speeds is not None:
         observer = observer.at(speeds)
     inputs = _inputs(method, spectra, observer)
     predicted = corrected(method, observer, method.predict(inputs), CORRECTIONS)
+    unknown = np.ones(len(method.task.outputs))
     if method.intervals is None and not method.refined:
-        return _estimate(method, predicted[0], None, level)
+        return _estimate(method, predicted[0], None, level), unknown
     refined = _refined(method, observer, spectra, predicted)
     if method.intervals is None or method.ood is None:
-        return _estimate(method, refined.of(method.task.outputs)[0][0], None, level)
+        return _estimate(method, refined.of(method.task.outputs)[0][0], None, level), unknown
     seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
     flags = method.ood.flags(method.task, [""], method.scaled(inputs), seen)
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
@@ -97,8 +112,10 @@ def estimate_spectra(
         mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
         noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
         scale = _residual_scale(method, inputs, predicted)
-    spread = np.sqrt(_lasting(usual * scale, noise_0) + noise**2)
-    return _estimate(method, values, factor / usual * spread, level, flags)
+    lasting = _lasting(usual * scale, noise_0)
+    spread = np.sqrt(lasting + noise**2)
+    estimate = _estimate(method, values, factor / usual * spread, level, flags)
+    return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
 
 
 def trip_settings(method: FittedMethod) -> EstimateSettings:
@@ -117,9 +134,7 @@ def trip_settings(method: FittedMethod) -> EstimateSettings:
     return method.settings
 
 
-def _inputs(
-    method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver
-) -> FloatArray:
+def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:
     """Return the features of a trip, shape (1, n_inputs)."""
     extractor = method.task.extractor
     responses = observer.for_features(spectra.responses(observer.settings.method)[None])
