@@ -14,6 +14,11 @@ from suspnet.runs.scores import Metrics
 from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
 from suspnet.runs.train import train
 
+NO_SPEED = (
+    "a range of speeds is for models that read trips and depend on the speed: experiment=trips "
+    "with a vehicle of known geometry; give one speed_m_per_s"
+)
+
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="train")
 @program.task
@@ -27,21 +32,20 @@ def compose(config: DictConfig) -> None:
     if not isinstance(config.speed_m_per_s, ListConfig):
         _train(config, folder)
         return
-    if "speed_half_width" not in config.data or config.generator.get("speed_m_per_s") is None:
-        raise ValueError(
-            "a range of speeds is for models that read trips and depend on the speed: "
-            "python train.py experiment=trips"
-        )
+    if "speed_half_width" not in config.data:
+        raise ValueError(NO_SPEED)
     ranges = speed_ranges(list(config.speed_m_per_s), config.data.speed_half_width)
 
-    def train_one(one: SpeedRange, where: Path) -> Metrics:
-        bound = config.copy()
-        bound.speed_m_per_s = one.trained_m_per_s
-        bound.data.speed_half_width = one.half_width
-        return _train(bound, where)
+    def bound(one: SpeedRange) -> DictConfig:
+        found = config.copy()
+        found.speed_m_per_s = one.trained_m_per_s
+        found.data.speed_half_width = one.half_width
+        return found
 
+    if instantiate(bound(ranges[0]).generator).speed_m_per_s is None:
+        raise ValueError(NO_SPEED)
     program.save_config(config, folder)
-    train_ranges(ranges, train_one, folder)
+    train_ranges(ranges, lambda one, where: _train(bound(one), where), folder)
 
 
 def _train(config: DictConfig, folder: Path) -> Metrics:

@@ -61,7 +61,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
 
 
 def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> bool:
-    """Return whether correcting estimates lowers their rms error, by the mean log over outputs.
+    """Return whether correcting estimates lowers the rms error of every output.
 
     Only estimates from trips are corrected, and only where they are all that is unknown: then they
     are a whole vehicle, with a curve. It does not pay where a regression shrinks what it cannot
@@ -81,5 +81,5 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
     for choice in (False, True):
         tried = regress_stream(problem, replace(model, corrected=choice), some, CALIBRATE)
         wrong = residuals(tried, some.outputs, log=True)
-        errors.append(float(np.log(np.mean(wrong**2, axis=0)).mean()))
-    return errors[1] < errors[0]
+        errors.append(np.mean(wrong**2, axis=0))
+    return bool((errors[1] <= errors[0]).all())
