@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ import torch
 from torch import Tensor
 
 from suspnet.checks import check_choice, check_number
+from suspnet.data.directions import Directions, directions
 from suspnet.data.misfit import EstimateMisfit
 from suspnet.data.observation import check_counts
 from suspnet.data.wishart import moving_average_with, sample_spectra
@@ -188,6 +190,11 @@ class EstimateObserver:
         self._spectrum = track_spectrum(settings.track, settings.short_waves)
         self._track = torch.as_tensor(self.track_density(self._bins.numpy()))
         self._noise = self.noise_densities(self._gains, settings.rates_hz)
+
+    @cached_property
+    def directions(self) -> Directions:
+        """The directions of the generator's uncertain numbers that its curves show."""
+        return directions(self)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return the limit of the estimate of G_p and G_s for infinitely long trips.

@@ -107,7 +107,7 @@ def refine_curves(
     """Return maximum-likelihood estimates of all unknown parameters, started from `predicted`."""
     near = torch.as_tensor(complete_ratios(task, predicted, mass))
     misfit = observer.misfit(curves, near, task.used_responses)
-    return refine(task, misfit, predicted, mass)
+    return refine(task, misfit, predicted, mass, directions=observer.directions)
 
 
 def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:

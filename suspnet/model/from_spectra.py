@@ -159,7 +159,7 @@ def _refined(
     n = spectra.n_averages * _independent(observer.settings.welch.correlation())
     covariance = covariance * n / (n - 2)
     misfit = EstimateMisfit(observer, spectra.responses(estimator)[None], covariance[None])
-    return refine(method.task, misfit, predicted)
+    return refine(method.task, misfit, predicted, directions=observer.directions)
 
 
 def _as_in_training(refined: Refined, share: float) -> Refined:

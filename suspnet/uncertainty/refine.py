@@ -4,6 +4,10 @@ All parameters that vary and are not measured are fitted jointly, so that the re
 maximum-likelihood estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its
 information matrix gives the deviations, and the misfit says whether the model can explain the
 curve at all.
+
+A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
+the prior: with z their coordinates (`suspnet.data.directions`) the sum of squares is that of the
+curve's residuals and of z, and the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.data.directions import Directions
 from suspnet.data.observation import Misfit
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
@@ -35,6 +40,8 @@ SCATTER = 1.5
 """Factor on the range within which the scattered vehicles lie."""
 ROWS = 4
 """Number of curves whose misfits to all scattered vehicles are in memory at a time."""
+FURTHEST = 6.0
+"""Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
 UNEXPLAINED = 1.3
 """Misfit above which a curve is fitted again from the nearest scattered vehicle."""
 
@@ -51,7 +58,8 @@ class Refined:
     deviations : array of shape (n_curves, n_unknown), [-]
         Standard deviations of log(ratios), inf where the curve does not determine them.
     misfit : array of shape (n_curves,), [-]
-        Rms of the curve's residuals over that of the noise: 1 if the model explains it.
+        Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
+        coordinates of uncertain numbers count as residuals.
     converged : bool array of shape (n_curves,)
     """
 
@@ -107,6 +115,7 @@ def refine(
     estimates: FloatArray,
     mass: FloatArray | None = None,
     *,
+    directions: Directions | None = None,
     max_iter: int = 30,
     n_scattered: int = 512,
 ) -> Refined:
@@ -121,6 +130,8 @@ def refine(
         Where the search starts; a row with NaN starts from the healthy vehicle.
     mass : array of shape (n_curves,), optional
         The measured car-body mass ratio, where the task knows it.
+    directions : Directions, optional
+        Of the uncertain numbers that are fitted too; None takes them as known.
     max_iter : int
         Levenberg-Marquardt iterations of each search.
     n_scattered : int
@@ -132,71 +143,106 @@ def refine(
     full = torch.as_tensor(start, device=device)
     for name in set(task.unknown) - set(task.outputs):
         full = _best_level(misfit, full, task, name)
-    search = _Search(task, misfit, full, max_iter)
-    found = search.run(torch.arange(len(full), device=device), full)
+    search = _Search(task, misfit, full, directions, max_iter)
+    found = search.run(torch.arange(len(full), device=device), full, search.median(len(full)))
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
-        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad, n_scattered))
+        again = search.run(torch.as_tensor(bad, device=device), *search.nearest(bad, n_scattered))
         found = found.improved(bad, again)
     return found
 
 
 class _Search:
-    """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds."""
+    """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds.
 
-    def __init__(self, task: Task, misfit: Misfit, full: Tensor, max_iter: int) -> None:
+    With uncertain numbers, their coordinates follow the parameters.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        misfit: Misfit,
+        full: Tensor,
+        directions: Directions | None,
+        max_iter: int,
+    ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
+        self._directions, self._n_directions = directions, 0 if directions is None else directions.n
         self._columns = torch.tensor(
             [PARAMETERS.index(name) for name in task.unknown], device=full.device
         )
         ranges = [task.range(name) for name in task.unknown]
         self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
-        self._bounds = self._range[0] - math.log(BEYOND), self._range[1] + math.log(BEYOND)
+        furthest = full.new_full((self._n_directions,), FURTHEST)
+        self._bounds = (
+            torch.cat([self._range[0] - math.log(BEYOND), -furthest]),
+            torch.cat([self._range[1] + math.log(BEYOND), furthest]),
+        )
 
-    def run(self, rows: Tensor, start: Tensor) -> Refined:
-        """Return the best fit of the curves `rows`, each from its row of `start` (n_rows, 5)."""
+    def median(self, n_rows: int) -> Tensor:
+        """Return the coordinates of the uncertain numbers at their median, (n_rows, n)."""
+        return self._full.new_zeros(n_rows, self._n_directions)
 
-        def residual(theta: Tensor, which: Tensor) -> Tensor:
-            return self._misfit(self._vehicles(theta, rows[which]), rows[which])
+    def run(self, rows: Tensor, start: Tensor, standard: Tensor) -> Refined:
+        """Return the best fit of the curves `rows`, each from its row of a start.
+
+        Parameters
+        ----------
+        rows : tensor of shape (n_rows,)
+        start : tensor of shape (n_rows, 5)
+        standard : tensor of shape (n_rows, n_directions)
+        """
+        n_unknown = len(self._columns)
+
+        def residual(point: Tensor, which: Tensor) -> Tensor:
+            theta, z = point[:, :n_unknown], point[:, n_unknown:]
+            values = self._misfit(self._vehicles(theta, z, rows[which]), rows[which])
+            return torch.cat([values, z], dim=1) if self._n_directions else values
 
         solution = levenberg_marquardt(
             residual,
-            start[:, self._columns].log(),
+            torch.cat([start[:, self._columns].log(), standard], dim=1),
             max_iter=self._max_iter,
             tol=TOL,
             first_damping=FIRST_DAMPING,
             bounds=self._bounds,
         )
-        n_points = residual(solution.parameters[:1], rows[:1] * 0).shape[1]
-        mean_square = 2 * solution.cost / (n_points - len(self._columns))
+        n_residuals = residual(solution.parameters[:1], rows[:1] * 0).shape[1]
+        # the coordinates are as many residuals of expected square 1 as they are fitted
+        freedom = n_residuals - self._n_directions - n_unknown
+        mean_square = 2 * solution.cost / freedom
         return Refined(
             self._task.unknown,
-            solution.parameters.exp().cpu().numpy(),
-            cramer_rao(solution.information.cpu().numpy()),
+            solution.parameters[:, :n_unknown].exp().cpu().numpy(),
+            cramer_rao(solution.information.cpu().numpy())[:, :n_unknown],
             np.sqrt(mean_square.cpu().numpy() / self._misfit.expected),
             solution.converged.cpu().numpy(),
         )
 
-    def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
-        """Return the nearest of `n_scattered` vehicles to each of some curves, (n_rows, 5)."""
+    def nearest(self, rows: IntArray, n_scattered: int) -> tuple[Tensor, Tensor]:
+        """Return the nearest of `n_scattered` vehicles to each of some curves, as `run` starts."""
         low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
         theta = low + (high - low) * points.to(low)
-        starts = []
+        z = np.random.default_rng(0).standard_normal((n_scattered, self._n_directions))
+        standard = torch.as_tensor(z).to(low)
+        starts, chosen = [], []
         for part in torch.as_tensor(rows, device=low.device).split(ROWS):
             repeated = part.repeat_interleave(n_scattered)
-            tried = self._vehicles(theta.repeat(len(part), 1), repeated)
-            cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
+            z = standard.repeat(len(part), 1)
+            tried = self._vehicles(theta.repeat(len(part), 1), z, repeated)
+            cost = self._misfit(tried, repeated).square().sum(dim=1) + z.square().sum(dim=1)
+            least = cost.reshape(len(part), -1).nan_to_num(torch.inf).argmin(dim=1)
             starts.append(
-                tried.reshape(len(part), n_scattered, -1)[
-                    torch.arange(len(part)), cost.nan_to_num(torch.inf).argmin(dim=1)
-                ]
+                tried.reshape(len(part), n_scattered, -1)[torch.arange(len(part)), least]
             )
-        return torch.cat(starts)
+            chosen.append(standard[least])
+        return torch.cat(starts), torch.cat(chosen)
 
-    def _vehicles(self, theta: Tensor, rows: Tensor) -> Tensor:
-        """Return complete ratios (n, 5): what is measured or healthy is that of the curve."""
-        return self._full[rows].index_copy(1, self._columns, theta.exp())
+    def _vehicles(self, theta: Tensor, z: Tensor, rows: Tensor) -> Tensor:
+        """Return complete ratios: what is measured or healthy is that of the curve."""
+        ratios = self._full[rows].index_copy(1, self._columns, theta.exp())
+        return ratios if self._directions is None else self._directions.vehicles(ratios, z)
 
 
 def _best_level(misfit: Misfit, full: Tensor, task: Task, name: str) -> Tensor:
