@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
+
 if TYPE_CHECKING:
     from suspnet.data.observation import Observer
 

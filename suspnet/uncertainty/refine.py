@@ -13,7 +13,7 @@ curve's residuals and of z, and the result has the largest posterior density.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ from suspnet.data.directions import Directions
 from suspnet.data.observation import Misfit
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
-from suspnet.learning.least_squares import levenberg_marquardt
+from suspnet.learning.least_squares import LeastSquaresSolution, levenberg_marquardt
 from suspnet.theory.information import cramer_rao
 from suspnet.types import BoolArray, FloatArray, IntArray
 
@@ -42,6 +42,12 @@ ROWS = 4
 """Number of curves whose misfits to all scattered vehicles are in memory at a time."""
 FURTHEST = 6.0
 """Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
+TEMPERATURES = (100.0, 10.0)
+"""Factors on the noise of the searches before the last one."""
+ROUGH_ITER, ROUGH_TOL = 12, 1e-2
+"""Iterations and tolerance of these searches."""
+UNCERTAIN_DAMPING = 1e-2
+"""First damping where uncertain numbers are fitted, from whose median the search starts."""
 UNEXPLAINED = 1.3
 """Misfit above which a curve is fitted again from the nearest scattered vehicle."""
 
@@ -116,6 +122,7 @@ def refine(
     mass: FloatArray | None = None,
     *,
     directions: Directions | None = None,
+    near: Callable[[Tensor], Misfit] | None = None,
     max_iter: int = 30,
     n_scattered: int = 512,
 ) -> Refined:
@@ -132,6 +139,9 @@ def refine(
         The measured car-body mass ratio, where the task knows it.
     directions : Directions, optional
         Of the uncertain numbers that are fitted too; None takes them as known.
+    near : callable, optional
+        Returns the misfit whose noise is that of vehicles (n_curves, n_columns): with uncertain
+        numbers the noise at the median may be far off. None keeps that of `misfit`.
     max_iter : int
         Levenberg-Marquardt iterations of each search.
     n_scattered : int
@@ -144,10 +154,13 @@ def refine(
     for name in set(task.unknown) - set(task.outputs):
         full = _best_level(misfit, full, task, name)
     search = _Search(task, misfit, full, directions, max_iter)
-    found = search.run(torch.arange(len(full), device=device), full, search.median(len(full)))
+    every = torch.arange(len(full), device=device)
+    if search.n_directions:
+        return search.tempered(every, near)
+    found = search.run(every, search.point(full))
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
-        again = search.run(torch.as_tensor(bad, device=device), *search.nearest(bad, n_scattered))
+        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad, n_scattered))
         found = found.improved(bad, again)
     return found
 
@@ -167,80 +180,100 @@ class _Search:
         max_iter: int,
     ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
-        self._directions, self._n_directions = directions, 0 if directions is None else directions.n
+        self._directions, self.n_directions = directions, 0 if directions is None else directions.n
         self._columns = torch.tensor(
             [PARAMETERS.index(name) for name in task.unknown], device=full.device
         )
         ranges = [task.range(name) for name in task.unknown]
         self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
-        furthest = full.new_full((self._n_directions,), FURTHEST)
+        furthest = full.new_full((self.n_directions,), FURTHEST)
         self._bounds = (
             torch.cat([self._range[0] - math.log(BEYOND), -furthest]),
             torch.cat([self._range[1] + math.log(BEYOND), furthest]),
         )
 
-    def median(self, n_rows: int) -> Tensor:
-        """Return the coordinates of the uncertain numbers at their median, (n_rows, n)."""
-        return self._full.new_zeros(n_rows, self._n_directions)
+    def point(self, full: Tensor) -> Tensor:
+        """Return where vehicles (n_rows, 5) start, their uncertain numbers at the median."""
+        median = full.new_zeros(len(full), self.n_directions)
+        return torch.cat([full[:, self._columns].log(), median], dim=1)
 
-    def run(self, rows: Tensor, start: Tensor, standard: Tensor) -> Refined:
-        """Return the best fit of the curves `rows`, each from its row of a start.
+    def tempered(self, rows: Tensor, near: Callable[[Tensor], Misfit] | None) -> Refined:
+        """Return the best fit with uncertain numbers, found with ever less noise.
 
-        Parameters
-        ----------
-        rows : tensor of shape (n_rows,)
-        start : tensor of shape (n_rows, 5)
-        standard : tensor of shape (n_rows, n_directions)
+        Their effect is thousands of deviations of the noise: a search at once ends far off.
         """
+        point = self.point(self._full)
+        for temperature in TEMPERATURES:
+            point = self._solved(rows, point, temperature).parameters
+            if near is not None:
+                self._misfit = near(self._vehicles(point, rows))
+        return self.run(rows, point)
+
+    def run(self, rows: Tensor, start: Tensor) -> Refined:
+        """Return the best fit of the curves `rows`, each from its row of `start`."""
+        solution = self._solved(rows, start)
         n_unknown = len(self._columns)
-
-        def residual(point: Tensor, which: Tensor) -> Tensor:
-            theta, z = point[:, :n_unknown], point[:, n_unknown:]
-            values = self._misfit(self._vehicles(theta, z, rows[which]), rows[which])
-            return torch.cat([values, z], dim=1) if self._n_directions else values
-
-        solution = levenberg_marquardt(
-            residual,
-            torch.cat([start[:, self._columns].log(), standard], dim=1),
-            max_iter=self._max_iter,
-            tol=TOL,
-            first_damping=FIRST_DAMPING,
-            bounds=self._bounds,
-        )
-        n_residuals = residual(solution.parameters[:1], rows[:1] * 0).shape[1]
+        n_residuals = self._residual(solution.parameters[:1], rows[:1] * 0, 1.0).shape[1]
         # the coordinates are as many residuals of expected square 1 as they are fitted
-        freedom = n_residuals - self._n_directions - n_unknown
+        freedom = n_residuals - self.n_directions - n_unknown
         mean_square = 2 * solution.cost / freedom
+        theta = solution.parameters[:, :n_unknown]
+        deviations = cramer_rao(solution.information.cpu().numpy())[:, :n_unknown]
+        if self.n_directions:
+            low, high = (bound[:n_unknown] for bound in self._bounds)
+            pressed = ((theta <= low) | (theta >= high)).cpu().numpy()
+            uniform = ((high - low) / math.sqrt(12)).cpu().numpy()
+            deviations = np.where(pressed, uniform, deviations)
         return Refined(
             self._task.unknown,
-            solution.parameters[:, :n_unknown].exp().cpu().numpy(),
-            cramer_rao(solution.information.cpu().numpy())[:, :n_unknown],
+            theta.exp().cpu().numpy(),
+            deviations,
             np.sqrt(mean_square.cpu().numpy() / self._misfit.expected),
             solution.converged.cpu().numpy(),
         )
 
-    def nearest(self, rows: IntArray, n_scattered: int) -> tuple[Tensor, Tensor]:
+    def _solved(
+        self, rows: Tensor, start: Tensor, temperature: float = 1.0
+    ) -> LeastSquaresSolution:
+        """Return the search with `temperature` times the noise, roughly where that is not 1."""
+        last = temperature == 1.0
+        return levenberg_marquardt(
+            lambda point, which: self._residual(point, rows[which], temperature),
+            start,
+            max_iter=self._max_iter if last else ROUGH_ITER,
+            tol=TOL if last else ROUGH_TOL,
+            first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
+            bounds=self._bounds,
+            one_sided=bool(self.n_directions),
+        )
+
+    def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:
+        """Return the residuals of the curves `rows`, then the coordinates of the numbers."""
+        values = self._misfit(self._vehicles(point, rows), rows)
+        if not self.n_directions:
+            return values
+        return torch.cat([values / temperature, point[:, len(self._columns) :]], dim=1)
+
+    def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
         """Return the nearest of `n_scattered` vehicles to each of some curves, as `run` starts."""
         low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
         theta = low + (high - low) * points.to(low)
-        z = np.random.default_rng(0).standard_normal((n_scattered, self._n_directions))
-        standard = torch.as_tensor(z).to(low)
-        starts, chosen = [], []
+        starts = []
         for part in torch.as_tensor(rows, device=low.device).split(ROWS):
             repeated = part.repeat_interleave(n_scattered)
-            z = standard.repeat(len(part), 1)
-            tried = self._vehicles(theta.repeat(len(part), 1), z, repeated)
-            cost = self._misfit(tried, repeated).square().sum(dim=1) + z.square().sum(dim=1)
-            least = cost.reshape(len(part), -1).nan_to_num(torch.inf).argmin(dim=1)
+            tried = self._vehicles(theta.repeat(len(part), 1), repeated)
+            cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
             starts.append(
-                tried.reshape(len(part), n_scattered, -1)[torch.arange(len(part)), least]
+                tried.reshape(len(part), n_scattered, -1)[
+                    torch.arange(len(part)), cost.nan_to_num(torch.inf).argmin(dim=1)
+                ]
             )
-            chosen.append(standard[least])
-        return torch.cat(starts), torch.cat(chosen)
+        return self.point(torch.cat(starts))
 
-    def _vehicles(self, theta: Tensor, z: Tensor, rows: Tensor) -> Tensor:
+    def _vehicles(self, point: Tensor, rows: Tensor) -> Tensor:
         """Return complete ratios: what is measured or healthy is that of the curve."""
+        theta, z = point[:, : len(self._columns)], point[:, len(self._columns) :]
         ratios = self._full[rows].index_copy(1, self._columns, theta.exp())
         return ratios if self._directions is None else self._directions.vehicles(ratios, z)
 
