@@ -22,9 +22,9 @@ from suspnet.dynamics import PARAMETERS, ResponseGenerator
 if TYPE_CHECKING:
     from suspnet.data.observation import Observer
 
-LEAST_EFFECT = 0.1
-"""Rms effect of a direction that counts, in standard deviations of the noise: what is left out
-widens no parameter's deviation by more than 0.5 % a direction."""
+LEAST_EFFECT = 0.03
+"""Rms effect of a direction that counts, in standard deviations of the noise. A vehicle may show
+ten times the mean effect; it then widens a parameter's deviation by no more than 5 %."""
 N_VEHICLES = 24
 """Vehicles over which the effect is averaged."""
 FURTHEST = 2.0
