@@ -22,9 +22,9 @@ from suspnet.dynamics import PARAMETERS, ResponseGenerator
 if TYPE_CHECKING:
     from suspnet.data.observation import Observer
 
-LEAST_EFFECT = 0.03
-"""Rms effect of a direction that counts, in standard deviations of the noise. A vehicle may show
-ten times the mean effect; it then widens a parameter's deviation by no more than 5 %."""
+LEAST_EFFECT = 0.1
+"""Rms effect of a direction that counts, in standard deviations of the noise: what is left out
+widens a parameter's deviation by about 0.5 % a direction at most."""
 N_VEHICLES = 24
 """Vehicles over which the effect is averaged."""
 FURTHEST = 2.0
@@ -67,7 +67,7 @@ class Directions:
         distribution = self.generator.distribution
         if not self.n or distribution is None:
             return ratios
-        mean = torch.tensor(distribution.mean).to(coordinates)
+        mean = torch.tensor(distribution.mean, dtype=torch.float64).to(coordinates)
         numbers = (mean + coordinates @ self.factor.to(coordinates).T).exp()
         return self.generator.with_uncertain(ratios, numbers)
 

@@ -12,6 +12,7 @@ curve's residuals and of z, and the result has the largest posterior density.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -155,12 +156,14 @@ def refine(
         full = _best_level(misfit, full, task, name)
     search = _Search(task, misfit, full, directions, max_iter)
     every = torch.arange(len(full), device=device)
-    if search.n_directions:
-        return search.tempered(every, near)
-    found = search.run(every, search.point(full))
+    search_from = (
+        search.run if not search.n_directions else functools.partial(search.tempered, near)
+    )
+    found = search_from(every, search.point(full))
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
-        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad, n_scattered))
+        rows = torch.as_tensor(bad, device=device)
+        again = search_from(rows, search.nearest(bad, n_scattered))
         found = found.improved(bad, again)
     return found
 
@@ -197,17 +200,22 @@ class _Search:
         median = full.new_zeros(len(full), self.n_directions)
         return torch.cat([full[:, self._columns].log(), median], dim=1)
 
-    def tempered(self, rows: Tensor, near: Callable[[Tensor], Misfit] | None) -> Refined:
-        """Return the best fit with uncertain numbers, found with ever less noise.
+    def tempered(
+        self, near: Callable[[Tensor], Misfit] | None, rows: Tensor, start: Tensor
+    ) -> Refined:
+        """Return the best fit of the curves `rows`, found with ever less noise.
 
-        Their effect is thousands of deviations of the noise: a search at once ends far off.
+        The effect of uncertain numbers may be thousands of deviations of the noise: a search at
+        once ends far off.
         """
-        point = self.point(self._full)
+        points = self.point(self._full)
+        points[rows] = start
         for temperature in TEMPERATURES:
-            point = self._solved(rows, point, temperature).parameters
+            points[rows] = self._solved(rows, points[rows], temperature).parameters
             if near is not None:
-                self._misfit = near(self._vehicles(point, rows))
-        return self.run(rows, point)
+                every = torch.arange(len(points), device=points.device)
+                self._misfit = near(self._vehicles(points, every))
+        return self.run(rows, points[rows])
 
     def run(self, rows: Tensor, start: Tensor) -> Refined:
         """Return the best fit of the curves `rows`, each from its row of `start`."""
@@ -258,18 +266,16 @@ class _Search:
         """Return the nearest of `n_scattered` vehicles to each of some curves, as `run` starts."""
         low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
-        theta = low + (high - low) * points.to(low)
+        ratios = torch.exp(low + (high - low) * points.to(low))
+        draws = np.random.default_rng(0).standard_normal((n_scattered, self.n_directions))
+        scattered = torch.cat([ratios.log(), torch.as_tensor(draws).to(low)], dim=1)
         starts = []
         for part in torch.as_tensor(rows, device=low.device).split(ROWS):
             repeated = part.repeat_interleave(n_scattered)
-            tried = self._vehicles(theta.repeat(len(part), 1), repeated)
+            tried = self._vehicles(scattered.repeat(len(part), 1), repeated)
             cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
-            starts.append(
-                tried.reshape(len(part), n_scattered, -1)[
-                    torch.arange(len(part)), cost.nan_to_num(torch.inf).argmin(dim=1)
-                ]
-            )
-        return self.point(torch.cat(starts))
+            starts.append(scattered[cost.nan_to_num(torch.inf).argmin(dim=1)])
+        return torch.cat(starts)
 
     def _vehicles(self, point: Tensor, rows: Tensor) -> Tensor:
         """Return complete ratios: what is measured or healthy is that of the curve."""
