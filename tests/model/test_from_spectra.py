@@ -15,7 +15,8 @@ from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model import from_spectra as trust
-from suspnet.model.from_spectra import ONE_SIGMA, estimate_spectra
+from suspnet.model.from_curves import corrected
+from suspnet.model.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_spectra
 from suspnet.theory.information import output_bounds
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals
@@ -69,6 +70,12 @@ def inputs_of(model, spectra):
     return model.relative_features(responses, model.settings.frequencies_hz().numpy())
 
 
+def regression(model, inputs):
+    """Return what the regression makes of a trip's inputs, less its own error."""
+    observer = model.settings.observer(model.generator)
+    return corrected(model, observer, model.predict(inputs), CORRECTIONS)
+
+
 def read(model, spectra, level=LEVEL):
     """Return values and half widths (n_outputs,) and the flags in words."""
     found = estimate_spectra(model, spectra, level)
@@ -102,7 +109,7 @@ def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, mo
     )  # what is estimated is true
     inputs = inputs_of(model, spectra)
     found = read(model, spectra)
-    predicted = model.predict(inputs)
+    predicted = regression(model, inputs)
     np.testing.assert_array_equal(found.values, predicted[0])
     scale = model.intervals.residual_scale.predict(model.with_estimates(inputs, predicted))
     limits = model.intervals.ends(predicted, scale, LEVEL)
@@ -116,7 +123,7 @@ def test_noise_of_the_training_is_replaced(model, monkeypatch, noise, expected_n
     """Noise in units of s_0; more of it than of the whole error cannot be taken away."""
     spectra = row(expected(model, ratios_of(WORN)))
     inputs = inputs_of(model, spectra)
-    predicted = model.predict(inputs)
+    predicted = regression(model, inputs)
     factors = {p: model.intervals.conformal.factors(p) for p in (LEVEL, ONE_SIGMA)}
     known = model.with_estimates(inputs, predicted)
     s_0 = model.intervals.residual_scale.predict(known)[0] * factors[ONE_SIGMA]
@@ -134,11 +141,12 @@ def test_noise_is_the_spread_of_estimates_from_other_draws(model):
         mean.auto.expand(2000, -1, -1), mean.cross.expand(2000, -1, -1), mean.n_averages
     )
     estimates = np.log(
-        model.predict(
+        regression(
+            model,
             model.relative_features(
                 drawn(many, model, seed=5).responses("IV").numpy(),
                 model.settings.frequencies_hz().numpy(),
-            )
+            ),
         )
     )
     found = trust._noise(model, model.settings.observer(model.generator), row(mean))
