@@ -389,8 +389,8 @@ def test_number_of_low_coherence_is_told(manifests, model, tmp_path):
             30.0,
             {},
             "0 of 28 segments without faults are at 64.4 to 75.6 m/s and steady within 2 %, 0 of "
-            "them of low coherence: 0.0 averages, at least 10 are needed (half of the trip is run at 30.0 m/s "
-            "or less)",
+            "them of low coherence: 0.0 averages, at least 10 are needed (half of the trip is run "
+            "at 30.0 m/s or less)",
         ),
         (70.0, {"min_averages": 27}, "28 segments without faults are at 64.4 to 75.6 m/s"),
         (
