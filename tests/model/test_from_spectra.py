@@ -230,7 +230,7 @@ def test_noise_part_is_never_taken_out_of_the_interval(model):
 
 
 def test_error_of_the_regression_stays_however_long_the_trip(model):
-    conformal = Conformal(5 * model.intervals.conformal.scores)
+    conformal = Conformal(3 * model.intervals.conformal.scores)
     poor = replace(model, intervals=replace(model.intervals, conformal=conformal))
     usual, long, longer = (half_widths(poor, share) for share in (1, 1e3, 1e5))
     np.testing.assert_allclose(longer, long, rtol=0.02)
