@@ -18,19 +18,49 @@ SERIES_BELOW = 0.1
 
 
 @dataclass(frozen=True)
+class Branch:
+    """A Maxwell branch: a spring b in series with a damper b / r, along u = g z - h w.
+
+    Its force is b (u - xi), where the damper's share xi of the stretch obeys xi' = r (u - xi).
+
+    Attributes
+    ----------
+    stiffness : float, [N/m]
+        b.
+    rate : float, [1/s]
+        r.
+    stretch : array of shape (n_dof,)
+        g.
+    input : array of shape (n_inputs,)
+        h.
+    """
+
+    stiffness: float
+    rate: float
+    stretch: FloatArray
+    input: FloatArray
+
+
+@dataclass(frozen=True)
 class LinearSystem:
-    """A vehicle as M z'' + D z' + K z = D_w w' + K_w w, with sensors on its coordinates.
+    """A vehicle as M z'' + D z' + K z = D_w w' + K_w w, with sensors and Maxwell branches.
 
     Attributes
     ----------
     mass, damping, stiffness : arrays of shape (n_dof, n_dof)
         M, D and K in SI units.
-    input_damping, input_stiffness : arrays of shape (n_dof, n_wheelsets)
-        D_w and K_w.
-    sensors : array of shape (2, n_dof)
-        Displacement under the sensors on frame and body, from z.
+    input_damping, input_stiffness : arrays of shape (n_dof, n_inputs)
+        D_w and K_w. Inputs: the track under each wheelset, then with roll its angle there.
+    sensors : array of shape (2, n_dof) or (4, n_dof)
+        Displacement under the sensors on frame and body, from z; with roll then that of sensors
+        as far off the middle on the other side.
     behind_m : tuple of float, [m]
         How far each wheelset runs behind the one whose axle box is measured; negative is ahead.
+    branches : tuple of Branch
+    roll_per_m : float, [rad/m]
+        The track's angle over an independent process of the density of its height; 0 without roll.
+    axle_box_lateral_m : float, [m]
+        Lateral place of the first sensor on the axle box; the other is opposite.
     """
 
     mass: FloatArray
@@ -40,23 +70,32 @@ class LinearSystem:
     input_stiffness: FloatArray
     sensors: FloatArray
     behind_m: tuple[float, ...]
+    branches: tuple[Branch, ...] = ()
+    roll_per_m: float = 0.0
+    axle_box_lateral_m: float = 0.0
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return A, B, C, D with inputs w and the displacements under the sensors as outputs.
 
-        The state x = (z, z' - M^-1 D_w w) absorbs the derivative of the input. Accelerations of
-        the wheels as inputs give accelerations of the sensors as outputs: the same system.
+        The state x = (z, z' - M^-1 D_w w, xi) absorbs the derivative of the input.
+        Accelerations of the wheels as inputs give accelerations of the sensors as outputs: the
+        same system.
         """
-        n = len(self.mass)
+        n, m = len(self.mass), len(self.branches)
         inverse = np.linalg.inv(self.mass)
-        a = np.block(
-            [[np.zeros((n, n)), np.eye(n)], [-inverse @ self.stiffness, -inverse @ self.damping]]
-        )
+        b, r = np.array([[one.stiffness, one.rate] for one in self.branches]).reshape(m, 2).T
+        g = np.array([one.stretch for one in self.branches]).reshape(m, n)
+        h = np.array([one.input for one in self.branches]).reshape(m, self.input_damping.shape[1])
+        pull = g.T * b
+        a = np.zeros((2 * n + m, 2 * n + m))
+        a[:n, n : 2 * n] = np.eye(n)
+        a[n : 2 * n] = inverse @ np.hstack([-self.stiffness - pull @ g, -self.damping, pull])
+        a[2 * n :, :n], a[2 * n :, 2 * n :] = r[:, None] * g, -np.diag(r)
         jump = inverse @ self.input_damping
-        force = inverse @ self.input_stiffness
-        b = np.vstack([jump, force - inverse @ self.damping @ jump])
-        c = np.hstack([self.sensors, np.zeros_like(self.sensors)])
-        return a, b, c, np.zeros((len(self.sensors), b.shape[1]))
+        force = inverse @ (self.input_stiffness + pull @ h)
+        inputs = np.vstack([jump, force - inverse @ self.damping @ jump, -r[:, None] * h])
+        c = np.hstack([self.sensors, np.zeros((len(self.sensors), n + m))])
+        return a, inputs, c, np.zeros((len(self.sensors), inputs.shape[1]))
 
 
 class SampledMotion:
