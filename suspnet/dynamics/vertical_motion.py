@@ -85,7 +85,8 @@ def vertical_motion(
     if "roll" not in parts:
         return system
     roll_per_m = math.sqrt(n["cross_level"]) / RAIL_LATERAL_M
-    return replace(system, roll_per_m=roll_per_m, axle_box_lateral_m=n["axle_box_lateral"])
+    lateral_m = n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]
+    return replace(system, roll_per_m=roll_per_m, lateral_m=lateral_m)
 
 
 def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
@@ -185,7 +186,7 @@ def _assembled(
 
 
 def _behind(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
-    """Return how far the wheelsets run behind the measured one: its bogie's two, the other's [m]."""
+    """Return how far the wheelsets run behind the measured one, its bogie's two first, [m]."""
     shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
     apart = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
     own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
