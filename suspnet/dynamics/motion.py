@@ -60,7 +60,7 @@ class LinearSystem:
         How far each wheelset runs behind the one whose axle box is measured; negative is ahead.
     branches : tuple of Branch
     roll_per_m : float, [rad/m]
-        The track's angle over an independent process of the density of its height; 0 without roll.
+        The track's angle over an independent process of `cross_level_spectrum`; 0 without roll.
     lateral_m : tuple of 3 floats, [m]
         Lateral place of the first sensors on axle box, frame and body.
     """

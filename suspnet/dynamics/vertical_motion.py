@@ -68,7 +68,7 @@ def vertical_motion(
     forward = 1.0 if bogie == "leading" else -1.0
     acting = _suspensions(p, n, parts, e)
     if "longitudinal" in parts:
-        acting += _links(p, n, e, forward)
+        acting += _links(p, n, parts, e, forward)
     if "bending" in parts:
         acting.append((bending_element(p, empty_kg), e["q"]))
     if "roll" in parts:
@@ -134,12 +134,22 @@ def _suspensions(
 
 
 def _links(
-    p: Mapping[str, Tensor], n: Mapping[str, float], e: Mapping[str, FloatArray], forward: float
+    p: Mapping[str, Tensor],
+    n: Mapping[str, float],
+    parts: Sequence[str],
+    e: Mapping[str, FloatArray],
+    forward: float,
 ) -> list[Acting]:
     """Return the links along the train: phi counts positive where the measured bogie rises."""
-    body = forward * n["body_lever"] / n["half_pivot_distance"] * e["phi"]
+    body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
     lever = n["bogie_lever"] / n["half_wheelbase"]
-    return [(longitudinal_element(p), body + lever * e[f"psi_{i}"]) for i in "12"]
+    acting = []
+    for _, i, sign, _ in BOGIES:
+        turned = e["phi"].copy()
+        if "bending" in parts:
+            turned += sign * n["bending_slope"] * e["q"]
+        acting.append((longitudinal_element(p), body_lever * turned + lever * e[f"psi_{i}"]))
+    return acting
 
 
 def _rolling(

@@ -8,16 +8,19 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.checks import check_number
+from suspnet.dynamics import ResponseGenerator
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_spectra import MissingFeaturesError, estimate_spectra, trip_settings
-from suspnet.recordings.plausibility import check_channels
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import (
     NoEstimateError,
+    difference_segments,
     in_band,
     recording_segments,
     segment_speeds,
@@ -137,9 +140,11 @@ def speed_bin(
     NoEstimateError
         If the recording is sound but nothing can be estimated from it.
     TripError
-        If a channel has the wrong unit or sign, or two are swapped.
+        If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
+        meets a model that was trained for a sensor on one side.
     """
     trained = trip_settings(method)
+    _check_places(recording, method.generator)
     speeds = segment_speeds(recording, segments)
     within, words = _within(speeds, method, settings)
     band = in_band(segments, trained.frequencies_hz())
@@ -147,7 +152,11 @@ def speed_bin(
     chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
     doubts = ""
     if settings.check_channels and bool(candidates.any()):
-        doubts = _checked(segments, chosen if bool(chosen.any()) else candidates, method)
+        looked_at = chosen if bool(chosen.any()) else candidates
+        if any(recording.paired):
+            differences = difference_segments(recording, segments.welch)
+            check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
+        doubts = _checked(segments, looked_at, method)
     n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
     if n_averages < settings.min_averages:
         raise NoEstimateError(
@@ -180,6 +189,22 @@ def _advice(segments: SegmentSpectra, within: Tensor, settings: TripSettings) ->
     if not bool(within.any()):
         return ": is the speed in m/s? If so, train a model for it, speed_m_per_s=..."
     return ""
+
+
+def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
+    """Raise TripError if a pair of sensors meets a model of a sensor on one side.
+
+    A single sensor suits both kinds of model: it may be at the middle, or an average itself.
+    """
+    places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
+    wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
+    if wrong:
+        told = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
+        raise TripError(
+            "the trip has sensors left and right, the model was trained for one sensor beside the "
+            f"middle: {told}; give one sensor in the manifest, or train with "
+            "generator.sensor_lateral_m=[0,0,0]"
+        )
 
 
 def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:

@@ -23,7 +23,12 @@ from tqdm import tqdm
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
-from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
+from suspnet.dynamics.track import (
+    TrackProfile,
+    cross_level_spectrum,
+    make_profile,
+    track_spectrum,
+)
 from suspnet.recordings.manifest import (
     CHANNELS,
     SIDES,
@@ -151,7 +156,7 @@ def simulate_trip(
     journey : Journey
     rate_hz : float, [Hz]
     cross : TrackProfile, optional
-        With roll: an independent profile of the same spectrum, which times the system's
+        With roll: an independent profile of `cross_level_spectrum`, which times the system's
         `roll_per_m` is the angle of the track.
     """
     motion = SampledMotion(system, rate_hz)
@@ -216,14 +221,18 @@ def _write_trip(
     system = generator.motion_system(torch.as_tensor(ratios))
     if fleet.sides == "left":
         system = replace(system, sensors=system.sensors[:2])
+    mean = track_spectrum(fleet.track, fleet.short_waves)
+    processes = [(mean, track)]
+    if system.roll_per_m:
+        processes.append((cross_level_spectrum(mean), cross))
     profiles = [
         make_profile(
-            track_spectrum(fleet.track, fleet.short_waves),
+            spectrum,
             profile_length_m(system, journey),
             float(journey.speeds_m_per_s.max()) / rate_hz,
             int(source.generate_state(1)[0]),
         )
-        for source in (track, cross)[: 2 if system.roll_per_m else 1]
+        for spectrum, source in processes
     ]
     signals = simulate_trip(system, profiles[0], journey, rate_hz, *profiles[1:])
     del profiles

@@ -21,6 +21,7 @@ from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
+from suspnet.trips.sides import spoken_sides, weaker_sides
 
 log = logging.getLogger(__name__)
 WINDOWS = 600
@@ -151,6 +152,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         raw=dict(estimates),
         half_widths=dict(zip(outputs, half_widths.tolist(), strict=True)),
         flags=_flags(bins),
+        sides=spoken_sides(weaker_sides(best, recording, list(estimates.values()))),
         quality=quality,
         curves=_curves(best, recording),
     )

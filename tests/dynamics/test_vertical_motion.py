@@ -35,7 +35,10 @@ def lossless(ratios):
 
 
 def channels_of(system, speed):
-    """Return what `channels` does, and the same of the other side: C (j w - A)^-1 B."""
+    """Return what `channels` does, and the same of the other side: C (j w - A)^-1 B.
+
+    The cross level has the colour of the German spectra over that of the mean.
+    """
     a, b, c, d = system.state_space()
     assert not d.any()
     n = len(system.behind_m)
@@ -50,7 +53,8 @@ def channels_of(system, speed):
         if system.roll_per_m:
             box = np.array([[system.lateral_m[0]], [-system.lateral_m[0]]])
             rolled = np.hstack([box, sides[:, :, n:] @ wheels])
-            inputs.append(system.roll_per_m * rolled)
+            wave = abs(s) / speed
+            inputs.append(system.roll_per_m * wave / math.hypot(wave, 0.4380) * rolled)
         found.append(np.stack(inputs, axis=1))
     return np.moveaxis(np.array(found), 0, -1)  # (n_sides, n_inputs, 3, n_freq)
 
@@ -115,12 +119,14 @@ def test_loss_factor_moves_the_channels_as_far_as_its_ladder_is_off():
 # limit
 
 
-def test_branch_of_a_lossy_spring_joins_the_rubbers_own():
+def test_branches_of_one_rate_are_one():
     share, eta = torch.tensor([[5e4]]).double(), torch.tensor([[0.03]]).double()
-    rubber = Element(torch.tensor([[1e6]]).double(), None, [(share, 2 * math.pi * 5.0)], eta)
+    rates = torch.tensor([2 * math.pi * 5.0, 7.0], dtype=torch.float64)
+    rubber = Element(torch.tensor([[1e6]]).double(), None, [(share, rate) for rate in rates], eta)
     _, _, branches = rubber.causal()
-    assert len(branches) == len(LOSS_HZ)
+    assert len(branches) == len(LOSS_HZ) + 1
     assert branches[2 * math.pi * 5.0] == pytest.approx(5e4 + 0.03 * 1e6 * LOSS_SHARES[2])
+    assert branches[7.0] == pytest.approx(5e4)
 
 
 def test_sensors_in_the_middle_leave_roll_out():
@@ -160,7 +166,10 @@ def test_matrices_are_symmetric_and_no_element_gives_energy(parts):
         assert branch.rate > 0
 
 
-def test_healthy_vehicle_with_all_parts_has_independent_modes():
-    system = family(PARTS[:-1]).motion_system(torch.ones(5))
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-6])
+def test_healthy_vehicle_with_all_parts_has_independent_modes(off):
+    ratios = torch.ones(len(NAMES), dtype=torch.float64)
+    ratios[NAMES.index("rubber_frequency")] += off  # at 0 its branch is one of the ladder
+    system = family(PARTS[:-1]).motion_system(ratios)
     motion = SampledMotion(system, 2000.0)  # raises where modes coincide
     assert np.isfinite(motion.advance(list(np.ones((8, 10))))).all()

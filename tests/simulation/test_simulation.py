@@ -132,6 +132,7 @@ def test_trip_over_mean_and_cross_level_shows_the_channels_of_both_sides():
     scaled = phasors[3:, 0, 0] / roll[0, 3:]  # the axle box has no dynamics of its own
     expected = np.stack([roll[:, 3:], -roll[:, 3:]]) * scaled
     np.testing.assert_allclose(np.moveaxis(phasors[3:], 0, -1), expected, **tolerance)
+    # the colour of the cross level is the track's, not the vehicle's
     amplitude = 1e-3 * (2 * math.pi * tilted) ** 2 * math.sqrt(0.5) / 0.75
     np.testing.assert_allclose(np.abs(phasors[3:, 0, 0]), amplitude, rtol=1e-4)
 
@@ -407,7 +408,8 @@ def test_mean_level_of_the_track_is_the_same_with_and_without_cross_level(tmp_pa
     left, right = pair(tmp_path / "family", "trip_001", "axle_box")
     track = column(tmp_path / "plain" / "trip_001" / "axle_box.parquet")
     np.testing.assert_allclose((left + right) / 2, track, rtol=0, atol=1e-5 * np.abs(track).max())
-    # half the difference is the cross level: half the density of the mean, 1 m over 0.75 m
+    # half the difference is the cross level: half the density of the mean but for waves longer than
+    # 14 m, 1 m over 0.75 m
     ratio = np.std((left - right) / 2) / np.std(track)
     assert ratio == pytest.approx(math.sqrt(0.5) / 0.75, rel=0.2)
     assert abs(np.corrcoef((left - right) / 2, track)[0, 1]) < 0.2
