@@ -23,11 +23,11 @@ axles, b the half distances of springs and of the rails, and S_i = kappa_si b_s^
     (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta = kappa_p b_p^2 x_i / b_rail
     2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) = 0
 
-The bogies are eliminated; three equations in z, phi and q, and one in theta remain. The cross
-level has a share of the mean's density, times n^2 / (n^2 + n_0^2) as in the German spectra. k_p,
-c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets
-follow the same track, each delayed by its distance over the speed. Cross level and mean are
-independent processes: spectra are sums over both.
+The bogies are eliminated; three equations in z, phi and q, and one in theta remain. k_p, c_p, k_s,
+c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets follow the
+same track, each delayed by its distance over the speed. Cross level and mean are independent
+processes: spectra are sums over both. The cross level has a share of the mean's density, times
+n^2 / (n^2 + n_0^2) as in the German spectra.
 """
 
 from __future__ import annotations
