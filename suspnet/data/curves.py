@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from suspnet.checks import check_number
+from suspnet.data.directions import Directions, directions
 from suspnet.data.misfit import CurveMisfit
 from suspnet.data.noise import add_noise
 from suspnet.data.observation import check_counts
@@ -101,6 +103,11 @@ class CurveObserver:
     def frequencies_hz(self) -> Tensor:
         """Bins, shape (n_freq,), [Hz]."""
         return self.settings.frequencies_hz()
+
+    @cached_property
+    def directions(self) -> Directions:
+        """The directions of the generator's uncertain numbers that its curves show."""
+        return directions(self)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return abs(G_p) and abs(G_s), shape (n_vehicles, 2, n_freq), [-]."""

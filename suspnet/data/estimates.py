@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from suspnet.checks import check_choice, check_number
+from suspnet.data.directions import Directions, directions
 from suspnet.data.misfit import EstimateMisfit
 from suspnet.data.observation import check_counts
 from suspnet.data.wishart import moving_average_with, sample_spectra
@@ -285,6 +286,11 @@ class EstimateObserver:
         relative = curves / self._healthy.responses(method).to(curves)
         parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
         return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
+
+    @cached_property
+    def directions(self) -> Directions:
+        """The directions of the generator's uncertain numbers that its curves show."""
+        return directions(self)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return the limit of the estimate of G_p and G_s for infinitely long trips.

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, Self
 from torch import Tensor
 
 from suspnet.checks import check_number
+from suspnet.data.directions import Directions
 from suspnet.dynamics import ResponseGenerator, Vehicle
 
 LEAST_CALIBRATION = 100
@@ -51,6 +52,8 @@ class Observer(Protocol):
     settings : Observation
     generator : ResponseGenerator
     frequencies_hz : tensor of shape (n_freq,), [Hz]
+    directions : Directions
+        Of the generator's uncertain numbers, which its curves show.
     """
 
     @property
@@ -61,6 +64,9 @@ class Observer(Protocol):
 
     @property
     def frequencies_hz(self) -> Tensor: ...  # noqa: D102
+
+    @property
+    def directions(self) -> Directions: ...  # noqa: D102
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return curves without noise, shape (n_vehicles, 2, n_freq)."""

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import Vehicle
 
@@ -25,6 +26,8 @@ class ResponseGenerator(Protocol):
         The speed that the responses belong to; None if they do not depend on it.
     bogie : str or None
         The bogie that is measured, "leading" or "trailing"; None if the model suits both.
+    distribution : LogNormal or None
+        Of the generator's uncertain numbers; None if there are none.
     further_places : tuple of str
         Names of places for sensors besides axle box, bogie and body: one on the frame, one on the
         body, and the second axle box; or none.
@@ -46,6 +49,9 @@ class ResponseGenerator(Protocol):
 
     @property
     def bogie(self) -> str | None: ...  # noqa: D102
+
+    @property
+    def distribution(self) -> LogNormal | None: ...  # noqa: D102
 
     @property
     def further_places(self) -> tuple[str, ...]: ...  # noqa: D102
@@ -86,6 +92,10 @@ class ResponseGenerator(Protocol):
 
     def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
         """Return responses from the axle box to ``further_places``, (n_vehicles, n, n_freq)."""
+        ...
+
+    def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
+        """Return ratios with further columns: those with a distribution have values `numbers`."""
         ...
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:

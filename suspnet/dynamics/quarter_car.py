@@ -58,6 +58,8 @@ class QuarterCar:
     """The responses belong to any speed."""
     bogie: ClassVar[None] = None
     """The model suits both bogies."""
+    distribution: ClassVar[None] = None
+    """Every number is taken as known."""
     further_places: ClassVar[tuple[str, ...]] = ()
     """There is no place for a fourth sensor."""
     sensor_lateral_m: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
@@ -158,6 +160,10 @@ class QuarterCar:
         """Return an empty tensor of shape (n_vehicles, 0, n_freq): there are no further places."""
         shape = (len(ratios), 0, len(frequencies_hz))
         return torch.empty(shape, dtype=torch.complex128, device=self.device)
+
+    def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
+        """Return the ratios as they are: this generator has no uncertain numbers."""
+        return ratios
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
         """Return the ratios as they are: this generator has no uncertain quantities."""

@@ -167,13 +167,24 @@ class VerticalVehicle:
         tensor of shape (n_vehicles, 5 + n_unmeasured), [-]
             Drawn from the distribution; 1 where nothing is uncertain.
         """
-        columns = self.complete(as_tensor(ratios).to("cpu", torch.float64)).clone()
-        if self.distribution is not None and self.distribution.names:
-            standard = np.random.default_rng(seed).standard_normal(
-                (len(columns), len(self.distribution.names))
-            )
-            columns[:, self.uncertain_columns] = torch.as_tensor(self.distribution.ratios(standard))
-        return columns
+        rows = as_tensor(ratios).to("cpu", torch.float64)
+        if self.distribution is None or not self.distribution.names:
+            return self.complete(rows).clone()
+        shape = len(rows), len(self.distribution.names)
+        standard = np.random.default_rng(seed).standard_normal(shape)
+        return self.with_uncertain(rows, torch.as_tensor(self.distribution.ratios(standard)))
+
+    def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
+        """Return the ratios with a column for each name of ``UNMEASURED``.
+
+        Parameters
+        ----------
+        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 6), [-]
+        numbers : tensor of shape (n_vehicles, n_names), [-]
+            Those that the distribution is of.
+        """
+        columns = torch.tensor(self.uncertain_columns, device=ratios.device)
+        return self.complete(ratios).index_copy(1, columns, numbers)
 
     def responses(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike

@@ -55,6 +55,7 @@ def levenberg_marquardt(
     tol: float = 1e-8,
     first_damping: float = 1e-3,
     bounds: tuple[Tensor, Tensor] | None = None,
+    one_sided: bool = False,
 ) -> LeastSquaresSolution:
     """Minimise 1/2 |r(theta)|^2 for each row on its own, all rows at once.
 
@@ -75,6 +76,8 @@ def levenberg_marquardt(
         Of the first step, relative to the diagonal of J^T J; a good start needs little.
     bounds : pair of tensors of shape (n_parameters,), optional
         Lower and upper. A parameter that is pressed against one counts as having no effect.
+    one_sided : bool
+        Half the evaluations, for a Jacobian that is right to 1e-5.
 
     Returns
     -------
@@ -84,7 +87,7 @@ def levenberg_marquardt(
 
     def linearised(theta: Tensor, values: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return gradient (n, n_parameters) and J^T J without the parameters pressed to a bound."""
-        jacobian = _jacobian(residual, theta, rows)
+        jacobian = _jacobian(residual, theta, rows, values if one_sided else None)
         gradient = (jacobian @ values[:, :, None])[:, :, 0]
         pressed = ((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0))
         jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
@@ -236,14 +239,21 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         return starts[misfit.argmin(dim=1)]
 
 
-def _jacobian(residual: Callable[[Tensor, Tensor], Tensor], theta: Tensor, rows: Tensor) -> Tensor:
+def _jacobian(
+    residual: Callable[[Tensor, Tensor], Tensor],
+    theta: Tensor,
+    rows: Tensor,
+    values: Tensor | None = None,
+) -> Tensor:
     """Return the derivative of the residuals, shape (n, n_parameters, n_points).
 
     Central differences: exact to about 1e-10, and on a CPU five times as fast as dual numbers.
+    Given the residuals' `values` here, one-sided ones.
     """
     columns = []
     for j in range(theta.shape[1]):
         step = torch.zeros_like(theta)
         step[:, j] = DIFFERENCE
-        columns.append(residual(theta + step, rows) - residual(theta - step, rows))
-    return torch.stack(columns, dim=1) / (2 * DIFFERENCE)
+        below = residual(theta - step, rows) if values is None else values
+        columns.append(residual(theta + step, rows) - below)
+    return torch.stack(columns, dim=1) / ((2 if values is None else 1) * DIFFERENCE)

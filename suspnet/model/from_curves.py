@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.data.observation import Observer
+from suspnet.data.observation import Misfit, Observer
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.features import FeatureSet
@@ -146,9 +146,12 @@ def refine_curves(
     task: Task, observer: Observer, curves: Tensor, predicted: FloatArray, mass: FloatArray | None
 ) -> Refined:
     """Return maximum-likelihood estimates of all unknown parameters, started from `predicted`."""
-    near = torch.as_tensor(complete_ratios(task, predicted, mass))
-    misfit = observer.misfit(curves, near, task.used_responses)
-    return refine(task, misfit, predicted, mass)
+
+    def misfit(near: Tensor) -> Misfit:
+        return observer.misfit(curves, near, task.used_responses)
+
+    start = misfit(torch.as_tensor(complete_ratios(task, predicted, mass)))
+    return refine(task, start, predicted, mass, directions=observer.directions, near=misfit)
 
 
 def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:

@@ -188,7 +188,7 @@ def _refined(
     covariance = covariance * n / (n - 2)
     covariance = observer.without_weak(covariance[None])
     misfit = EstimateMisfit(observer, spectra.responses(estimator)[None], covariance)
-    return refine(method.task, misfit, predicted)
+    return refine(method.task, misfit, predicted, directions=observer.directions)
 
 
 def _as_in_training(refined: Refined, share: float) -> Refined:

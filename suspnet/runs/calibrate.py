@@ -17,8 +17,12 @@ from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals, residuals
 from suspnet.uncertainty.ood import OODDetector
 
-N_FITS = 2048
-"""Refined calibration curves from which the usual misfit is learnt."""
+N_FITS, N_UNCERTAIN_FITS = 2048, 256
+"""Refined calibration curves from which the usual misfit is learnt; the second where uncertain
+numbers are fitted too, which takes 0.1 to 0.4 s a curve."""
+N_UNCERTAIN_REFINED = 2048
+"""Calibration curves of a refined model where uncertain numbers are fitted too: the coverage of a
+90 % interval scatters by 0.7 %."""
 N_TRIED = 1024
 """Calibration curves that show whether correcting the estimates lowers their error."""
 Model = TypeVar("Model", bound=FittedMethod)
@@ -39,10 +43,14 @@ def calibrated(problem: Problem, model: Model) -> Model:
     if problem.settings.n_calibrate is None:
         return model
     data = problem.features(CALIBRATE)
+    uncertain = problem.observer.directions.n > 0
+    if uncertain and model.refined:
+        data = data.first(min(N_UNCERTAIN_REFINED, len(data.valid)))
     kept = data.valid
     model = replace(model, corrected=_is_corrected(problem, model, data))
     predicted = regress_stream(problem, model, data, CALIBRATE)
-    n_fits = len(kept) if model.refined else min(N_FITS, len(kept))
+    n_usual = N_UNCERTAIN_FITS if uncertain else N_FITS
+    n_fits = len(kept) if model.refined else min(n_usual, len(kept))
     fitted = refine_stream(problem, data.first(n_fits), predicted[:n_fits], CALIBRATE)
     inputs = model.scaled(data.inputs)
     if model.refined:

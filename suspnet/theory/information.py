@@ -16,12 +16,15 @@ import torch
 from scipy.special import erfcx
 from torch import Tensor
 
-from suspnet.data.observation import Observer
+from suspnet.data.directions import Directions
+from suspnet.data.observation import Misfit, Observer
 from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS
 from suspnet.types import FloatArray
 
 ROWS = 256
+STEP = 1e-5
+"""Step of the differences with respect to uncertain numbers, in their standard deviations."""
 NODES = 24
 """Number of nodes of the quadrature over the noise."""
 WIDEST = 1e4
@@ -35,6 +38,13 @@ def fisher_information(
     responses: Sequence[str] = RESPONSES,
 ) -> FloatArray:
     """Return the information of noisy curves on some parameters, the others being known.
+
+    A generator's uncertain numbers are neither: with z their standard normal coordinates
+    (`suspnet.data.directions`), what is not known of them counts against the parameters (van
+    Trees, Detection, estimation and modulation theory, 1968)::
+
+        I = I_tt - I_tz (I_zz + 1)^-1 I_zt,   at the median of their distribution
+
 
     I = J^T J, J the derivative of the observer's misfit by forward-mode differentiation. Of
     magnitudes with white noise that is sum over curves of J^T J / rms^2, J the derivative of the
@@ -68,8 +78,24 @@ def fisher_information(
             pair = torch.func.jvp(functools.partial(misfit, rows=every), (rows,), (tangent,))
             derivatives.append(pair[1])
         jacobian = torch.stack(derivatives, dim=1)
-        blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
+        information = jacobian @ jacobian.transpose(1, 2)
+        if observer.directions.n:
+            nuisance = _nuisance(observer.directions, misfit, rows.to(jacobian))
+            both = jacobian @ nuisance.mT
+            prior = torch.eye(observer.directions.n).to(both)
+            information -= both @ torch.linalg.solve(nuisance @ nuisance.mT + prior, both.mT)
+        blocks.append(information.cpu().numpy())
     return np.concatenate(blocks)
+
+
+def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
+    """Return the derivative of a misfit, 0 at `ratios`, with respect to z, (n, n_z, n_points)."""
+    every = torch.arange(len(ratios))
+    steps = torch.eye(directions.n).to(ratios) * STEP
+    moved = [
+        misfit(directions.vehicles(ratios, step.expand(len(ratios), -1)), every) for step in steps
+    ]
+    return torch.stack(moved, dim=1) / STEP
 
 
 def cramer_rao(information: FloatArray) -> FloatArray:

@@ -4,22 +4,28 @@ All parameters that vary and are not measured are fitted jointly, so that the re
 maximum-likelihood estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its
 information matrix gives the deviations, and the misfit says whether the model can explain the
 curve at all.
+
+A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
+the prior: with z their coordinates (`suspnet.data.directions`) the sum of squares is that of the
+curve's residuals and of z, and the result has the largest posterior density.
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.data.directions import Directions
 from suspnet.data.observation import Misfit
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS
-from suspnet.learning.least_squares import levenberg_marquardt
+from suspnet.learning.least_squares import LeastSquaresSolution, levenberg_marquardt
 from suspnet.theory.information import cramer_rao
 from suspnet.types import BoolArray, FloatArray, IntArray
 
@@ -35,6 +41,14 @@ SCATTER = 1.5
 """Factor on the range within which the scattered vehicles lie."""
 ROWS = 4
 """Number of curves whose misfits to all scattered vehicles are in memory at a time."""
+FURTHEST = 6.0
+"""Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
+TEMPERATURES = (100.0, 10.0)
+"""Factors on the noise of the searches before the last one."""
+ROUGH_ITER, ROUGH_TOL = 12, 1e-2
+"""Iterations and tolerance of these searches."""
+UNCERTAIN_DAMPING = 1e-2
+"""First damping where uncertain numbers are fitted, from whose median the search starts."""
 UNEXPLAINED = 1.3
 """Misfit above which a curve is fitted again from the nearest scattered vehicle."""
 
@@ -51,7 +65,8 @@ class Refined:
     deviations : array of shape (n_curves, n_unknown), [-]
         Standard deviations of log(ratios), inf where the curve does not determine them.
     misfit : array of shape (n_curves,), [-]
-        Rms of the curve's residuals over that of the noise: 1 if the model explains it.
+        Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
+        coordinates of uncertain numbers count as residuals.
     converged : bool array of shape (n_curves,)
     """
 
@@ -107,6 +122,8 @@ def refine(
     estimates: FloatArray,
     mass: FloatArray | None = None,
     *,
+    directions: Directions | None = None,
+    near: Callable[[Tensor], Misfit] | None = None,
     max_iter: int = 30,
     n_scattered: int = 512,
 ) -> Refined:
@@ -121,6 +138,11 @@ def refine(
         Where the search starts; a row with NaN starts from the healthy vehicle.
     mass : array of shape (n_curves,), optional
         The measured car-body mass ratio, where the task knows it.
+    directions : Directions, optional
+        Of the uncertain numbers that are fitted too; None takes them as known.
+    near : callable, optional
+        Returns the misfit whose noise is that of vehicles (n_curves, n_columns): with uncertain
+        numbers the noise at the median may be far off. None keeps that of `misfit`.
     max_iter : int
         Levenberg-Marquardt iterations of each search.
     n_scattered : int
@@ -132,71 +154,134 @@ def refine(
     full = torch.as_tensor(start, device=device)
     for name in set(task.unknown) - set(task.outputs):
         full = _best_level(misfit, full, task, name)
-    search = _Search(task, misfit, full, max_iter)
-    found = search.run(torch.arange(len(full), device=device), full)
+    search = _Search(task, misfit, full, directions, max_iter)
+    every = torch.arange(len(full), device=device)
+    search_from = (
+        search.run if not search.n_directions else functools.partial(search.tempered, near)
+    )
+    found = search_from(every, search.point(full))
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
-        again = search.run(torch.as_tensor(bad, device=device), search.nearest(bad, n_scattered))
+        rows = torch.as_tensor(bad, device=device)
+        again = search_from(rows, search.nearest(bad, n_scattered))
         found = found.improved(bad, again)
     return found
 
 
 class _Search:
-    """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds."""
+    """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds.
 
-    def __init__(self, task: Task, misfit: Misfit, full: Tensor, max_iter: int) -> None:
+    With uncertain numbers, their coordinates follow the parameters.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        misfit: Misfit,
+        full: Tensor,
+        directions: Directions | None,
+        max_iter: int,
+    ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
+        self._directions, self.n_directions = directions, 0 if directions is None else directions.n
         self._columns = torch.tensor(
             [PARAMETERS.index(name) for name in task.unknown], device=full.device
         )
         ranges = [task.range(name) for name in task.unknown]
         self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
-        self._bounds = self._range[0] - math.log(BEYOND), self._range[1] + math.log(BEYOND)
+        furthest = full.new_full((self.n_directions,), FURTHEST)
+        self._bounds = (
+            torch.cat([self._range[0] - math.log(BEYOND), -furthest]),
+            torch.cat([self._range[1] + math.log(BEYOND), furthest]),
+        )
+
+    def point(self, full: Tensor) -> Tensor:
+        """Return where vehicles (n_rows, 5) start, their uncertain numbers at the median."""
+        median = full.new_zeros(len(full), self.n_directions)
+        return torch.cat([full[:, self._columns].log(), median], dim=1)
+
+    def tempered(
+        self, near: Callable[[Tensor], Misfit] | None, rows: Tensor, start: Tensor
+    ) -> Refined:
+        """Return the best fit of the curves `rows`, found with ever less noise.
+
+        The effect of uncertain numbers may be thousands of deviations of the noise: a search at
+        once ends far off.
+        """
+        points = self.point(self._full)
+        points[rows] = start
+        for temperature in TEMPERATURES:
+            points[rows] = self._solved(rows, points[rows], temperature).parameters
+            if near is not None:
+                every = torch.arange(len(points), device=points.device)
+                self._misfit = near(self._vehicles(points, every))
+        return self.run(rows, points[rows])
 
     def run(self, rows: Tensor, start: Tensor) -> Refined:
-        """Return the best fit of the curves `rows`, each from its row of `start` (n_rows, 5)."""
-
-        def residual(theta: Tensor, which: Tensor) -> Tensor:
-            return self._misfit(self._vehicles(theta, rows[which]), rows[which])
-
-        solution = levenberg_marquardt(
-            residual,
-            start[:, self._columns].log(),
-            max_iter=self._max_iter,
-            tol=TOL,
-            first_damping=FIRST_DAMPING,
-            bounds=self._bounds,
-        )
-        n_points = residual(solution.parameters[:1], rows[:1] * 0).shape[1]
-        mean_square = 2 * solution.cost / (n_points - len(self._columns))
+        """Return the best fit of the curves `rows`, each from its row of `start`."""
+        solution = self._solved(rows, start)
+        n_unknown = len(self._columns)
+        n_residuals = self._residual(solution.parameters[:1], rows[:1] * 0, 1.0).shape[1]
+        # the coordinates are as many residuals of expected square 1 as they are fitted
+        freedom = n_residuals - self.n_directions - n_unknown
+        mean_square = 2 * solution.cost / freedom
+        theta = solution.parameters[:, :n_unknown]
+        deviations = cramer_rao(solution.information.cpu().numpy())[:, :n_unknown]
+        if self.n_directions:
+            low, high = (bound[:n_unknown] for bound in self._bounds)
+            pressed = ((theta <= low) | (theta >= high)).cpu().numpy()
+            uniform = ((high - low) / math.sqrt(12)).cpu().numpy()
+            deviations = np.where(pressed, uniform, deviations)
         return Refined(
             self._task.unknown,
-            solution.parameters.exp().cpu().numpy(),
-            cramer_rao(solution.information.cpu().numpy()),
+            theta.exp().cpu().numpy(),
+            deviations,
             np.sqrt(mean_square.cpu().numpy() / self._misfit.expected),
             solution.converged.cpu().numpy(),
         )
 
+    def _solved(
+        self, rows: Tensor, start: Tensor, temperature: float = 1.0
+    ) -> LeastSquaresSolution:
+        """Return the search with `temperature` times the noise, roughly where that is not 1."""
+        last = temperature == 1.0
+        return levenberg_marquardt(
+            lambda point, which: self._residual(point, rows[which], temperature),
+            start,
+            max_iter=self._max_iter if last else ROUGH_ITER,
+            tol=TOL if last else ROUGH_TOL,
+            first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
+            bounds=self._bounds,
+            one_sided=bool(self.n_directions),
+        )
+
+    def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:
+        """Return the residuals of the curves `rows`, then the coordinates of the numbers."""
+        values = self._misfit(self._vehicles(point, rows), rows)
+        if not self.n_directions:
+            return values
+        return torch.cat([values / temperature, point[:, len(self._columns) :]], dim=1)
+
     def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
-        """Return the nearest of `n_scattered` vehicles to each of some curves, (n_rows, 5)."""
+        """Return the nearest of `n_scattered` vehicles to each of some curves, as `run` starts."""
         low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
-        theta = low + (high - low) * points.to(low)
+        ratios = torch.exp(low + (high - low) * points.to(low))
+        draws = np.random.default_rng(0).standard_normal((n_scattered, self.n_directions))
+        scattered = torch.cat([ratios.log(), torch.as_tensor(draws).to(low)], dim=1)
         starts = []
         for part in torch.as_tensor(rows, device=low.device).split(ROWS):
             repeated = part.repeat_interleave(n_scattered)
-            tried = self._vehicles(theta.repeat(len(part), 1), repeated)
+            tried = self._vehicles(scattered.repeat(len(part), 1), repeated)
             cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
-            starts.append(
-                tried.reshape(len(part), n_scattered, -1)[
-                    torch.arange(len(part)), cost.nan_to_num(torch.inf).argmin(dim=1)
-                ]
-            )
+            starts.append(scattered[cost.nan_to_num(torch.inf).argmin(dim=1)])
         return torch.cat(starts)
 
-    def _vehicles(self, theta: Tensor, rows: Tensor) -> Tensor:
-        """Return complete ratios (n, 5): what is measured or healthy is that of the curve."""
-        return self._full[rows].index_copy(1, self._columns, theta.exp())
+    def _vehicles(self, point: Tensor, rows: Tensor) -> Tensor:
+        """Return complete ratios: what is measured or healthy is that of the curve."""
+        theta, z = point[:, : len(self._columns)], point[:, len(self._columns) :]
+        ratios = self._full[rows].index_copy(1, self._columns, theta.exp())
+        return ratios if self._directions is None else self._directions.vehicles(ratios, z)
 
 
 def _best_level(misfit: Misfit, full: Tensor, task: Task, name: str) -> Tensor:
