@@ -41,6 +41,8 @@ median over the band and, times the root of the number of averages, this number:
 ratio of two nearly vanishing spectra and has the tails of one."""
 LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
 """Ends of the band: multiples of the first and of the second natural frequency."""
+SMOOTHED_BINS = 5
+"""Number of neighbouring bins over which a trip's measured covariance is averaged."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
 
@@ -357,6 +359,19 @@ class EstimateObserver:
         covariance = self.without_weak(self.covariance(near.to(curves.device)))
         return EstimateMisfit(self, curves, covariance)
 
+    def measured_misfit(self, spectra: CrossSpectra) -> EstimateMisfit:
+        """Return the misfit of one trip's spectra (3, n_freq), with the covariance that they show.
+
+        Its numerators are smoothed over bins.
+        """
+        method = self.settings.method
+        residual, scale = spectra.covariance_parts(method)
+        covariance = _smoothed(residual) / scale
+        # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
+        n = spectra.n_averages * _independent(self.settings.welch.correlation())
+        covariance = self.without_weak((covariance * n / (n - 2))[None])
+        return EstimateMisfit(self, spectra.responses(method)[None], covariance)
+
     def without_weak(self, covariance: Tensor) -> Tensor:
         """Return a covariance of log-responses in which the `weak` bins count for nothing.
 
@@ -470,3 +485,17 @@ def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
     gap = (right - left).clamp(min=1)
     share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
     return relative[:, left] + share * (relative[:, right] - relative[:, left])
+
+
+def _smoothed(covariance: Tensor) -> Tensor:
+    """Return the moving average over bins of a covariance (2, 2, n_freq)."""
+    half = SMOOTHED_BINS // 2
+    ends = [covariance[..., :1].expand(2, 2, half), covariance[..., -1:].expand(2, 2, half)]
+    return torch.cat([ends[0], covariance, ends[1]], dim=-1).unfold(-1, SMOOTHED_BINS, 1).mean(-1)
+
+
+def _independent(correlation: Tensor) -> float:
+    """Return how many of the smoothed bins are independent, by their correlation from lag 0 on."""
+    lags = torch.arange(len(correlation))
+    pairs = (SMOOTHED_BINS - lags).clamp(min=0) * torch.where(lags == 0, 1, 2)
+    return SMOOTHED_BINS**2 / float(pairs.to(correlation) @ correlation)

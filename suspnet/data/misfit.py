@@ -75,10 +75,23 @@ class EstimateMisfit:
         The covariance is that of the observation: it does not move with the ratios.
         """
         u = (self.observed[rows] / self.observer.noise_free(ratios)).log()
+        return self.whitened(u, rows)
+
+    def whitened(self, u: Tensor, rows: Tensor, spread: float = 0.0) -> Tensor:
+        """Return the residuals (n, n_points) of relative differences.
+
+        Parameters
+        ----------
+        u : complex tensor of shape (n, 2, n_freq), [-]
+        rows : tensor of shape (n,)
+            The estimates that they belong to.
+        spread : float, [-]
+            Rms error of the model that is allowed for beside the noise.
+        """
         covariance = self.covariance[rows]
-        l_pp = covariance[:, 0, 0].real.sqrt()
+        l_pp = (covariance[:, 0, 0].real + spread**2).sqrt()
         l_sp = covariance[:, 1, 0] / l_pp
-        l_ss = (covariance[:, 1, 1].real - l_sp.abs().square()).sqrt()
+        l_ss = (covariance[:, 1, 1].real + spread**2 - l_sp.abs().square()).sqrt()
         white_p = u[:, 0] / l_pp
         white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]

@@ -178,6 +178,11 @@ def speed_bins(
     return bins
 
 
+def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
+    """Return which segments keep their speed (n_segments, n_samples) within 1 +- tolerance."""
+    return (speeds / speeds.mean(dim=1, keepdim=True) - 1).abs().amax(dim=1) <= tolerance
+
+
 def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]:
     """Return groups of segments of like speed, the largest first, each bool (n_segments,).
 
@@ -278,7 +283,7 @@ def _speed_bin(
             f"{float(spectra.coherences().mean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
-    mean, deviation = _speed_of(speeds[chosen], segments)
+    mean, deviation = speed_of(speeds[chosen], segments)
     try:
         estimate, noise_share = estimate_with_noise(
             method, spectra, settings.level, Speeds.of(mean, deviation)
@@ -288,7 +293,7 @@ def _speed_bin(
     return SpeedBin(method, spectra, band, chosen, mean, estimate, noise_share, doubts)
 
 
-def _speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
+def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
     """Return mean and deviation of the speeds in some segments, as the window weighs them."""
     weights = torch.as_tensor(get_window(segments.welch.window, speeds.shape[1])) ** 2
     weights = weights / (weights.sum() * len(speeds))
@@ -341,12 +346,11 @@ def _readable(
     half_width = trip_settings(method).speed_half_width
     low, high = (trained * (1 + sign * half_width) for sign in (-1, 1))
     means = speeds.mean(dim=1)
-    off = (speeds / means[:, None] - 1).abs().amax(dim=1)
     within = (means >= low * (1 - 1e-9)) & (means <= high * (1 + 1e-9))
     for other in speeds_m_per_s:
         if other is not None and other != trained:
             within &= (means - trained).abs() <= (means - other).abs()
-    steady = off <= settings.speed_tolerance
+    steady = steady_segments(speeds, settings.speed_tolerance)
     percent = 100 * settings.speed_tolerance
     return within & steady, f"at {low:.1f} to {high:.1f} m/s and steady within {percent:g} %"
 

@@ -18,10 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from suspnet.data.estimates import EstimateObserver, EstimateSettings, Speeds
-from suspnet.data.misfit import EstimateMisfit
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod, ModelFileError
@@ -45,8 +43,6 @@ speed is within a tenth of that trained for."""
 ONE_SIGMA = 0.6827
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""
-SMOOTHED_BINS = 5
-"""Number of neighbouring bins over which a trip's measured covariance is averaged."""
 
 
 def estimate_spectra(
@@ -180,14 +176,7 @@ def _refined(
     method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
 ) -> Refined:
     """Return the maximum-likelihood estimate from a trip's spectra."""
-    estimator = observer.settings.method
-    residual, scale = spectra.covariance_parts(estimator)
-    covariance = _smoothed(residual) / scale
-    # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
-    n = spectra.n_averages * _independent(observer.settings.welch.correlation())
-    covariance = covariance * n / (n - 2)
-    covariance = observer.without_weak(covariance[None])
-    misfit = EstimateMisfit(observer, spectra.responses(estimator)[None], covariance)
+    misfit = observer.measured_misfit(spectra)
     return refine(method.task, misfit, predicted, directions=observer.directions)
 
 
@@ -200,20 +189,6 @@ def _as_in_training(refined: Refined, share: float) -> Refined:
     """
     beyond = (refined.misfit**2 - 1) * min(share, 1.0)
     return replace(refined, misfit=np.sqrt(1 + beyond))
-
-
-def _smoothed(covariance: Tensor) -> Tensor:
-    """Return the moving average over bins of a covariance (2, 2, n_freq)."""
-    half = SMOOTHED_BINS // 2
-    ends = [covariance[..., :1].expand(2, 2, half), covariance[..., -1:].expand(2, 2, half)]
-    return torch.cat([ends[0], covariance, ends[1]], dim=-1).unfold(-1, SMOOTHED_BINS, 1).mean(-1)
-
-
-def _independent(correlation: Tensor) -> float:
-    """Return how many of the smoothed bins are independent, by their correlation from lag 0 on."""
-    lags = torch.arange(len(correlation))
-    pairs = (SMOOTHED_BINS - lags).clamp(min=0) * torch.where(lags == 0, 1, 2)
-    return SMOOTHED_BINS**2 / float(pairs.to(correlation) @ correlation)
 
 
 def _noise(method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra) -> FloatArray:

@@ -1,0 +1,184 @@
+"""Healthy trips of a folder: recordings -> spectra at each of their speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.parallel import quiet
+from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.model.from_recording import TripSettings, same_speed, speed_of, steady_segments
+from suspnet.recordings.manifest import (
+    Place,
+    TripError,
+    TripManifest,
+    find_manifests,
+    read_manifest,
+)
+from suspnet.recordings.recording import Recording, load_recording
+from suspnet.recordings.segments import (
+    in_band,
+    recording_segments,
+    segment_speeds,
+    without_incoherent,
+    without_loud,
+)
+
+LEAST_TRIPS = 3
+"""Fewer healthy trips tell too little of a vehicle."""
+
+
+@dataclass(frozen=True)
+class HealthySpectra:
+    """Spectra of one healthy trip at one speed.
+
+    Attributes
+    ----------
+    trip : int
+        Index of the trip, which has one car-body mass.
+    name : str
+        The trip's.
+    speeds : Speeds
+        Of the segments behind the spectra.
+    spectra : CrossSpectra
+        Of shape (3, n_freq) on the bins of the settings.
+    """
+
+    trip: int
+    name: str
+    speeds: Speeds
+    spectra: CrossSpectra
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Mean speed, [m/s]."""
+        pairs = zip(self.speeds.m_per_s, self.speeds.weights, strict=True)
+        return sum(speed * weight for speed, weight in pairs)
+
+
+@dataclass(frozen=True)
+class HealthyTrips:
+    """What the healthy trips of one suspension give.
+
+    Attributes
+    ----------
+    manifests : tuple of TripManifest
+        Those that were read.
+    groups : tuple of HealthySpectra
+    paired : tuple of 3 bool
+        Which of axle box, frame and body have a sensor left and right.
+    left_out : tuple of str
+        Trips without any usable stretch, and why.
+    """
+
+    manifests: tuple[TripManifest, ...]
+    groups: tuple[HealthySpectra, ...]
+    paired: tuple[bool, bool, bool]
+    left_out: tuple[str, ...] = ()
+
+
+def read_healthy(
+    folder: Path,
+    vehicle: str,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    n_first: int | None = None,
+    progress: bool = False,
+) -> HealthyTrips:
+    """Return the spectra of a folder's healthy trips.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds a manifest for each trip of one suspension.
+    vehicle : str
+        The vehicle that the manifests must name.
+    settings : EstimateSettings
+        Bound to the vehicle: bins and window.
+    trips : TripSettings
+    n_first : int, optional
+        Take the first trips by mileage only.
+    progress : bool
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no manifest in it.
+    TripError
+        If the trips are of another vehicle, of several suspensions or of sensors that differ, if a
+        recording is faulty, or if fewer than three trips have a stretch that can be used.
+    """
+    manifests = [read_manifest(path) for path in find_manifests(folder)]
+    manifests.sort(key=lambda manifest: manifest.mileage_km)
+    manifests = manifests[:n_first]
+    _check_same(folder, manifests, vehicle)
+    kept: list[TripManifest] = []
+    groups: list[HealthySpectra] = []
+    paired: set[tuple[bool, bool, bool]] = set()
+    left_out = []
+    for manifest in tqdm(manifests, desc="healthy trips", unit="trip", disable=quiet(progress)):
+        recording = load_recording(manifest, trips.rate_hz)
+        found = _spectra(recording, len(kept), manifest.name, settings, trips)
+        if not found:
+            left_out.append(
+                f"{manifest.name}: no stretch at one speed is long enough and free of faults"
+            )
+            continue
+        kept.append(manifest)
+        groups += found
+        paired.add(recording.paired)
+    if len(kept) < LEAST_TRIPS:
+        reasons = f" ({'; '.join(left_out)})" if left_out else ""
+        raise TripError(
+            f"{folder}: {len(kept)} healthy trips can be used, at least {LEAST_TRIPS} are needed "
+            f"to commission a vehicle{reasons}"
+        )
+    if len(paired) > 1:
+        raise TripError(
+            f"{folder}: some healthy trips have sensors left and right where others have one; "
+            "commission on trips with the same sensors"
+        )
+    return HealthyTrips(tuple(kept), tuple(groups), paired.pop(), tuple(left_out))
+
+
+def _check_same(folder: Path, manifests: Sequence[TripManifest], vehicle: str) -> None:
+    """Raise TripError unless all manifests are of one suspension of a vehicle."""
+    for manifest in manifests:
+        if manifest.vehicle != vehicle:
+            raise TripError(
+                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, vehicle={vehicle} "
+                "is to be commissioned"
+            )
+    places = sorted(
+        {str(Place(m.suspension.strip(), m.bogie or "", m.side or "")) for m in manifests}
+    )
+    if len(places) > 1:
+        raise TripError(
+            f"{folder}: the trips are of several suspensions ({', '.join(places)}); each is "
+            "commissioned on trips of its own: give a folder of one"
+        )
+
+
+def _spectra(
+    recording: Recording, trip: int, name: str, settings: EstimateSettings, trips: TripSettings
+) -> list[HealthySpectra]:
+    """Return the spectra of each group of segments at one speed."""
+    segments = recording_segments(recording, settings.welch)
+    if not len(segments.values):
+        return []
+    speeds = segment_speeds(recording, segments)
+    steady = steady_segments(speeds, trips.speed_tolerance)
+    steady &= speeds.mean(dim=1) >= trips.min_speed_m_per_s
+    band, found = in_band(segments, settings.frequencies_hz()), []
+    for group in same_speed(speeds, steady, trips.speed_tolerance):
+        chosen, _ = without_incoherent(band, without_loud(band, group), trips.min_coherence)
+        n_segments = int(chosen.sum())
+        if n_segments and segments.welch.n_averages(n_segments) >= trips.min_averages:
+            at = Speeds.of(*speed_of(speeds[chosen], segments))
+            found.append(HealthySpectra(trip, name, at, band.average(chosen)))
+    return found
