@@ -28,8 +28,14 @@ def simulate(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):
     n_lead : int
         Samples before time 0; the vehicle starts there, lifted to the track and moving with it.
     """
-    blocks = march(ratios, rich, tracks, rate_hz, n_samples, n_lead)
-    return np.concatenate([found[..., max(0, -first) :] for first, _, found in blocks], axis=-1)
+    signals = None
+    for first, _, accelerations in march(ratios, rich, tracks, rate_hz, n_samples, n_lead):
+        if signals is None:
+            signals = np.empty((*accelerations.shape[:2], n_samples))
+        kept = accelerations[..., max(0, -first) :]
+        begin = max(0, first)
+        signals[..., begin : begin + kept.shape[-1]] = kept
+    return signals
 
 
 def march(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):

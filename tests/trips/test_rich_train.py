@@ -142,13 +142,15 @@ def test_guidance_and_longitudinal_parts_act_by_their_lever_arms():
 
 def test_modes_move_as_the_dynamic_stiffness_says():
     train, f = RichTrain.scattered(3, LINEAR).at(55.0), [0.9, 2.3, 5.1, 8.0]
-    rate_hz, n = 2000.0, 8000
-    signals = simulate_modes(train.matrices(WORN), tones(train, f), rate_hz, n, 120_000)
+    rate_hz, n = 500.0, 2000
+    signals = simulate_modes(train.matrices(WORN), tones(train, f), rate_hz, n, 40_000)
     found = phasors(signals, np.arange(n) / rate_hz, f)
     expected = responses_of(train, WORN, f) @ np.exp(1j * np.arange(3))
     expected *= -2 * math.pi * np.array(f)[:, None] * 0.01
-    # straight between samples: (2 pi 8 / 2000)^2 / 12 too small
-    assert np.abs(found / expected - 1).max() < 1e-4
+    error = np.abs(found / expected - 1)
+    assert error[:, 2:].max() < 2e-6  # (2 pi 8 / 500)^4 / 90 = 1.1e-6
+    # corners of the straight lines excite the axle boxes on the contact, at 190 Hz
+    assert error.max() < 2e-4
 
 
 def test_stepping_of_the_nonlinear_laws_gives_the_modes_where_they_do_not_act():
@@ -158,7 +160,7 @@ def test_stepping_of_the_nonlinear_laws_gives_the_modes_where_they_do_not_act():
     found = simulate([WORN], train, [track], 1000.0, 2000, 20_000)[0]
     linear = simulate_modes(train.matrices(WORN), track, 1000.0, 2000, 20_000)
     error = np.abs(found - linear).max(axis=1) / np.abs(linear).max(axis=1)
-    assert error.max() < 1e-3  # of the modes: (2 pi 9 / 1000)^2 / 12 = 3e-4
+    assert error.max() < 2e-4  # the two start differently, 20 s before
 
 
 def test_laws_act_on_both_sides_as_on_the_half_vehicle():
@@ -179,14 +181,13 @@ def test_spectra_are_those_of_a_long_trip():
     lags = np.rint(train.behind_m / SPEED * rate_hz).astype(int)
     white = rng.standard_normal((3, n + lags.max()))
     inputs = np.concatenate([[w[lags.max() - lag :][:n] for lag in lags] for w in white])
-    found = Modes(train.matrices(WORN), rate_hz).advance(inputs)[0::2]
+    found = Modes(train.matrices(WORN), rate_hz).advance(np.pad(inputs, ((0, 0), (1, 1))))[0::2]
     f, measured = csd(found[:, None], found[None], rate_hz, nperseg=4096)
     band = (f > 0.5) & (f < 12)
     late = np.exp(-2j * np.pi * f[band, None] * lags / rate_hz)
     arrivals = np.kron(np.eye(3), np.ones((4, 1))) * np.tile(late, 3)[..., None]
     response = train.matrices(WORN).responses(f[band], arrivals)[:, 0::2]
     expected = np.einsum("fip,fjp->jif", response, response.conj()) * 2 / rate_hz  # E[conj(X) Y]
-    expected *= np.sinc(f[band] / rate_hz) ** 4  # straight between samples
     size = np.sqrt(np.einsum("iif->if", expected).real)
     error = (measured[..., band] - expected) / (size[:, None] * size[None])
     assert np.sqrt(np.mean(np.abs(error) ** 2)) < 0.15  # 97 segments, overlapping
