@@ -69,7 +69,14 @@ def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low", sho
     Returns
     -------
     complex array of shape (n_vehicles, 3, 3, n_freq), one-sided, [(m/s^2)^2/Hz]
+
+    Raises
+    ------
+    ValueError
+        If the train is not linear.
     """
+    if not train.is_linear:
+        raise ValueError("a train with blow-off or friction has no exact spectra: simulate trips")
     frequencies_hz = np.asarray(frequencies_hz, dtype=float)
     density = np.stack(
         [

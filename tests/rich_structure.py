@@ -157,7 +157,7 @@ class Structure:
         if "bending" in self.effects:
             shapes.append((self.row["body", "bending"], beam(t.body_length_m, bending_shape)))
         if "second_bending" in self.effects:
-            shape = beam(t.body_length_m, second_bending_shape)
+            shape = beam(t.second_bending_length_m, second_bending_shape)
             shapes.append((self.row["body", "second_bending"], shape))
         names = dict.fromkeys(body for body, _ in self.row)
         self.bodies = {

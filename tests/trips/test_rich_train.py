@@ -365,3 +365,8 @@ def test_effects_must_be_known():
     with pytest.raises(ValueError, match="`effects` must be some of"):
         RichTrain(frozenset({"wings"}))
     assert not set(FAMILY) & set(OUTSIDE)
+
+
+def test_nonlinear_trains_have_no_spectra():
+    with pytest.raises(ValueError, match="simulate trips"):
+        spectra(RichTrain(frozenset({"friction"})), [WORN], BINS)
