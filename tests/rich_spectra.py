@@ -35,6 +35,7 @@ def process_spectra(train, track="german_low", short_waves=False):
     Mean of both rails; cross level as half of their difference; alignment. The German cross level
     is the mean's density times w^2 / (w^2 + w_s^2) with w_s = 0.4380 rad/m, its alignment a
     constant share; of any track both are taken so from its mean, times the train's factors.
+    No standard's text was at hand for these two.
     """
     mean = track_spectrum(track, short_waves)
 

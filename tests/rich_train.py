@@ -5,7 +5,7 @@ and along z and in roll where the contact is elastic; the body bends. About 32 d
 from elements between points in space (rich_structure.py), about the centres of gravity.
 
 Numbers without a source are assumed. Those of the Manchester benchmark's size (Iwnicki, Veh. Syst.
-Dyn. 30, 1998) say so; masses, suspensions and lengths are the AM96's.
+Dyn. 30, 1998; its text was not at hand) say so; masses, suspensions and lengths are the AM96's.
 """
 
 from __future__ import annotations
