@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
-from rich_vehicle import N_WHEELS, RichSystem, build
+from rich_vehicle import RichSystem
 from scipy.linalg import expm
 
 BLOCK = 2048
@@ -13,21 +14,24 @@ BLOCK = 2048
 
 
 def simulate(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):
-    """Return the accelerations of axle box, frame and body, shape (n_trips, 3, n_samples).
+    """Return the accelerations under the sensors, shape (n_trips, n_sensors, n_samples).
 
     Parameters
     ----------
     ratios : array of shape (n_trips, 5) or (n_trips, 15), [-]
-    rich : RichVehicle
+    rich : RichVehicle or RichTrain, or one for each trip with laws of the first
     tracks : sequence of callables
-        From times [s] to elevation, velocity and acceleration under each wheelset, (3, 4, n_times).
+        From times [s] to elevation, velocity and acceleration of each input, (3, n_r, n_times).
+        The first input lifts the vehicle.
     rate_hz : float, [Hz]
     n_samples : int
     n_lead : int
         Samples before time 0; the vehicle starts there, lifted to the track and moving with it.
     """
-    signals = np.empty((len(ratios), 3, n_samples))
+    signals = None
     for first, _, accelerations in march(ratios, rich, tracks, rate_hz, n_samples, n_lead):
+        if signals is None:
+            signals = np.empty((*accelerations.shape[:2], n_samples))
         kept = accelerations[..., max(0, -first) :]
         begin = max(0, first)
         signals[..., begin : begin + kept.shape[-1]] = kept
@@ -45,7 +49,8 @@ def march(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):
     H_0 and H_1 are the weights of n held and of its change over a step. The arguments are those of
     `simulate`; x has the shape (n_trips, n_states, n_block).
     """
-    systems = [build(row, rich) for row in ratios]
+    riches = rich if isinstance(rich, Sequence) else [rich] * len(ratios)
+    systems = [one.build(row) for one, row in zip(riches, ratios, strict=True)]
     system = RichSystem(
         *(np.stack([getattr(s, f.name) for s in systems]) for f in fields(RichSystem))
     )
@@ -55,7 +60,7 @@ def march(ratios, rich, tracks, rate_hz, n_samples, n_lead=0):
     step = np.concatenate([step, system.rubber_x @ step], axis=1)
     drive = np.concatenate([gamma, system.rubber_x @ gamma], axis=1)
     n_states = phi.shape[1]
-    law, state = Law(system, rich, change), None
+    law, state = Law(system, riches[0], change), None
     for first in range(-n_lead, n_samples, BLOCK):
         times = np.arange(first, min(first + BLOCK, n_samples) + 1) / rate_hz
         r, v, a = np.stack([track(times) for track in tracks], axis=1)  # (n_trips, 4, n_times)
@@ -85,14 +90,14 @@ def _cubic(r, v, rate_hz):
 
 def _discretised(system, step_s):
     """Return Phi, Gamma, H_0 and H_1 of each trip: blocks of one matrix exponential."""
-    n, m = system.a.shape[1], system.e.shape[2]
-    size = n + 4 * N_WHEELS + 2 * m
-    r, n_0, n_1 = n, n + 4 * N_WHEELS, n + 4 * N_WHEELS + m
+    n, n_r, m = system.a.shape[1], system.b_r.shape[2], system.e.shape[2]
+    r, n_0, n_1 = n, n + 4 * n_r, n + 4 * n_r + m
+    size = n_1 + m
     whole = np.zeros((len(system.a), size, size))
     whole[:, :n, :n] = system.a
-    whole[:, :n, r : r + N_WHEELS] = system.b_r
-    whole[:, :n, r + N_WHEELS : r + 2 * N_WHEELS] = system.b_v
-    whole[:, r : r + 3 * N_WHEELS, r + N_WHEELS : n_0] = np.eye(3 * N_WHEELS)
+    whole[:, :n, r : r + n_r] = system.b_r
+    whole[:, :n, r + n_r : r + 2 * n_r] = system.b_v
+    whole[:, r : r + 3 * n_r, r + n_r : n_0] = np.eye(3 * n_r)
     whole[:, :n, n_0:n_1] = system.e
     whole[:, n_0:n_1, n_1:] = np.eye(m) / step_s
     found = expm(whole * step_s)[:, :n]
@@ -124,7 +129,7 @@ class Law:
     ----------
     system : RichSystem
         Of all trips.
-    rich : RichVehicle
+    rich : RichVehicle or RichTrain
     change : array of shape (n_trips, n_states, n_nonlinear)
         H_1: a damper's own force follows its excess velocity at the end of a step.
     """

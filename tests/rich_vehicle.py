@@ -60,6 +60,10 @@ class RichVehicle:
     contact_n_per_m: float = 1.2e9
     contact_ns_per_m: float = 1e5
 
+    def build(self, ratios):
+        """Return the equations of one AM96; see `build`."""
+        return build(ratios, self)
+
 
 @dataclass(frozen=True)
 class RichSystem:

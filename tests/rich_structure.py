@@ -1,0 +1,282 @@
+"""The elements of a rich train: what joins body, bogies, wheelsets and rails, and what wears."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rich_elements import FREEDOMS, Body, Elements, Matrices, between
+from rich_vehicle import RichSystem, bending_shape
+from scipy.optimize import approx_fprime, brentq
+from vehicles import AM96
+
+N_WHEELS = 4
+PROCESSES = ("mean", "cross level", "alignment")
+"""Of the track: (left + right) / 2, (left - right) / 2 at the wheels, and aside."""
+SENSORS = (
+    "axle_box left",
+    "axle_box right",
+    "bogie left",
+    "bogie right",
+    "body left",
+    "body right",
+)
+
+
+class Structure:
+    """The elements of a healthy train, worn and laden on demand.
+
+    Parameters
+    ----------
+    train : RichTrain
+    """
+
+    def __init__(self, train):
+        self.train, self.effects = train, train.effects
+        self._name_coordinates()
+        self._bodies()
+        self.parallel, self.series = Elements(self.n_u), Elements(self.n_u)
+        own = np.zeros((2, len(self.mass), self.n_u))
+        self._own_stiffness, self._own_damping = own
+        for bogie, sign in (("1", 1.0), ("2", -1.0)):
+            self._secondary(bogie, sign * train.half_pivot_m)
+            for axle, x in (("1", train.half_wheelbase_m), ("2", -train.half_wheelbase_m)):
+                self._primary(bogie, x, 2 * (int(bogie) - 1) + int(axle) - 1)
+        for wheelset in range(N_WHEELS):
+            self._rail(wheelset)
+        self._bend()
+        self.series.sort("damper")  # rich_motion.py has them last
+        self.sensors = self._sensors()
+
+    def matrices(self, ratios):
+        """Return `Matrices` of ratios (5,)."""
+        mass = self.mass.copy()
+        mass[self.laden] *= ratios[4]
+        rows, series = self.parallel.rows, self.series.rows
+        k, c, k_f, c_f = self.worn(ratios)
+        n = len(mass)
+        return Matrices(
+            mass,
+            rows[:, :n].T @ (k[:, None] * rows) + self._own_stiffness,
+            rows[:, :n].T @ (c[:, None] * rows) + self._own_damping,
+            series,
+            k_f,
+            c_f,
+            self.sensors,
+        )
+
+    def worn(self, ratios):
+        """Return stiffness and damping of the elements, then of those in series."""
+        side = ("left",) if "one_side" in self.effects else ()
+        found = []
+        for elements in (self.parallel, self.series):
+            for kind, values in enumerate((elements.stiffness, elements.damping)):
+                values = np.array(values, dtype=float)
+                for ratio, name in zip(ratios, ("k_p", "c_p", "k_s", "c_s"), strict=False):
+                    # rubber keeps its frequency: its damping follows k_p
+                    if kind == "kc".index(name[0]) or (name == "k_p" and elements is self.series):
+                        values[elements.where(name, "1", *side)] *= ratio
+                found.append(values)
+        return found
+
+    def system(self, ratios):
+        """Return the `RichSystem` of ratios (5,): linear equations, and what the laws act on."""
+        matrices = self.matrices(ratios)
+        stiffness, *_ = self.worn(ratios)
+        n, n_f = len(matrices.mass), len(matrices.series)
+        a, b_r, b_v = matrices.state_space()
+        springs = self.parallel.where("spring") if "friction" in self.effects else []
+        rubber = self.parallel.rows[springs]
+        n_dampers = len(self.series.where("damper")) if "blow_off" in self.effects else 0
+        e = np.zeros((len(a), len(rubber) + n_dampers))
+        e[n : 2 * n, : len(rubber)] = -rubber[:, :n].T / matrices.mass[:, None]
+        e[len(a) - n_dampers :, len(rubber) :] = -np.diag(
+            matrices.series_stiffness[n_f - n_dampers :]
+        )
+        lift = np.zeros((2, len(a)))
+        heave = np.array([freedom == "z" for _, freedom in self.names])
+        lift[0, :n], lift[1, n : 2 * n] = heave, heave
+        damping = matrices.series_damping[n_f - n_dampers :]
+        t = self.train
+        return RichSystem(
+            a,
+            b_r,
+            b_v,
+            e,
+            s=np.pad(matrices.sensors[:, :n], ((0, 0), (n, n_f))),
+            s_w=matrices.sensors[:, n:],
+            lift=lift,
+            rubber_x=np.pad(rubber[:, :n], ((0, 0), (0, len(a) - n))),
+            rubber_r=-rubber[:, n:],
+            friction_n=t.friction_share * t.friction_half_m * stiffness[springs],
+            damping=damping,
+            blow_off_n=t.blow_off_m_per_s * damping,
+        )
+
+    def _sensors(self):
+        """Return the vertical motion under ``SENSORS``, (6, n_u)."""
+        t = self.train
+        places = [
+            ("wheelset 0", 0.0),
+            ("bogie 1", t.half_wheelbase_m),
+            ("body", t.half_pivot_m),
+        ]
+        return np.stack(
+            [
+                self.bodies[name].motion((x, side * t.sensor_half_m, 0.0))[2]
+                for name, x in places
+                for side in (1, -1)
+            ]
+        )
+
+    def _name_coordinates(self):
+        """Give each motion its column of u."""
+        moving = FREEDOMS if "contact" in self.effects else ("y", "yaw")
+        moving = [name for name in moving if name != "pitch"]
+        names = [(body, f) for body in ("body", "bogie 1", "bogie 2") for f in FREEDOMS]
+        names += [(f"wheelset {i}", f) for i in range(N_WHEELS) for f in moving]
+        names += [("body", b) for b in ("bending", "second_bending") if b in self.effects]
+        self.names = names
+        self.n_u = len(names) + N_WHEELS * self.train.n_processes
+        self.row = dict(zip(names, np.eye(self.n_u), strict=False))
+        for i in range(N_WHEELS):
+            for p, (name, scale) in enumerate(
+                (("z", 1.0), ("roll", 1 / self.train.contact_half_m), ("y", 1.0))
+            ):
+                column = len(names) + N_WHEELS * p + i
+                held = p < self.train.n_processes
+                row = scale * np.eye(self.n_u)[column] if held else np.zeros(self.n_u)
+                self.row[f"rail {i}", name] = row
+                if "contact" not in self.effects and name != "y":
+                    self.row[f"wheelset {i}", name] = row
+
+    def _bodies(self):
+        """Set bodies, masses, and which of the masses carry the pay-load."""
+        t = self.train
+        shapes = []
+        if "bending" in self.effects:
+            shapes.append((self.row["body", "bending"], beam(t.body_length_m, bending_shape)))
+        if "second_bending" in self.effects:
+            shape = beam(t.second_bending_length_m, second_bending_shape)
+            shapes.append((self.row["body", "second_bending"], shape))
+        names = dict.fromkeys(body for body, _ in self.row)
+        self.bodies = {
+            name: Body(
+                {f: self.row[name, f] for f in FREEDOMS if (name, f) in self.row},
+                tuple(shapes) if name == "body" else (),
+            )
+            for name in names
+        }
+        body, bogie = 4 * AM96.body_mass_kg, 2 * t.bogie_mass * AM96.bogie_mass_kg
+        pitch = t.body_gyration * AM96.body_gyration_m
+        bogie_pitch = t.bogie_gyration * AM96.bogie_gyration_m
+        gyrations = {
+            "body": {"roll": t.body_roll_gyration_m, "pitch": pitch, "yaw": pitch},
+            "bogie": {
+                "roll": t.bogie_roll_gyration_m,
+                "pitch": bogie_pitch,
+                "yaw": t.yaw_gyration_m,
+            },
+            "wheelset": {"roll": t.wheelset_gyration_m, "yaw": t.wheelset_gyration_m},
+        }
+        masses = {"body": body, "bogie": bogie, "wheelset": t.wheelset_kg}
+        kinds = [(name.split()[0], freedom) for name, freedom in self.names]
+        self.mass = np.array([masses[k] * gyrations[k].get(f, 1.0) ** 2 for k, f in kinds])
+        self.laden = np.array([kind == "body" for kind, _ in kinds])
+
+    def _join(self, one, its_point, other, other_point, direction, k, c, label):
+        """Add a spring with a damper beside it."""
+        stretch = between(self.bodies[one], its_point, self.bodies[other], other_point, direction)
+        self.parallel.add(stretch, k, c, label)
+        return stretch
+
+    def _damper(self, stretch, c, bushing, label):
+        """Add a damper, in series with its bushing where there are any."""
+        if self.effects & {"bushings", "blow_off"}:
+            self.series.add(stretch, bushing, c, f"{label} damper")
+        else:
+            self.parallel.add(stretch, 0.0, c, label)
+
+    def _secondary(self, bogie, x):
+        """Add springs and dampers between body and bogie."""
+        t, frame = self.train, f"bogie {bogie}"
+        down, up = (t.body_arm_m, t.bogie_arm_m) if "longitudinal" in self.effects else (0.0, 0.0)
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            y = sign * t.secondary_half_m
+            where = f"{bogie} {side}"
+            top, bottom = (x, y, -t.body_arm_m), (0.0, y, t.bogie_arm_m)
+            k_s = t.k_s * AM96.secondary_stiffness_n_per_m
+            stretch = self._join("body", top, frame, bottom, (0, 0, 1), k_s, 0.0, f"k_s {where}")
+            c_s = t.c_s * AM96.secondary_damping_ns_per_m
+            self._damper(stretch, c_s, t.secondary_bushing_n_per_m, f"c_s {where}")
+            lateral = t.lateral_n_per_m, t.lateral_ns_per_m, "lateral"
+            self._join("body", top, frame, bottom, (0, 1, 0), *lateral)
+            along = t.longitudinal_n_per_m, t.longitudinal_ns_per_m, "longitudinal"
+            self._join("body", (x, y, -down), frame, (0.0, y, up), (1, 0, 0), *along)
+        twist = self.row["body", "roll"] - self.row[frame, "roll"]
+        self.parallel.add(twist, t.anti_roll_nm, 0.0, "anti-roll bar")
+
+    def _primary(self, bogie, x, wheelset):
+        """Add springs and dampers between bogie and one of its wheelsets."""
+        t, frame, axle = self.train, f"bogie {bogie}", f"wheelset {wheelset}"
+        height = -t.guidance_height_m if "guidance" in self.effects else 0.0
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            y = sign * t.primary_half_m
+            where, box = f"{bogie} {side}", (0.0, y, 0.0)
+            k_p = 0.5 * t.k_p * AM96.primary_stiffness_n_per_m
+            top = (x, y, -t.axle_below_m)
+            stretch = self._join(frame, top, axle, box, (0, 0, 1), k_p, 0.0, f"k_p {where} spring")
+            c_p = 0.5 * t.c_p * AM96.primary_damping_ns_per_m
+            self._damper(stretch, c_p, t.primary_bushing_n_per_m, f"c_p {where}")
+            if "rubber" in self.effects:
+                k = t.maxwell_share * k_p
+                c = k / (2 * math.pi * t.maxwell_hz)
+                self.series.add(stretch, k, c, f"k_p {where}")
+            lateral = t.primary_lateral_n_per_m, 0.0, "guidance"
+            self._join(frame, top, axle, box, (0, 1, 0), *lateral)
+            along = t.guidance_n_per_m, t.guidance_ns_per_m, "guidance"
+            self._join(frame, (x, y, height), axle, box, (1, 0, 0), *along)
+
+    def _rail(self, wheelset):
+        """Let a wheelset run on the rails: creep, conicity, gravity, contact."""
+        t, name, rail = self.train, f"wheelset {wheelset}", f"rail {wheelset}"
+        y, yaw = self.row[name, "y"], self.row[name, "yaw"]
+        aside, half = y - self.row[rail, "y"], t.contact_half_m
+        self.parallel.add(aside, t.gravity_n_per_m, 0.0, "gravity")
+        i, j = (self.names.index((name, freedom)) for freedom in ("y", "yaw"))
+        # creepages of two wheels: y' / v - psi aside, l psi' / v + conicity (y - y_r) / r_0 ahead
+        self._own_damping[i] += 2 * t.creep_n / t.speed_m_per_s * y
+        self._own_stiffness[i] -= 2 * t.creep_n * yaw
+        self._own_damping[j] += 2 * t.creep_n * half**2 / t.speed_m_per_s * yaw
+        self._own_stiffness[j] += 2 * t.creep_n * t.conicity * half / t.wheel_radius_m * aside
+        if "contact" in self.effects:
+            for sign in (1.0, -1.0):
+                point = (0.0, sign * half, 0.0)
+                values = t.contact_n_per_m, t.contact_ns_per_m, "contact"
+                self._join(name, point, rail, point, (0, 0, 1), *values)
+
+    def _bend(self):
+        """Give the bendings of the body their own stiffness and damping."""
+        t, empty = self.train, 4 * AM96.body_mass_kg
+        for name in ("bending", "second_bending"):
+            if name in self.effects:  # pay-load adds mass, not stiffness
+                omega = 2 * math.pi * getattr(t, f"{name}_hz")
+                damping = 2 * getattr(t, f"{name}_damping") * empty * omega
+                self.parallel.add(self.row["body", name], empty * omega**2, damping, name)
+
+
+def second_bending_shape(x_m, length_m):
+    """Return a free beam's second bending at x from its centre; see `bending_shape`."""
+    root = brentq(lambda v: math.cosh(v) * math.cos(v) - 1, 7.5, 8.2)
+    place = root * np.asarray(x_m) / length_m
+    return np.sin(place) / math.sin(root / 2) + np.sinh(place) / math.sinh(root / 2)
+
+
+def beam(length_m, shape):
+    """Return what gives deflection and slope of a shape at x."""
+
+    def at(x):
+        slope = approx_fprime(np.array([x]), lambda v: float(shape(v[0], length_m)), 1e-5)[0]
+        return float(shape(x, length_m)), slope
+
+    return at

@@ -1,0 +1,231 @@
+"""A train in three dimensions, richer than the family of vehicles that suspnet is trained for.
+
+Body and two bogies move along y and z, roll, pitch and yaw; four wheelsets move along y and yaw,
+and along z and in roll where the contact is elastic; the body bends. About 32 degrees of freedom,
+from elements between points in space (rich_structure.py), about the centres of gravity.
+
+Numbers without a source are assumed. Those of the Manchester benchmark's size (Iwnicki, Veh. Syst.
+Dyn. 30, 1998; its text was not at hand) say so; masses, suspensions and lengths are the AM96's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from rich_structure import PROCESSES, Structure
+from vehicles import AM96
+
+FAMILY = (
+    "healthy",
+    "inertias",
+    "geometry",
+    "bushings",
+    "rubber",
+    "guidance",
+    "longitudinal",
+    "bending",
+    "roll",
+    "contact",
+)
+OUTSIDE = ("second_bending", "one_side", "blow_off", "friction", "drift", "bogie_mass")
+EFFECTS = (*FAMILY, *OUTSIDE)
+"""What a train can have; drift is of its speed (rich_train_trips.py).
+
+``FAMILY`` is what suspnet's family of vehicles knows, the contact aside. Dampers that blow off have
+bushings, whether these are asked for or not.
+"""
+
+SCATTER = {
+    "healthy": {"k_p": 0.2, "c_p": 0.4, "k_s": 0.2, "c_s": 0.3},
+    "inertias": {"body_gyration": 0.15, "bogie_gyration": 0.15},
+    "geometry": {"half_wheelbase": 0.05, "half_pivot_distance": 0.05},
+    "bushings": {"primary_bushing_n_per_m": 0.7, "secondary_bushing_n_per_m": 0.7},
+    "rubber": {"maxwell_share": 0.5, "maxwell_hz": 0.3},
+    "guidance": {"guidance_height_m": 0.5, "guidance_ns_per_m": 0.7},
+    "longitudinal": {
+        "longitudinal_n_per_m": 0.7,
+        "longitudinal_ns_per_m": 0.7,
+        "body_arm_m": 0.1,
+        "bogie_arm_m": 0.1,
+    },
+    "bending": {"bending_hz": 0.2, "bending_damping": 0.4, "body_length_m": 0.05},
+    "roll": {
+        "body_roll_gyration_m": 0.2,
+        "bogie_roll_gyration_m": 0.2,
+        "primary_half_m": 0.05,
+        "secondary_half_m": 0.05,
+        "anti_roll_nm": 0.7,
+        "lateral_n_per_m": 0.3,
+        "lateral_ns_per_m": 0.3,
+        "cross_level": 0.4,
+        "alignment": 0.4,
+    },
+    "contact": {"contact_n_per_m": 0.2, "contact_ns_per_m": 0.3},
+    "second_bending": {"second_bending_hz": 0.15},
+    "bogie_mass": {"bogie_mass": 0.05},
+}
+"""Half widths: a true number is drawn evenly in its logarithm about the drawing's."""
+
+
+@dataclass(frozen=True)
+class RichTrain:
+    """The true numbers of one train; ratios of wear are relative to them.
+
+    Suspensions, masses and lengths of the AM96 are factors, all else is in SI units.
+    """
+
+    effects: frozenset = frozenset()
+    speed_m_per_s: float = 70.0
+
+    k_p: float = 1.0
+    c_p: float = 1.0
+    k_s: float = 1.0
+    c_s: float = 1.0
+    bogie_mass: float = 1.0
+    body_gyration: float = 1.0
+    bogie_gyration: float = 1.0
+    half_wheelbase: float = 1.0
+    half_pivot_distance: float = 1.0
+    # One damper a primary spring, one a secondary one; Manchester benchmark
+    primary_bushing_n_per_m: float = 1e6
+    secondary_bushing_n_per_m: float = 6e6
+    # Share of the primary spring; loss factor 0.05 at 5 Hz
+    maxwell_share: float = 0.1
+    maxwell_hz: float = 5.0
+    # Bushing of each axle box along x, below the bogie's centre: 0.1 of k_p a^2 and of c_p a^2
+    guidance_n_per_m: float = 1e7
+    guidance_ns_per_m: float = 2.9e4
+    guidance_height_m: float = 0.108
+    # Secondary spring and yaw damper of a side along x, below the body's, above the bogie's centre
+    longitudinal_n_per_m: float = 1.6e5
+    longitudinal_ns_per_m: float = 1e4
+    body_arm_m: float = 0.75
+    bogie_arm_m: float = 0.42
+    # Free body without pay-load: 6 to 12 Hz (Dumitriu et al., Appl. Sci. 14, 2024, 4687), damping
+    # 1.5 to 2 % (Zhou et al., Proc. IMechE F 223, 2009)
+    bending_hz: float = 10.0
+    bending_damping: float = 0.015
+    body_length_m: float = 26.6
+    # A uniform beam has it at 2.76 times the first, with nodes 0.3 m from the pivots; real bodies,
+    # with doors and equipment, are no such beams: lower, the shape of a shorter one
+    second_bending_hz: float = 13.0
+    second_bending_damping: float = 0.02
+    second_bending_length_m: float = 22.0
+    # Across the train; Manchester benchmark's size
+    primary_half_m: float = 1.0
+    secondary_half_m: float = 1.0
+    sensor_half_m: float = 1.0
+    body_roll_gyration_m: float = 1.33
+    bogie_roll_gyration_m: float = 0.8
+    yaw_gyration_m: float = 1.1  # bogie; the body's is that of its pitch
+    anti_roll_nm: float = 0.94e6  # a bogie
+    lateral_n_per_m: float = 1.6e5  # a side
+    lateral_ns_per_m: float = 1.6e4
+    primary_lateral_n_per_m: float = 3.9e6  # an axle box
+    axle_below_m: float = 0.14  # the wheelset's centre below the bogie's
+    # Wheelset of two wheels; linear creep and conicity, a spring for gravity
+    wheelset_kg: float = 1600.0
+    wheelset_gyration_m: float = 0.79
+    wheel_radius_m: float = 0.46
+    contact_half_m: float = 0.75
+    creep_n: float = 8e6
+    conicity: float = 0.05
+    gravity_n_per_m: float = 2e5
+    # Of a wheel: 1.0 to 1.4e9 N/m is usual; 100e3 N s/m in DLR-SR AdvancedNoise
+    contact_n_per_m: float = 1.2e9
+    contact_ns_per_m: float = 1e5
+    # Processes of the track, as factors of the German spectra
+    cross_level: float = 1.0
+    alignment: float = 1.0
+    # Laws of rich_motion.py
+    blow_off_m_per_s: float = 0.1
+    slope_after: float = 0.2
+    friction_share: float = 0.1
+    friction_half_m: float = 1e-3
+
+    def __post_init__(self):
+        unknown = sorted(set(self.effects) - set(EFFECTS))
+        if unknown:
+            raise ValueError(f"`effects` must be some of {EFFECTS}, got {unknown}")
+        object.__setattr__(self, "effects", frozenset(self.effects))
+
+    @classmethod
+    def scattered(cls, seed, effects=FAMILY, **changes):
+        """Return a train with true numbers of its own for the effects that it has.
+
+        Each number depends on the seed and its name alone, whatever the effects.
+        """
+        plain = cls()
+        rng = np.random.default_rng([seed, 12])
+        draws = {
+            name: (group, getattr(plain, name) * math.exp(width * rng.uniform(-1, 1)))
+            for group, widths in SCATTER.items()
+            for name, width in widths.items()
+        }
+        found = {name: value for name, (group, value) in draws.items() if group in effects}
+        return cls(effects=frozenset(effects), **(found | changes))
+
+    def at(self, speed_m_per_s):
+        """Return the train at another speed."""
+        return replace(self, speed_m_per_s=float(speed_m_per_s))
+
+    def numbers(self):
+        """Return every number by its name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)[2:]}
+
+    @property
+    def n_processes(self):
+        """Return how many processes of the track drive the train."""
+        return len(PROCESSES) if "roll" in self.effects else 1
+
+    @cached_property
+    def half_wheelbase_m(self):
+        """Return half the wheelbase, [m]."""
+        return self.half_wheelbase * AM96.half_wheelbase_m
+
+    @cached_property
+    def half_pivot_m(self):
+        """Return half the distance of the pivots, [m]."""
+        return self.half_pivot_distance * AM96.half_pivot_distance_m
+
+    @property
+    def behind_m(self):
+        """Return how far each wheelset runs behind the first, the measured one, (4,) [m]."""
+        a, pivot = self.half_wheelbase_m, self.half_pivot_m
+        return np.array([0.0, 2 * a, 2 * pivot, 2 * pivot + 2 * a])
+
+    def phasors(self, frequencies_hz):
+        """Return the inputs r of each process of unit size at the first wheelset.
+
+        Complex of shape (n_freq, 4 n_processes, n_processes).
+        """
+        delay = self.behind_m / self.speed_m_per_s
+        late = np.exp(-2j * np.pi * np.asarray(frequencies_hz)[:, None] * delay)
+        eye = np.eye(self.n_processes)
+        return (eye[:, None, :] * late[:, None, :, None]).reshape(len(late), -1, len(eye))
+
+    def matrices(self, ratios):
+        """Return the equations of motion with a worn first bogie.
+
+        Parameters
+        ----------
+        ratios : array of shape (5,), [-]
+            k_p, c_p, k_s, c_s relative to the train's own, M_s relative to nominal.
+        """
+        return self._structure.matrices(np.asarray(ratios, dtype=float))
+
+    def build(self, ratios):
+        """Return the equations of motion with the laws of rich_motion.py, a `RichSystem`."""
+        return self._structure.system(np.asarray(ratios, dtype=float))
+
+    @property
+    def is_linear(self):
+        """Return whether spectra and modes hold all that the train has."""
+        return not self.effects & {"blow_off", "friction"}
+
+    @cached_property
+    def _structure(self):
+        return Structure(self)

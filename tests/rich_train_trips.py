@@ -1,0 +1,200 @@
+"""Trips of rich trains on disk, with sensors on both sides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from datetime import timedelta
+from fractions import Fraction
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import yaml
+from joblib import Parallel, delayed
+from rich_modes import simulate_modes
+from rich_motion import simulate
+from rich_spectra import process_spectra
+from rich_trips import DRIFT
+from scipy.signal import resample_poly
+from vehicles import AM96
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.dynamics.journey import Journey
+from suspnet.dynamics.track import make_profile
+from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest, write_manifest
+from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M
+
+SIDES = ("left", "right")
+WRITTEN = ("pair", "mean", *SIDES)
+TOGETHER = 16
+"""Trips stepped at once: a GB of 20 minutes at 1000 Hz."""
+
+
+def write_train_trips(
+    folder, train, ratios, fleet, seed, sides="pair", speeds_m_per_s=None, rate_hz=None, n_jobs=1
+):
+    """Simulate trips, write each as ``write_fleet`` does, and return the manifests.
+
+    Parameters
+    ----------
+    folder : Path
+    train : RichTrain
+        Of all trips; its speed is replaced by that of each.
+    ratios : array of shape (n_trips, 5), [-]
+        ``PARAMETERS`` relative to the train's own, M_s to nominal.
+    fleet : Fleet
+    seed : int
+        Trip i draws track, noise and journey from (seed, i) alone.
+    sides : {"pair", "mean", "left", "right"}
+        "pair" has lists of two sensors as channels, "mean" writes their average as one sensor's.
+    speeds_m_per_s : sequence of float, optional, [m/s]
+        Of each trip, in place of the fleet's.
+    rate_hz : float, optional, [Hz]
+        Of the steps; the fastest sensor's if not given.
+    n_jobs : int
+        Trips at the same time. Trains with blow-off or friction are stepped together.
+    """
+    if sides not in WRITTEN:
+        raise ValueError(f"`sides` must be one of {WRITTEN}, got {sides!r}")
+    ratios = np.asarray(ratios, dtype=float)
+    rate_hz = rate_hz or max(sensor.rate_hz for sensor in fleet.loggers().values())
+    speeds = [fleet.speed_m_per_s] * len(ratios) if speeds_m_per_s is None else speeds_m_per_s
+    sources = [np.random.SeedSequence([seed, i]).spawn(3) for i in range(len(ratios))]
+    drives = [
+        Drive(train.at(v), replace(fleet, speed_m_per_s=float(v)), rate_hz, track, journey)
+        for v, (track, _, journey) in zip(speeds, sources, strict=True)
+    ]
+
+    def write(i, signals):
+        noise = np.random.default_rng(sources[i][1])
+        return _write(folder, fleet, train, i, ratios[i], drives[i], signals, sides, noise)
+
+    if train.is_linear:
+        jobs = (
+            delayed(lambda i: write(i, drives[i].motion(ratios[i])))(i) for i in range(len(ratios))
+        )
+        return Parallel(n_jobs=n_jobs)(jobs)
+    manifests = []
+    for first in range(0, len(ratios), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        trains, tracks = zip(*((one.train, one.track()) for one in drives[some]), strict=True)
+        n_samples, n_lead = drives[0].n_samples, max(one.n_lead for one in drives)
+        found = simulate(ratios[some], trains, tracks, rate_hz, n_samples, n_lead)
+        manifests += [write(first + i, signals) for i, signals in enumerate(found)]
+    return manifests
+
+
+class Drive:
+    """A train on its way: the journey, and the track under all wheelsets.
+
+    Parameters
+    ----------
+    train : RichTrain
+        At the speed of the journey; creep keeps this speed throughout.
+    fleet : Fleet
+        With the speed of this trip.
+    rate_hz : float, [Hz]
+    track, journey : SeedSequence
+    """
+
+    def __init__(self, train, fleet, rate_hz, track, journey):
+        self.train, self.fleet, self.rate_hz = train, fleet, rate_hz
+        self.journey, self._source = self._journey(journey), track
+        moving = self.journey.speeds_m_per_s[0] > 0
+        self.n_samples = math.floor(self.journey.duration_s * rate_hz + 1e-6)
+        self.n_lead = round(LEAD_IN_S * rate_hz) if moving else 0
+
+    def motion(self, ratios):
+        """Return the accelerations under all sensors, (6, n_samples), of a linear train."""
+        matrices = self.train.matrices(ratios)
+        return simulate_modes(matrices, self.track(), self.rate_hz, self.n_samples, self.n_lead)
+
+    def track(self):
+        """Return what gives elevation, velocity and acceleration of all inputs at any times."""
+        behind_m = self.train.behind_m
+        top = float(self.journey.speeds_m_per_s.max())
+        start_m = behind_m.max() + LEAD_IN_S * top + MARGIN_M
+        length_m = start_m + self.journey.distance_m + MARGIN_M
+        densities = process_spectra(self.train, self.fleet.track, self.fleet.short_waves)
+        seeds = self._source.generate_state(len(densities))
+        profiles = [
+            make_profile(density, length_m, top / self.rate_hz, int(seed))
+            for density, seed in zip(densities, seeds, strict=True)
+        ]
+
+        def inputs(times):
+            position, speed, acceleration = self.journey.at(times)
+            places = start_m + position - behind_m[:, None]
+            r, slope, curvature = np.concatenate([p.at(places) for p in profiles], axis=1)
+            return np.stack([r, slope * speed, curvature * speed**2 + slope * acceleration])
+
+        return inputs
+
+    def _journey(self, source):
+        """Return the fleet's journey, or one whose speed drifts up or down."""
+        if "drift" not in self.train.effects:
+            return self.fleet.journey_of(int(source.generate_state(1)[0]))
+        drift = DRIFT * np.random.default_rng(source).choice([-1.0, 1.0])
+        speeds = self.fleet.speed_m_per_s * np.array([1.0, 1.0 + drift])
+        return Journey(np.array([0.0, 60 * self.fleet.minutes]), speeds)
+
+
+def true_ratios(train, ratios, sides):
+    """Return what a trip's estimates should be, {name: ratio}.
+
+    Where one side wears, the left, a pair sees the mean of both.
+    """
+    ratios = np.array(ratios, dtype=float)
+    if "one_side" in train.effects:
+        share = {"left": 1.0, "right": 0.0}.get(sides, 0.5)
+        ratios[:4] = 1 + share * (ratios[:4] - 1)
+    return dict(zip(PARAMETERS, ratios.tolist(), strict=True))
+
+
+def _write(folder, fleet, train, index, ratios, drive, signals, sides, rng):
+    """Write the files of one trip and return its manifest."""
+    name, channels = f"trip_{index + 1:03d}", {}
+    (folder / name).mkdir(parents=True)
+    loggers = fleet.loggers()
+    for (channel, sensor), pair in zip(loggers.items(), signals.reshape(3, 2, -1), strict=True):
+        ratio = Fraction(sensor.rate_hz / drive.rate_hz).limit_denominator(1000)
+        if ratio != 1:
+            up, down = ratio.numerator, ratio.denominator
+            pair = resample_poly(pair, up, down, axis=1, window=ANTI_ALIAS)
+        recorded = dict(zip(SIDES, (sensor.record(one, rng) for one in pair), strict=True))
+        if sides == "mean":
+            recorded = {"mean": sum(recorded.values()) / 2}
+        file = f"{name}/{channel}.parquet"
+        _write_columns(folder / file, recorded)
+        channels[channel] = [
+            Channel(file, "m/s2", column=column, rate_hz=sensor.rate_hz) for column in recorded
+        ]
+    seconds = np.arange(math.floor(drive.journey.duration_s) + 1.0)
+    _write_columns(folder / name / "speed.parquet", {"speed": drive.journey.at(seconds)[1]})
+    chosen = {name: found[sides == "right"] for name, found in channels.items() if sides != "pair"}
+    path = write_manifest(
+        TripManifest(
+            path=folder / f"{name}.yaml",
+            name=name,
+            vehicle=AM96.name,
+            suspension=fleet.suspension,
+            mileage_km=float(fleet.mileage_km()[index]),
+            start=FIRST_DAY + timedelta(days=10 * index),
+            speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
+            channels=chosen or {name: found[0] for name, found in channels.items()},
+            truth=true_ratios(train, ratios, sides),
+        )
+    )
+    if sides == "pair":
+        content = yaml.safe_load(path.read_text())
+        content["channels"] = {
+            name: [{k: v for k, v in asdict(one).items() if v is not None} for one in found]
+            for name, found in channels.items()
+        }
+        path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
+    return path
+
+
+def _write_columns(path, columns):
+    pq.write_table(pa.table({k: v.astype(np.float32) for k, v in columns.items()}), path)

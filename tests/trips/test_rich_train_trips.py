@@ -1,0 +1,171 @@
+"""Trips of the three-dimensional train on disk: the same as suspnet's where they can be."""
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from rich_spectra import expected_estimates
+from rich_train import FAMILY, RichTrain
+from rich_train_trips import write_train_trips
+from scipy.signal import csd
+from vehicles import AM96
+
+from suspnet.data.estimates import EstimateSettings
+from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.features.cross_spectra import PAIRS
+from suspnet.recordings.manifest import CHANNELS, read_manifest
+from suspnet.simulation import Fleet, Scenario, write_fleet
+
+RATES = dict(zip(CHANNELS, (1000.0, 500.0, 500.0), strict=True))
+SILENT = {name: {"rate_hz": rate, "snr_db": None} for name, rate in RATES.items()}
+NOISY = {name: {"rate_hz": rate} for name, rate in RATES.items()}
+WORN = np.array([0.8, 1.3, 1.2, 0.7, 1.1])
+
+
+def fleet_of(n_trips=1, **changes):
+    return Fleet(**({"n_trips": n_trips, "minutes": 0.2, "sensors": SILENT} | changes))
+
+
+def columns(manifest, name):
+    table = pq.read_table(manifest.with_suffix("") / f"{name}.parquet")
+    return {column: table[column].to_numpy().astype(float) for column in table.column_names}
+
+
+# reference
+
+
+def test_trips_without_effects_are_those_of_suspnet(tmp_path):
+    fleet, scenario = fleet_of(2, speed_m_per_s=55.0), Scenario("random", spread=0.4)
+    ratios = scenario.ratios(fleet.mileage_km(), 5)
+    found = write_train_trips(tmp_path / "rich", RichTrain(), ratios, fleet, 5, sides="left")
+    expected = write_fleet(
+        tmp_path / "plain", fleet, scenario, VerticalVehicle(AM96, speed_m_per_s=55.0), seed=5
+    )
+    for mine, theirs in zip(found, expected, strict=True):
+        a, b = read_manifest(mine), read_manifest(theirs)
+        assert (a.truth, a.mileage_km, a.start, a.vehicle) == (
+            b.truth,
+            b.mileage_km,
+            b.start,
+            b.vehicle,
+        )
+        for channel in CHANNELS:
+            left, plain = columns(mine, channel)["left"], columns(theirs, channel)["acceleration"]
+            # of straight lines between samples, as suspnet has them, (2 pi 30 / 1000)^2 / 12 = 3e-3
+            np.testing.assert_allclose(left, plain, rtol=0, atol=3e-3 * np.abs(plain).max())
+
+
+def test_spectra_of_a_trip_are_the_expected_ones(tmp_path):
+    train = RichTrain.scattered(3).at(60.0)
+    fleet = fleet_of(minutes=6.0, speed_m_per_s=60.0, sensors=NOISY)
+    (path,) = write_train_trips(tmp_path, train, [WORN], fleet, seed=1, sides="mean")
+    settings = EstimateSettings(minutes=6.0, rates_hz=tuple(RATES.values())).bound(AM96)
+    expected = expected_estimates(train, WORN[None], settings)
+    signals = [columns(path, c)["mean"][:: 2 if c == "axle_box" else 1] for c in CHANNELS]
+    # the axle box folds at 250 Hz: its noise above is seen twice
+    f, found = csd(
+        np.array(signals)[:, None], np.array(signals), 500.0, nperseg=10_000, detrend=False
+    )
+    bins = np.isin(np.round(f * 20), np.round(settings.frequencies_hz().numpy() * 20))
+    for pair, (x, y) in enumerate(PAIRS):
+        size = (expected.auto[0, x] * expected.auto[0, y]).sqrt().numpy()
+        error = (found[x, y, bins] - expected.cross[0, pair].numpy()) / size
+        if x > 0:
+            assert np.sqrt(np.mean(np.abs(error) ** 2)) < 0.3  # 34 averages: 0.17
+            assert abs(error.mean()) < 0.06
+        response = found[x, y, bins] / expected.cross[0, pair].numpy()
+        assert np.median(np.abs(response)) == pytest.approx(1, abs=0.1)
+
+
+# property
+
+
+def test_a_pair_has_a_list_of_sensors_for_each_channel(tmp_path):
+    train, fleet = RichTrain.scattered(1), fleet_of(sensors=NOISY)
+    (pair,) = write_train_trips(tmp_path / "pair", train, [WORN], fleet, 2)
+    content = yaml.safe_load(pair.read_text())
+    assert content["truth"] == dict(zip(PARAMETERS, WORN.tolist(), strict=True))
+    for channel in CHANNELS:
+        sensors = content["channels"][channel]
+        assert [one["column"] for one in sensors] == ["left", "right"]
+        assert {one["rate_hz"] for one in sensors} == {RATES[channel]}
+        assert all((tmp_path / "pair" / one["file"]).is_file() for one in sensors)
+        found = columns(pair, channel)
+        assert abs(np.corrcoef(*found.values())[0, 1]) < 0.99
+        assert len(found["left"]) == 12 * RATES[channel]
+    for sides in ("mean", "left", "right"):
+        (one,) = write_train_trips(tmp_path / sides, train, [WORN], fleet, 2, sides=sides)
+        assert read_manifest(one).truth == content["truth"]
+        for channel, source in read_manifest(one).channels.items():
+            assert source.column == sides
+            both = columns(pair, channel)
+            expected = both.get(sides, (both["left"] + both["right"]) / 2)
+            found = columns(one, channel)[sides]
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(found).max())
+
+
+def test_pair_average_of_a_trip_is_that_on_the_mean_track_alone(tmp_path):
+    train = RichTrain.scattered(4)
+    vertical = RichTrain(train.effects - {"roll"}, **train.numbers())
+    found, expected = (
+        write_train_trips(tmp_path / name, one, [WORN], fleet_of(), 3, sides="mean")[0]
+        for name, one in (("3d", train), ("vertical", vertical))
+    )
+    for channel in CHANNELS:
+        a, b = (columns(path, channel)["mean"] for path in (found, expected))
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * np.abs(b).max())
+
+
+def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
+    fleet, train = fleet_of(3), RichTrain.scattered(1, {*FAMILY, "drift"})
+    write = {"ratios": np.ones((3, 5)), "fleet": fleet, "seed": 4}
+    speeds = [30.0, 55.0, 85.0]
+    found = write_train_trips(tmp_path / "a", train, **write, speeds_m_per_s=speeds)
+    ends = np.array([columns(path, "speed")["speed"][[0, -1]] for path in found])
+    np.testing.assert_allclose(ends[:, 0], speeds)
+    np.testing.assert_allclose(np.abs(ends[:, 1] / ends[:, 0] - 1), 0.03, rtol=1e-5)
+    again = write_train_trips(tmp_path / "b", train, **write, speeds_m_per_s=speeds)
+    write |= {"ratios": np.ones((1, 5))}
+    alone = write_train_trips(tmp_path / "c", train, **write, speeds_m_per_s=speeds[:1])
+    for channel in CHANNELS:
+        first = columns(found[0], channel)["right"]
+        np.testing.assert_array_equal(first, columns(again[0], channel)["right"])
+        np.testing.assert_array_equal(first, columns(alone[0], channel)["right"])
+        assert abs(np.corrcoef(first, columns(found[1], channel)["right"])[0, 1]) < 0.5
+
+
+def test_service_journeys_begin_and_end_at_rest(tmp_path):
+    fleet = fleet_of(minutes=8.0, journey="service", n_stops=0, speed_m_per_s=50.0)
+    (path,) = write_train_trips(tmp_path, RichTrain.scattered(1), [WORN], fleet, 0)
+    speed = columns(path, "speed")["speed"]
+    assert speed[0] == speed[-1] == 0
+    assert speed.max() > 45
+    body = columns(path, "body")["left"]
+    assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
+
+
+def test_trains_with_nonlinear_laws_are_stepped_and_written_alike(tmp_path):
+    effects = {"bushings", "rubber", "roll", "blow_off", "friction"}
+    train = RichTrain.scattered(1, effects)
+    never = RichTrain(
+        frozenset(effects), **(train.numbers() | {"blow_off_m_per_s": 1e6, "friction_share": 1e-12})
+    )
+    linear = RichTrain(frozenset(effects - {"blow_off", "friction"}), **train.numbers())
+    body = {
+        name: columns(
+            write_train_trips(tmp_path / name, one, [WORN], fleet_of(minutes=0.1), 0)[0], "body"
+        )["left"]
+        for name, one in (("laws", train), ("never", never), ("linear", linear))
+    }
+    size = body["linear"].std()
+    assert (body["never"] - body["linear"]).std() < 2e-3 * size
+    assert (body["laws"] - body["linear"]).std() > 0.02 * size
+
+
+# failure
+
+
+def test_sides_must_be_known(tmp_path):
+    with pytest.raises(ValueError, match="`sides` must be one of"):
+        write_train_trips(tmp_path, RichTrain(), [WORN], fleet_of(), 0, sides="both")
+    assert not list(tmp_path.iterdir())
