@@ -102,8 +102,10 @@ class Problem:
             return extractor
         ratios = self.ratios(TRAIN)[:LEARN_FROM]
         blocks = range(self.n_blocks(len(ratios)))
-        noisy = torch.cat([self.curves(ratios, TRAIN, block) for block in blocks])
-        clean = torch.cat([self.noise_free(part) for part in np.array_split(ratios, len(blocks))])
+        seen = self.observer.for_features
+        noisy = torch.cat([seen(self.curves(ratios, TRAIN, block)) for block in blocks])
+        parts = np.array_split(ratios, len(blocks))
+        clean = torch.cat([seen(self.noise_free(part)) for part in parts])
         healthy = self.noise_free(np.ones((1, len(PARAMETERS))))[0]
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
@@ -197,7 +199,8 @@ class Problem:
         def make(batch: int) -> int:
             rows = slice(batch * BATCH, min((batch + 1) * BATCH, len(ratios)))
             blocks = range(rows.start // BLOCK, self.n_blocks(rows.stop))
-            curves = torch.cat([self.curves(ratios, stream, block) for block in blocks])
+            noisy = torch.cat([self.curves(ratios, stream, block) for block in blocks])
+            curves = self.observer.for_features(noisy)
             table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
             values[rows] = extractor.relative(table.values.cpu().numpy(), healthy)
             reasons[rows] = table.reasons.cpu().numpy()

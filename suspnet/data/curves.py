@@ -118,6 +118,10 @@ class CurveObserver:
         rows = self.generator.sample_unmeasured(ratios, seed)
         return add_noise(self.noise_free(rows), self.settings.snr_db, seed)
 
+    def for_features(self, curves: Tensor) -> Tensor:
+        """Return magnitudes as they are."""
+        return curves
+
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
         """Return the misfit of observed magnitudes, whose noise follows from their own rms."""
         return CurveMisfit(self, curves, tuple(used))

@@ -26,10 +26,19 @@ from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.features.cross_spectra import METHODS, PAIRS, CrossSpectra, Method
-from suspnet.features.welch import Welch
+from suspnet.features.welch import NEGLIGIBLE, Welch
 from suspnet.types import FloatArray
 
 Responses = Callable[[Tensor, Tensor], Tensor]
+SPEED_HALF_WIDTH = 0.08
+"""Half width of the speeds that one model reads; measured, corrected estimates are as good up to
+0.1 as at the speed of the training, at 0.2 their errors are four times as large."""
+SPEED = len(PARAMETERS)
+"""Column of the speed in ratios that hold it."""
+WEAK, WEAK_OF_ONE = 4.0, 0.5
+"""A bin is weak if the deviation of the healthy vehicle's log-response exceeds this multiple of the
+median over the band and, times the root of the number of averages, this number: its estimate is a
+ratio of two nearly vanishing spectra and has the tails of one."""
 LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
 """Ends of the band: multiples of the first and of the second natural frequency."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
@@ -47,6 +56,8 @@ class EstimateSettings:
     n_calibrate : int, optional
         Fresh curves from which intervals and thresholds are learnt; None gives the model neither.
     speed_m_per_s : float, [m/s]
+    speed_half_width : float, [-]
+        Trips are read whose speed lies within 1 +- this of it.
     track : str
         A name of ``suspnet.dynamics.track.TRACKS``.
     short_waves : bool
@@ -78,6 +89,7 @@ class EstimateSettings:
     n_test: int | str = 4_000
     n_calibrate: int | None = 30_000
     speed_m_per_s: float = 70.0
+    speed_half_width: float = SPEED_HALF_WIDTH
     track: str = "german_low"
     short_waves: bool = False
     snr_db: float = 34.0
@@ -94,6 +106,7 @@ class EstimateSettings:
     def __post_init__(self) -> None:
         check_counts(self)
         check_number("data.speed_m_per_s", self.speed_m_per_s, above=0.1, below=200)
+        check_number("data.speed_half_width", self.speed_half_width, low=0, below=0.5)
         check_number("data.snr_db", self.snr_db, above=-20, below=200)
         check_number("data.minutes", self.minutes, above=0, below=1e5)
         check_number("data.low_hz", self.low_hz, above=0, below=1e4, optional=True)
@@ -167,6 +180,30 @@ class EstimateSettings:
         )
 
 
+@dataclass(frozen=True)
+class Speeds:
+    """The speeds of the segments that one estimate averages, as a quadrature.
+
+    Attributes
+    ----------
+    m_per_s : tuple of float, [m/s]
+    weights : tuple of float
+        Of sum 1.
+    """
+
+    m_per_s: tuple[float, ...]
+    weights: tuple[float, ...]
+
+    @classmethod
+    def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Speeds:
+        """Return three-point Gauss-Hermite quadrature: exact to the fifth moment of a normal."""
+        if not deviation_m_per_s > NEGLIGIBLE * mean_m_per_s:
+            return cls((mean_m_per_s,), (1.0,))
+        step = math.sqrt(3) * deviation_m_per_s
+        nodes = (mean_m_per_s - step, mean_m_per_s, mean_m_per_s + step)
+        return cls(nodes, (1 / 6, 2 / 3, 1 / 6))
+
+
 class EstimateObserver:
     """Estimates of G_p and G_s, as trips of a generator's vehicles would give them.
 
@@ -175,11 +212,25 @@ class EstimateObserver:
     settings : EstimateSettings
         Bound to a vehicle.
     generator : ResponseGenerator
+    speeds : Speeds, optional
+        Of a trip; None is that of the settings, and of generators that depend on none.
     """
 
-    def __init__(self, settings: EstimateSettings, generator: ResponseGenerator) -> None:
+    def __init__(
+        self,
+        settings: EstimateSettings,
+        generator: ResponseGenerator,
+        speeds: Speeds | None = None,
+    ) -> None:
         self.settings = settings
         self.generator = generator
+        nominal = generator.speed_m_per_s
+        if nominal is None:
+            speeds = None
+        elif speeds is not None:
+            relative = tuple(speed / nominal for speed in speeds.m_per_s)
+            speeds = None if relative == (1.0,) else replace(speeds, m_per_s=relative)
+        self._relative = speeds
         welch = settings.welch
         self.frequencies_hz = settings.frequencies_hz()
         self._smear = welch.smear()
@@ -188,13 +239,58 @@ class EstimateObserver:
         bins = self.frequencies_hz
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
         self._spectrum = track_spectrum(settings.track, settings.short_waves)
-        self._track = torch.as_tensor(self.track_density(self._bins.numpy()))
+        self._track = self._density_at(1.0)
         self._noise = self.noise_densities(self._gains, settings.rates_hz)
 
     @cached_property
     def directions(self) -> Directions:
         """The directions of the generator's uncertain numbers that its curves show."""
         return directions(self)
+
+    def at(self, speeds: Speeds) -> EstimateObserver:
+        """Return the observer of a trip at other speeds."""
+        return EstimateObserver(self.settings, self.generator, speeds)
+
+    @cached_property
+    def _nominal(self) -> EstimateObserver:
+        """The observer at the speed of the settings."""
+        if self._relative is None:
+            return self
+        return EstimateObserver(self.settings, self.generator)
+
+    @cached_property
+    def _healthy(self) -> CrossSpectra:
+        """Expected spectra of the healthy vehicle, (1, 3, n_freq)."""
+        return self.expected(torch.ones(1, len(PARAMETERS), dtype=torch.float64))
+
+    @cached_property
+    def weak(self) -> Tensor:
+        """Which bins are `WEAK` in the healthy vehicle, bool (2, n_freq).
+
+        At f = v / (2 wheelbase) a bogie's axles move against each other: it does not bounce, and
+        the body is an instrument of nothing.
+        """
+        covariance = self._healthy.covariance(self.settings.method)
+        deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
+        weak = deviations > WEAK * deviations.median(dim=1, keepdim=True).values
+        return weak & (deviations * math.sqrt(self.settings.n_averages) > WEAK_OF_ONE)
+
+    def for_features(self, curves: Tensor) -> Tensor:
+        """Return estimates as the feature set is to see them: of the nominal speed, none weak.
+
+        G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's. Of what is
+        left relative to healthy a weak bin gets the straight line between its neighbours.
+
+        Parameters
+        ----------
+        curves : complex tensor of shape (n_curves, 2, n_freq), [-]
+        """
+        if self._relative is None and not bool(self.weak.any()):
+            return curves
+        method = self.settings.method
+        relative = curves / self._healthy.responses(method).to(curves)
+        parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
+        return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return the limit of the estimate of G_p and G_s for infinitely long trips.
@@ -258,7 +354,24 @@ class EstimateObserver:
 
         Both responses are used, whatever `used` says.
         """
-        return EstimateMisfit(self, curves, self.covariance(near.to(curves.device)))
+        covariance = self.without_weak(self.covariance(near.to(curves.device)))
+        return EstimateMisfit(self, curves, covariance)
+
+    def without_weak(self, covariance: Tensor) -> Tensor:
+        """Return a covariance of log-responses in which the `weak` bins count for nothing.
+
+        Parameters
+        ----------
+        covariance : complex tensor of shape (n_vehicles, 2, 2, n_freq)
+
+        Returns
+        -------
+        complex tensor of shape (n_vehicles, 2, 2, n_freq)
+            With infinite variance and no covariance where an estimate is weak.
+        """
+        weak = self.weak.to(covariance.device)
+        covariance = covariance.masked_fill(weak[:, None] | weak[None], 0.0)
+        return covariance.masked_fill(torch.diag_embed(weak.T).permute(1, 2, 0), math.inf)
 
     def covariance(self, ratios: Tensor) -> Tensor:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
@@ -299,15 +412,38 @@ class EstimateObserver:
 
     def expected(self, ratios: Tensor) -> CrossSpectra:
         """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
-        channels = self.generator.channels(ratios, self._bins)
-        track = self._track.to(channels.device)
-        auto = channels.abs().square().sum(dim=1) * track
-        pairs = [(channels[:, :, x].conj() * channels[:, :, y]).sum(dim=1) for x, y in PAIRS]
-        cross = torch.stack(pairs, dim=1) * track
+        if self._relative is None:
+            auto, cross = self._spectra(ratios, self._track)
+        else:
+            ratios = torch.as_tensor(ratios)
+            pairs = zip(self._relative.m_per_s, self._relative.weights, strict=True)
+            found = [self._spectra(*self._at_speed(ratios, v, w)) for v, w in pairs]
+            auto, cross = (torch.stack(parts).sum(dim=0) for parts in zip(*found, strict=True))
         noise = self._noise.to(auto)[:, None]
         return CrossSpectra(
             self._smeared(auto) + noise, self._smeared(cross), self.settings.n_averages
         )
+
+    def _at_speed(self, ratios: Tensor, relative: float, weight: float) -> tuple[Tensor, Tensor]:
+        """Return ratios with a speed, relative to nominal, and the track's weighted density."""
+        speed = ratios.new_full((len(ratios), 1), relative)
+        if ratios.shape[1] > SPEED:
+            speed = speed * ratios[:, SPEED : SPEED + 1]
+        columns = [ratios[:, :SPEED], speed, ratios[:, SPEED + 1 :]]
+        return torch.cat(columns, dim=1), weight * self._density_at(relative)
+
+    def _density_at(self, relative: float) -> Tensor:
+        """Return the track's density at a speed relative to that of the settings, on all bins."""
+        speed = self.settings.speed_m_per_s * relative
+        return torch.as_tensor(acceleration_density(self._spectrum, self._bins.numpy(), speed))
+
+    def _spectra(self, ratios: Tensor, density: Tensor) -> tuple[Tensor, Tensor]:
+        """Return auto and cross spectra without leakage and noise, on all bins."""
+        channels = self.generator.channels(ratios, self._bins)
+        track = density.to(channels.device)
+        auto = channels.abs().square().sum(dim=1) * track
+        pairs = [(channels[:, :, x].conj() * channels[:, :, y]).sum(dim=1) for x, y in PAIRS]
+        return auto, torch.stack(pairs, dim=1) * track
 
     def _smeared(self, spectra: Tensor) -> Tensor:
         """Return spectra on the inner bins, each the weighted sum of its neighbours."""
@@ -320,3 +456,17 @@ class EstimateObserver:
         """Return the root of each channel's power over that of the mean track, (n, 3, n_freq)."""
         channels = self.generator.channels(ratios, frequencies_hz)
         return channels.abs().square().sum(dim=1).sqrt()
+
+
+def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
+    """Return rows (n, n_freq) with weak bins interpolated; beyond the last good one, its value."""
+    good = torch.nonzero(~weak)[:, 0]
+    if not bool(weak.any()) or not len(good):
+        return relative
+    bins = torch.arange(len(weak))
+    after = torch.searchsorted(good, bins).clamp(max=len(good) - 1)
+    right = good[after]
+    left = torch.where(right > bins, good[(after - 1).clamp(min=0)], right)
+    gap = (right - left).clamp(min=1)
+    share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
+    return relative[:, left] + share * (relative[:, right] - relative[:, left])

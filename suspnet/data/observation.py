@@ -76,6 +76,10 @@ class Observer(Protocol):
         """Return noisy curves; the generator's uncertain quantities are drawn too."""
         ...
 
+    def for_features(self, curves: Tensor) -> Tensor:
+        """Return curves (n_curves, 2, n_freq) as the feature set is to see them."""
+        ...
+
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> Misfit:
         """Return the misfit of observed curves.
 

@@ -5,7 +5,7 @@ Each is a spring, a damper and Maxwell branches (a spring b in series with a dam
     kappa = k (1 + j eta) + c s + sum_i b_i s / (s + r_i)
 
 A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds one of a
-share of k at 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
+share of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
 (Nishimura) is k_1 on top of k_2 and the orifice beside each other, both beside the stiffness k_3
 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 that is the branch
 b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
@@ -20,9 +20,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-
-RUBBER_RATE = 2 * math.pi * 5.0
-"""Relaxation rate of the rubber's Maxwell branch, [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,7 @@ class Element:
 
     stiffness: Tensor
     damping: Tensor | None
-    branches: Sequence[tuple[Tensor, Tensor | float]] = ()
+    branches: Sequence[tuple[Tensor, Tensor]] = ()
     loss: Tensor | None = None
 
     def at(self, omega: Tensor) -> Tensor:
@@ -60,11 +57,11 @@ class Element:
 def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
     """Return the primary suspension of the measured ("") or the other bogie ("other_")."""
     stiffness, damping = p[which + "k_p"], p[which + "c_p"]
-    branches: list[tuple[Tensor, Tensor | float]] = []
+    branches: list[tuple[Tensor, Tensor]] = []
     if "bushings" in parts:
         branches.append((p["primary_bushing"], p["primary_bushing"] / damping))
     if "rubber" in parts:
-        branches.append((p["rubber_share"] * stiffness, RUBBER_RATE))
+        branches.append((p["rubber_share"] * stiffness, 2 * math.pi * p["rubber_frequency"]))
     return Element(
         stiffness,
         None if "bushings" in parts else damping,

@@ -31,6 +31,9 @@ class ResponseGenerator(Protocol):
     further_places : tuple of str
         Names of places for sensors besides axle box, bogie and body: one on the frame, one on the
         body, and the second axle box; or none.
+    sensor_lateral_m : tuple of 3 floats, [m]
+        Lateral place of the sensors on axle box, frame and body; 0 for the mean of a left and a
+        right one.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -52,6 +55,9 @@ class ResponseGenerator(Protocol):
 
     @property
     def further_places(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    @property
+    def sensor_lateral_m(self) -> tuple[float, float, float]: ...  # noqa: D102
 
     def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
         """Return complex G_p and G_s.

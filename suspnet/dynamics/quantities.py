@@ -57,6 +57,7 @@ QUANTITIES = (
     Quantity("primary_bushing", 1.0, "N/m", "bushing of the primary damper", "bushings", 2e6),
     Quantity("secondary_bushing", 1.0, "N/m", "bushing of the secondary damper", "bushings", 1e7),
     Quantity("rubber_share", 1.0, "", "Maxwell branch of the rubber over k_p", "rubber", 0.05),
+    Quantity("rubber_frequency", 0.3, "Hz", "relaxation of that branch", "rubber", 5.0),
     Quantity("rubber_loss", 1.0, "", "loss factor of the rubber", "rubber", 0.03),
     Quantity("guidance_stiffness", 1.5, "", "of the axle guidance over k_p a^2", "guidance", 0.1),
     Quantity("guidance_damping", 1.5, "", "of the axle guidance over c_p a^2", "guidance", 0.1),
@@ -74,6 +75,9 @@ QUANTITIES = (
     Quantity("bending_damping", 0.5, "", "damping ratio of the first bending", "bending", 0.015),
     Quantity("bending_at_pivot", 0.5, "", "its shape at the pivots", "bending", 0.45),
     Quantity("bending_at_sensor", 0.5, "", "its shape at the sensor", "bending", 0.45),
+    Quantity(
+        "bending_slope", 0.5, "", "slope at the pivots times half their distance", "bending", 2.25
+    ),
     Quantity(
         "body_roll_gyration", 0.25, "m", "radius of gyration of the body in roll", "roll", 1.3
     ),

@@ -62,6 +62,8 @@ class QuarterCar:
     """Every number is taken as known."""
     further_places: ClassVar[tuple[str, ...]] = ()
     """There is no place for a fourth sensor."""
+    sensor_lateral_m: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
+    """It does not roll: each sensor is as good as the mean of two."""
 
     def __post_init__(self) -> None:
         check_device(self.device)

@@ -4,16 +4,18 @@ Seen from above the leading bogie, with s = j omega, kappa the dynamic stiffness
 (`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers of one side::
 
     (kappa_p + kappa_s + s^2 M_p) z_i - kappa_s y_i                 = kappa_p m_i
-    (kappa_p + gamma + kappa_x (h_3 / a)^2 + s^2 M_p (rho_b / a)^2) psi_i + X phi = kappa_p d_i
-    2 M_s s^2 z + sum_i F_i = 0,      (M_s s^2 + ...) q + p sum_i F_i = 0,
-    (2 M_s (rho_c / L)^2 s^2 + 2 kappa_x (h_2 / L)^2) phi + X sum_i psi_i + F_1 - F_2 = 0
+    (kappa_p + gamma + s^2 M_p (rho_b / a)^2) psi_i + kappa_x (h_3 / a) r_i = kappa_p d_i
+    2 M_s s^2 z + sum_i F_i = 0
+    2 M_s (rho_c / L)^2 s^2 phi + F_1 - F_2 + sum_i G_i = 0
+    (M_s s^2 + c_q s + k_q) q + p sum_i F_i + sigma (G_1 - G_2) = 0
 
 z_i is the bounce of bogie i, psi_i its pitch times the half wheelbase a, m_i and d_i half the sum
 and half the difference of the track under its axles; z is the bounce of the body, phi its pitch
-times the half pivot distance L, q its first bending with the shape p at the pivots, so that the
-body moves by y_1 = z + phi + p q and y_2 = z - phi + p q above the bogies; F_i = kappa_si (y_i -
+times the half pivot distance L, q its first bending with the shape p at the pivots and the slope
+sigma / L there, so that the body moves by y_1 = z + phi + p q and y_2 = z - phi + p q above the
+bogies and turns by phi_1 = phi + sigma q and phi_2 = phi - sigma q, over L; F_i = kappa_si (y_i -
 z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
-levers h_2 and h_3, X = kappa_x h_2 h_3 / (L a).
+levers h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
 
 Roll stands apart where left and right are alike, with x_i the mean of half the cross level at both
 axles, b the half distances of springs and of the rails, and S_i = kappa_si b_s^2 + k_bar / 2::
@@ -21,10 +23,11 @@ axles, b the half distances of springs and of the rails, and S_i = kappa_si b_s^
     (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta = kappa_p b_p^2 x_i / b_rail
     2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) = 0
 
-The bogies are eliminated, and two equations in y = z + p q and phi, and one in theta remain. k_p,
-c_p, k_s, c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets
-follow the same track, each delayed by its distance over the speed. Cross level and mean are
-independent processes: spectra are sums over both.
+The bogies are eliminated; three equations in z, phi and q, and one in theta remain. k_p, c_p, k_s,
+c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets follow the
+same track, each delayed by its distance over the speed. Cross level and mean are independent
+processes: spectra are sums over both. The cross level has a share of the mean's density, times
+n^2 / (n^2 + n_0^2) as in the German spectra.
 """
 
 from __future__ import annotations
@@ -53,6 +56,8 @@ from suspnet.types import FloatArray
 SIDES = ("leading", "trailing")
 RAIL_LATERAL_M = 0.75
 """Half distance of the rails' centres, of standard gauge."""
+CROSS_LEVEL_RAD_PER_M = 0.4380
+"""Wave number below which the German cross level falls off against the mean [rad/m]."""
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
 
 
@@ -161,7 +166,7 @@ class VerticalVehicle:
         """
         rows = as_tensor(ratios).to("cpu", torch.float64)
         if self.distribution is None or not self.distribution.names:
-            return self._complete(rows).clone()
+            return self.complete(rows).clone()
         shape = len(rows), len(self.distribution.names)
         standard = np.random.default_rng(seed).standard_normal(shape)
         return self.with_uncertain(rows, torch.as_tensor(self.distribution.ratios(standard)))
@@ -175,8 +180,8 @@ class VerticalVehicle:
         numbers : tensor of shape (n_vehicles, n_names), [-]
             Those that the distribution is of.
         """
-        columns = torch.tensor(self._uncertain, device=ratios.device)
-        return self._complete(ratios).index_copy(1, columns, numbers)
+        columns = torch.tensor(self.uncertain_columns, device=ratios.device)
+        return self.complete(ratios).index_copy(1, columns, numbers)
 
     def responses(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
@@ -307,7 +312,7 @@ class VerticalVehicle:
             mass, damping, stiffness, input_damping, input_stiffness, sensors, tuple(behind)
         )
 
-    def _complete(self, ratios: Tensor) -> Tensor:
+    def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: what is not given is the distribution's median."""
         if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS) + 1:
             check_ratios(ratios, N_ALL)
@@ -316,7 +321,7 @@ class VerticalVehicle:
         check_ratios(ratios, max(n_given, len(PARAMETERS)))
         columns = torch.ones(len(ratios), N_ALL).to(ratios)
         if self.distribution is not None:
-            columns[:, self._uncertain] = (
+            columns[:, self.uncertain_columns] = (
                 torch.tensor(self.distribution.mean, dtype=torch.float64).exp().to(ratios)
             )
         columns[:, :n_given] = ratios
@@ -325,7 +330,7 @@ class VerticalVehicle:
         return columns
 
     @property
-    def _uncertain(self) -> list[int]:
+    def uncertain_columns(self) -> list[int]:
         """Columns of the numbers that the distribution is of."""
         assert self.distribution is not None
         return [len(PARAMETERS) + UNMEASURED.index(name) for name in self.distribution.names]
@@ -339,7 +344,7 @@ class VerticalVehicle:
 
     def _numbers(self, ratios: Tensor | ArrayLike) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
-        columns = self._complete(as_tensor(ratios).to(self.device, torch.float64))
+        columns = self.complete(as_tensor(ratios).to(self.device, torch.float64))
         nominal = torch.tensor(self.nominal_values(), dtype=torch.float64, device=self.device)
         values = (columns * nominal).T.unsqueeze(-1)
         p = dict(zip((*PARAMETERS, *UNMEASURED), values, strict=True))
@@ -431,9 +436,10 @@ def _distribution(
 
 @dataclass(frozen=True)
 class _Bogie:
-    """One bogie without its coordinates: bounce z_i = link y_i + free, pitch = swing - tilt phi.
+    """One bogie without its coordinates: bounce z_i = link y_i + free, pitch = swing - tilt phi_i.
 
-    Its secondary suspension pushes the body down by resistance y_i - force.
+    Its secondary suspension pushes the body down by resistance y_i - force, its links turn it
+    back by upright phi_i - push; phi_i is the body's pitch over the bogie.
     """
 
     link: Tensor
@@ -442,6 +448,8 @@ class _Bogie:
     force: Tensor
     swing: Tensor
     tilt: Tensor | float
+    upright: Tensor | float
+    push: Tensor
 
 
 def _bounced(
@@ -459,27 +467,48 @@ def _bounced(
     total = first.resistance + other.resistance
     difference = first.resistance - other.resistance
     bounce_force, pitch_force = first.force + other.force, first.force - other.force
-    stiffness = -inertia  # of the body against bounce with its bending, and against pitch
-    pitch_stiffness = -inertia * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
+    pitch_inertia = inertia * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
+    matrix = [total - inertia, difference, total - pitch_inertia]
     if link_x is not None:
-        lever = p["body_lever"] / p["half_pivot_distance"]
-        cross = link_x * lever * p["bogie_lever"] / p["half_wheelbase"]
-        pitch_stiffness = pitch_stiffness + 2 * link_x * lever**2
-        pitch_stiffness = pitch_stiffness - cross * (first.tilt + other.tilt)
-        pitch_force = pitch_force - cross * (first.swing + other.swing)
-    at_sensor: Tensor | float = 1.0
+        matrix[2] = matrix[2] + first.upright + other.upright
+        pitch_force = pitch_force + first.push + other.push
+    bending: Tensor | float = 0.0
     if "bending" in vehicle.parts:
-        stiffness, at_sensor = _bent(vehicle, p, omega, inertia)
-    a, b = total + stiffness, total + pitch_stiffness
-    determinant = a * b - difference**2
-    bounce = (b * bounce_force - difference * pitch_force) / determinant
-    pitch = (a * pitch_force - difference * bounce_force) / determinant
-    frame = first.link * (bounce + pitch) + first.free
+        own, at_pivot = _modal(vehicle, p, omega), p["bending_at_pivot"]
+        row = [at_pivot * total, at_pivot * difference, own + at_pivot**2 * total]
+        force = at_pivot * bounce_force
+        if link_x is not None:
+            slope = p["bending_slope"]
+            row[1] = row[1] + slope * (first.upright - other.upright)
+            row[2] = row[2] + slope**2 * (first.upright + other.upright)
+            force = force + slope * (first.push - other.push)
+        # the last of three equations is eliminated
+        share = [row[0] / row[2], row[1] / row[2]]
+        matrix = [
+            matrix[0] - share[0] * row[0],
+            matrix[1] - share[0] * row[1],
+            matrix[2] - share[1] * row[1],
+        ]
+        bounce_force = bounce_force - share[0] * force
+        pitch_force = pitch_force - share[1] * force
+        bending = force / row[2]
+    a, coupling, b = matrix
+    determinant = a * b - coupling**2
+    bounce = (b * bounce_force - coupling * pitch_force) / determinant
+    pitch = (a * pitch_force - coupling * bounce_force) / determinant
+    turned, over = pitch, bounce + pitch
+    at_sensor: Tensor | float = 0.0
+    if "bending" in vehicle.parts:
+        bending = bending - share[0] * bounce - share[1] * pitch
+        turned = pitch + p["bending_slope"] * bending
+        over = over + p["bending_at_pivot"] * bending
+        at_sensor = p["bending_at_sensor"] * bending
+    frame = first.link * over + first.free
     if vehicle.frame_sensor == "axle":
-        tilted = first.swing - first.tilt * pitch
+        tilted = first.swing - first.tilt * turned
         frame = frame + (tilted if vehicle.axle == "leading" else -tilted)
     ahead = 1 + forward * vehicle.body_sensor_m / p["half_pivot_distance"]
-    return frame, at_sensor * bounce + ahead * pitch
+    return frame, bounce + ahead * pitch + at_sensor
 
 
 def _bogie(
@@ -505,37 +534,37 @@ def _bogie(
             )
         )
     tilt: Tensor | float = 0.0
+    righting: Tensor | float = 0.0
+    driven = 0.5 * (wheels[0] - wheels[1]) * kappa_p
     if link_x is not None:
         lever = p["bogie_lever"] / p["half_wheelbase"]
+        body_lever = p["body_lever"] / p["half_pivot_distance"]
         upright = upright + link_x * lever**2
-        tilt = link_x * lever * (p["body_lever"] / p["half_pivot_distance"]) / upright
+        tilt = link_x * lever * body_lever / upright
+        righting = link_x * body_lever * (body_lever - lever * tilt)
     return _Bogie(
         link=link,
         free=free,
         resistance=kappa_s * (1 - link),
         force=kappa_s * free,
-        swing=0.5 * (wheels[0] - wheels[1]) * kappa_p / upright,
+        swing=driven / upright,
         tilt=tilt,
+        upright=righting,
+        push=-tilt * driven,
     )
 
 
-def _bent(
-    vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor, inertia: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the body's stiffness against bounce over the pivots, and its motion at the sensor.
+def _modal(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return the dynamic stiffness of the body's bending by itself.
 
     Pay-load adds to the modal mass of M_s, not to the stiffness.
     """
     own, empty = 2 * math.pi * p["bending_frequency"], vehicle.vehicle.body_mass_kg
-    modal = torch.complex(
+    return torch.complex(
         *torch.broadcast_tensors(
             empty * own**2 - p["M_s"] * omega**2, 2 * p["bending_damping"] * empty * own * omega
         )
     )
-    at_pivot = p["bending_at_pivot"]
-    both = modal - inertia * at_pivot**2
-    at_sensor = (modal - inertia * at_pivot * p["bending_at_sensor"]) / both
-    return -inertia * modal / both, at_sensor
 
 
 def _rolled(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
@@ -561,7 +590,9 @@ def _rolled(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) ->
     angles = torch.stack(
         [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1
     )
-    return p["cross_level"].sqrt()[..., None] * angles
+    waves = (omega / p["speed"]) ** 2
+    share = p["cross_level"] * waves / (waves + CROSS_LEVEL_RAD_PER_M**2)
+    return share.sqrt()[:, None] * angles
 
 
 def _phasor(angle: Tensor) -> Tensor:

@@ -119,12 +119,20 @@ class CrossSpectra:
         With e_i = y_i - G_i x_i and instruments z_i: S_zi_zj S_ej_ei / (n S_zi_yi conj(S_zj_yj)),
         the expectation of four normal variables. Hv is taken as H1.
         """
+        residual, scale = self.covariance_parts(method)
+        return residual / scale
+
+    def covariance_parts(self, method: Method) -> tuple[Tensor, Tensor]:
+        """Return numerator (over n) and denominator of `covariance`, each (..., 2, 2, n_freq).
+
+        The numerator is the covariance of S_zi_yi - G_i S_zi_xi: it changes slowly from bin to bin.
+        """
         kind: Method = "H1" if method == "Hv" else method
         responses = self.responses(kind)
         chosen = [{"H1": x, "H2": y, "IV": z}[kind] for x, y, z in CHAIN]
-        rows = []
+        rows, scales = [], []
         for i, (x_i, y_i, _) in enumerate(CHAIN):
-            row = []
+            row, row_scales = [], []
             for j, (x_j, y_j, _) in enumerate(CHAIN):
                 g_i, g_j = responses[..., i, :], responses[..., j, :].conj()
                 residual = (
@@ -133,8 +141,10 @@ class CrossSpectra:
                     - g_j * self.between(x_j, y_i)
                     + g_i * g_j * self.between(x_j, x_i)
                 )
-                scale = self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj()
-                shared = self.between(chosen[i], chosen[j])
-                row.append(shared * residual / (self.n_averages * scale))
+                row_scales.append(
+                    self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj()
+                )
+                row.append(self.between(chosen[i], chosen[j]) * residual / self.n_averages)
             rows.append(torch.stack(row, dim=-2))
-        return torch.stack(rows, dim=-3)
+            scales.append(torch.stack(row_scales, dim=-2))
+        return torch.stack(rows, dim=-3), torch.stack(scales, dim=-3)

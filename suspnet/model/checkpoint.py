@@ -30,7 +30,7 @@ from suspnet.types import FloatArray
 from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import OODDetector
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 FEATURES, INTERVALS, OOD = "features.", "intervals.", "ood."
 """Prefixes of the names of the arrays of the feature set, the intervals and the OOD detector."""
 UNITS = {
@@ -65,6 +65,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
         "generator": _tagged(model.generator, GENERATORS),
         "task": model.task.describe(),
         "settings": _tagged(model.settings, OBSERVATIONS),
+        "corrected": model.corrected,
         "refined": model.refined,
         "training": model.training,
         "arrays_sha256": hashlib.sha256(content).hexdigest(),
@@ -161,6 +162,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
+        corrected=content["corrected"],
         refined=content["refined"],
         intervals=intervals,
         ood=ood,

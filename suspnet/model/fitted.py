@@ -42,6 +42,8 @@ class FittedMethod:
         Features of the healthy vehicle, which the inputs are relative to.
     input_scaling, output_scaling : Scaling or None
         None for methods that fit curves directly.
+    corrected : bool
+        Whether the regression's own error is taken from its estimates: see `from_curves`.
     refined : bool
         Whether its estimates are refined by `refine`.
     intervals : Intervals or None
@@ -59,6 +61,7 @@ class FittedMethod:
     healthy_features: FloatArray
     input_scaling: Scaling | None = None
     output_scaling: Scaling | None = None
+    corrected: bool = False
     refined: bool = False
     intervals: Intervals | None = None
     ood: OODDetector | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -19,6 +20,8 @@ from suspnet.uncertainty.ood import Flags
 from suspnet.uncertainty.refine import Refined, complete_ratios, refine
 
 MASS = PARAMETERS.index("M_s")
+ROWS = 256
+"""Number of curves made at once to correct estimates."""
 
 
 def estimate_curves(
@@ -47,7 +50,8 @@ def estimate_curves(
         If the curves do not fit the method, or none identifies an output that is to be refined.
     """
     task = method.task
-    table = task.extractor.extract(curves, observer.frequencies_hz.to(curves.device))
+    seen = observer.for_features(curves)
+    table = task.extractor.extract(seen, observer.frequencies_hz.to(curves.device))
     inputs = task.extractor.relative(table.values.cpu().numpy(), method.healthy_features)
     if mass is not None:
         inputs = np.column_stack([inputs, mass])
@@ -97,8 +101,45 @@ def regress(
     predicted = np.full((len(inputs), len(method.task.outputs)), np.nan)
     complete = np.isfinite(inputs).all(axis=1)
     if complete.any():
-        predicted[complete] = method.predict(inputs[complete])
+        predicted[complete] = corrected(method, observer, method.predict(inputs[complete]))
     return predicted
+
+
+def corrected(
+    method: FittedMethod, observer: Observer, predicted: FloatArray, n_steps: int = 1
+) -> FloatArray:
+    """Return estimates without the regression's own error at the vehicles they tell of.
+
+    With g(p) what the regression g makes of the noise-free curve of vehicle p, and p_0 its estimate
+    of the observed curve, each step is p <- p p_0 / g(p): towards the p with g(p) = p_0, indirect
+    inference (Gourieroux, Monfort and Renault 1993). It takes the speed and the noise of the
+    observation as they are, whatever the regression was trained for.
+
+    Parameters
+    ----------
+    method : FittedMethod
+        Estimates of one that is not `corrected` come back as they are.
+    observer : Observer
+        Of the curves, with the method's own generator.
+    predicted : array of shape (n_curves, n_outputs), [-]
+        p_0; estimates must be all that is unknown of the curves.
+    n_steps : int
+        One is enough for curves like the training curves.
+    """
+    columns, bins = method.task.output_indices, observer.frequencies_hz.cpu().numpy()
+    estimates = predicted
+    for _ in range(n_steps if method.corrected else 0):
+        parts = []
+        for rows in np.array_split(np.arange(len(predicted)), math.ceil(len(predicted) / ROWS)):
+            near = complete_ratios(method.task, estimates[rows])
+            curves = observer.for_features(observer.noise_free(torch.as_tensor(near)))
+            inputs = method.relative_features(curves.cpu().numpy(), bins)
+            usable = np.isfinite(inputs).all(axis=1)
+            again = near[:, columns]  # no step where the vehicle lacks a feature
+            again[usable] = method.predict(inputs[usable])
+            parts.append(near[:, columns] * predicted[rows] / again)
+        estimates = np.concatenate(parts)
+    return estimates
 
 
 def refine_curves(

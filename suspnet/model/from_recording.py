@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from scipy.signal import get_window
 from torch import Tensor
 
 from suspnet.checks import check_number
+from suspnet.data.estimates import Speeds
+from suspnet.dynamics import ResponseGenerator
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
-from suspnet.model.from_spectra import MissingFeaturesError, estimate_spectra, trip_settings
-from suspnet.recordings.plausibility import check_channels
+from suspnet.model.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import (
     NoEstimateError,
+    difference_segments,
     in_band,
     recording_segments,
     segment_speeds,
     without_incoherent,
     without_loud,
 )
+from suspnet.types import FloatArray
+from suspnet.uncertainty.ood import Flags
 
 
 @dataclass(frozen=True)
@@ -35,7 +45,8 @@ class TripSettings:
     rate_hz : float, [Hz]
         Common rate of the three channels.
     speed_tolerance : float, [-]
-        A segment belongs to a model's speed bin if its speed stays within 1 +- this of it.
+        The speeds of a segment stay within 1 +- this of its mean, and segments that are averaged
+        within 1 +- this of each other's middle.
     min_speed_m_per_s : float, [m/s]
         Least speed for models that do not depend on it.
     min_coherence : float, [-]
@@ -94,6 +105,8 @@ class SpeedBin:
         Mean over the chosen segments.
     estimate : Estimate
         Of one row.
+    noise_share : array of shape (n_outputs,), [-]
+        Share of the noise of the segments in the square of the intervals.
     doubts : str
         What could not be checked of the channels; empty if all could.
     """
@@ -104,24 +117,29 @@ class SpeedBin:
     chosen: Tensor
     speed_m_per_s: float
     estimate: Estimate
+    noise_share: FloatArray
     doubts: str
 
 
 def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
-    """Return a method's estimate from a recording, of one row; raises what `speed_bin` does."""
+    """Return a method's estimate from a recording, of one row; raises what `speed_bins` does."""
     welch = trip_settings(method).welch
     segments = recording_segments(recording, welch)
     if not len(segments.values):
         raise NoEstimateError(no_segment(recording, welch))
-    return speed_bin(method, recording, segments, settings).estimate
+    return combined(speed_bins(method, recording, segments, settings))
 
 
-def speed_bin(
-    method: FittedMethod, recording: Recording, segments: SegmentSpectra, settings: TripSettings
-) -> SpeedBin:
-    """Return a method's estimate from the segments at its speed.
+def speed_bins(
+    method: FittedMethod,
+    recording: Recording,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+    speeds_m_per_s: Sequence[float | None] = (),
+) -> list[SpeedBin]:
+    """Return a method's estimate from each group of segments at one of its speeds.
 
     Parameters
     ----------
@@ -131,23 +149,118 @@ def speed_bin(
     segments : SegmentSpectra
         Of the recording, from `recording_segments`, cut as the method's training curves.
     settings : TripSettings
+    speeds_m_per_s : sequence of float, [m/s]
+        Speeds of all models that read the recording: a segment is for the nearest of them alone.
 
     Raises
     ------
     NoEstimateError
-        If the recording is sound but nothing can be estimated from it.
+        If the recording is sound but nothing can be estimated from it; the message is that of the
+        largest group.
     TripError
-        If a channel has the wrong unit or sign, or two are swapped.
+        If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
+        meets a model that was trained for a sensor on one side.
     """
-    trained = trip_settings(method)
+    _check_places(recording, method.generator)
     speeds = segment_speeds(recording, segments)
-    within, words = _within(speeds, method, settings)
+    within, words = _readable(speeds, method, settings, speeds_m_per_s)
+    groups = [within]
+    if method.generator.speed_m_per_s is not None:
+        groups = same_speed(speeds, within, settings.speed_tolerance)
+    bins, reasons = [], []
+    for group in groups or [within]:
+        try:
+            bins.append(_speed_bin(method, recording, group, words, speeds, segments, settings))
+        except NoEstimateError as reason:
+            reasons.append(reason)
+    if not bins:
+        raise reasons[0]
+    return bins
+
+
+def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]:
+    """Return groups of segments of like speed, the largest first, each bool (n_segments,).
+
+    A group's mean speeds lie within 1 +- tolerance of its middle. The most segments that one such
+    range holds are a group; then the most of the others, until none is left.
+
+    Parameters
+    ----------
+    speeds : tensor of shape (n_segments, n_samples), [m/s]
+    within : bool tensor of shape (n_segments,)
+        Segments that are grouped.
+    tolerance : float, [-]
+    """
+    means, left, groups = speeds.mean(dim=1), within.clone(), []
+    widest = (1 + tolerance) / (1 - tolerance)
+    while bool(left.any()):  # each round takes at least one segment
+        lowest = means[left][:, None]
+        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & left
+        group = inside[int(inside.sum(dim=1).argmax())]
+        groups.append(group)
+        left = left & ~group
+    return groups
+
+
+def combined(bins: Sequence[SpeedBin]) -> Estimate:
+    """Return one estimate from several groups of segments: means of the logarithms.
+
+    Weights are the inverse squares of the half widths, or the averages where there are none. The
+    noise of groups is independent, as they share no segment; the rest of their errors is taken to
+    be one and the same, for models may err alike.
+    """
+    if len(bins) == 1:
+        return bins[0].estimate
+    half = np.concatenate([b.estimate.half_widths for b in bins])  # (n_bins, n_outputs)
+    weights = np.ones_like(half) * np.array([[b.spectra.n_averages] for b in bins])
+    if (np.isfinite(half) & (half > 0)).all():
+        weights = 1 / half**2
+    weights = weights / weights.sum(axis=0)
+    share = np.stack([b.noise_share for b in bins])
+    noise = np.sum(weights**2 * share * half**2, axis=0)
+    lasting = np.sum(weights * np.sqrt(1 - share) * half, axis=0) ** 2
+    values = np.exp(np.sum(weights * np.log([b.estimate.values[0] for b in bins]), axis=0))
+    ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
+    first = bins[0].estimate
+    return Estimate(
+        first.names, values[None], ends[0][None], ends[1][None], first.level, _flags(bins)
+    )
+
+
+def _flags(bins: Sequence[SpeedBin]) -> Flags:
+    """Return the flags of a trip's estimate: of several bins, those of the best one flagged.
+
+    Each bin puts the same into other numbers.
+    """
+    found = [b for b in bins if b.estimate.flags.flagged.any()]
+    if not found:
+        return Flags.none(1)
+    worst = max(found, key=lambda b: b.spectra.n_averages)
+    at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
+    return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))
+
+
+def _speed_bin(
+    method: FittedMethod,
+    recording: Recording,
+    within: Tensor,
+    words: str,
+    speeds: Tensor,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+) -> SpeedBin:
+    """Return a method's estimate from the segments `within`, which `words` describe."""
+    trained = trip_settings(method)
     band = in_band(segments, trained.frequencies_hz())
     candidates = without_loud(band, within)
     chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
     doubts = ""
     if settings.check_channels and bool(candidates.any()):
-        doubts = _checked(segments, chosen if bool(chosen.any()) else candidates, method)
+        looked_at = chosen if bool(chosen.any()) else candidates
+        if any(recording.paired):
+            differences = difference_segments(recording, segments.welch)
+            check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
+        doubts = _checked(segments, looked_at, method)
     n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
     if n_averages < settings.min_averages:
         raise NoEstimateError(
@@ -165,12 +278,22 @@ def speed_bin(
             f"{float(spectra.coherences().mean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
+    mean, deviation = _speed_of(speeds[chosen], segments)
     try:
-        estimate = estimate_spectra(method, spectra, settings.level)
+        estimate, noise_share = estimate_with_noise(
+            method, spectra, settings.level, Speeds.of(mean, deviation)
+        )
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
-    speed = float(speeds[chosen].mean())
-    return SpeedBin(method, spectra, band, chosen, speed, estimate, doubts)
+    return SpeedBin(method, spectra, band, chosen, mean, estimate, noise_share, doubts)
+
+
+def _speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
+    """Return mean and deviation of the speeds in some segments, as the window weighs them."""
+    weights = torch.as_tensor(get_window(segments.welch.window, speeds.shape[1])) ** 2
+    weights = weights / (weights.sum() * len(speeds))
+    mean = float((speeds * weights).sum())
+    return mean, math.sqrt(max(0.0, float(((speeds - mean) ** 2 * weights).sum())))
 
 
 def _advice(segments: SegmentSpectra, within: Tensor, settings: TripSettings) -> str:
@@ -182,21 +305,50 @@ def _advice(segments: SegmentSpectra, within: Tensor, settings: TripSettings) ->
     return ""
 
 
+def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
+    """Raise TripError if a pair of sensors meets a model of a sensor on one side.
+
+    A single sensor suits both kinds of model: it may be at the middle, or an average itself.
+    """
+    places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
+    wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
+    if wrong:
+        told = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
+        raise TripError(
+            "the trip has sensors left and right, the model was trained for one sensor beside the "
+            f"middle: {told}; give one sensor in the manifest, or train with "
+            "generator.sensor_lateral_m=[0,0,0]"
+        )
+
+
 def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:
     """Return what could not be checked of the channels; TripError if one is wrong."""
     spectra = segments.average(chosen)
     return check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
 
 
-def _within(speeds: Tensor, method: FittedMethod, settings: TripSettings) -> tuple[Tensor, str]:
-    """Return which segments are a method's, by their speeds, and the rule in words."""
-    bin_speed = method.generator.speed_m_per_s
-    if bin_speed is None:
+def _readable(
+    speeds: Tensor,
+    method: FittedMethod,
+    settings: TripSettings,
+    speeds_m_per_s: Sequence[float | None],
+) -> tuple[Tensor, str]:
+    """Return which segments a method can read, by their speeds, and the rule in words."""
+    trained = method.generator.speed_m_per_s
+    if trained is None:
         low = settings.min_speed_m_per_s
         return (speeds >= low).all(dim=1), f"at {low:g} m/s or faster throughout"
-    low, high = (bin_speed * (1 + sign * settings.speed_tolerance) for sign in (-1, 1))
-    within = (speeds.amin(dim=1) >= low) & (speeds.amax(dim=1) <= high)
-    return within, f"at {low:.1f} to {high:.1f} m/s throughout"
+    half_width = trip_settings(method).speed_half_width
+    low, high = (trained * (1 + sign * half_width) for sign in (-1, 1))
+    means = speeds.mean(dim=1)
+    off = (speeds / means[:, None] - 1).abs().amax(dim=1)
+    within = (means >= low * (1 - 1e-9)) & (means <= high * (1 + 1e-9))
+    for other in speeds_m_per_s:
+        if other is not None and other != trained:
+            within &= (means - trained).abs() <= (means - other).abs()
+    steady = off <= settings.speed_tolerance
+    percent = 100 * settings.speed_tolerance
+    return within & steady, f"at {low:.1f} to {high:.1f} m/s and steady within {percent:g} %"
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:

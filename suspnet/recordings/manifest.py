@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date, datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ __all__ = [
     "SIDES",
     "SPEED_UNITS",
     "Channel",
+    "Pair",
     "Place",
     "Source",
     "SpeedSource",
@@ -117,15 +119,22 @@ class Channel(Source):
         -1 turns a sensor that was mounted upside down.
     range : float, optional, [unit]
         Largest magnitude that the sensor can give.
+    side : str, optional
+        One of ``SIDES``; each sensor of a pair has one.
     """
 
     sign: int = 1
     range: float | None = None
+    side: str | None = None
+
+
+Pair = tuple[Channel, Channel]
+"""Two accelerometers at one place, the left one first."""
 
 
 @dataclass(frozen=True)
 class TripManifest:
-    """One trip: a recording of three accelerometers and the speed.
+    """One trip: a recording of accelerometers at three places and the speed.
 
     Parameters
     ----------
@@ -138,8 +147,8 @@ class TripManifest:
     mileage_km : float, [km]
     start : datetime or None
     speed : float, [m/s], or SpeedSource
-    channels : dict of Channel
-        One for each of ``CHANNELS``.
+    channels : dict of Channel, or of Pair
+        One sensor, or one on the left and one on the right, for each of ``CHANNELS``.
     truth : dict of float, [-]
         Known values of a simulated trip relative to healthy; keys from ``PARAMETERS``.
     bogie, side : str, optional
@@ -153,10 +162,20 @@ class TripManifest:
     mileage_km: float
     start: datetime | None
     speed: float | SpeedSource
-    channels: dict[str, Channel]
+    channels: Mapping[str, Channel | Pair]
     truth: dict[str, float] = field(default_factory=dict)
     bogie: str | None = None
     side: str | None = None
+
+    def sensors(self) -> dict[str, Channel]:
+        """Return every sensor by its name: the channel's, followed by the side in a pair."""
+        found: dict[str, Channel] = {}
+        for name, channel in self.channels.items():
+            if isinstance(channel, Channel):
+                found[name] = channel
+            else:
+                found |= {f"{name} {one.side}": one for one in channel}
+        return found
 
     def file_of(self, source: Source) -> Path:
         """Return the path of a channel's or the speed's data file."""
@@ -171,7 +190,7 @@ def read_manifest(path: Path) -> TripManifest:
     TripError
         If it cannot be read, holds anything unknown, misses something or has a value of the wrong
         type or out of range, if a data file that it names is missing or not a plain file, or if two
-        channels are the same column of the same file.
+        sensors are the same column of the same file.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -180,7 +199,8 @@ def read_manifest(path: Path) -> TripManifest:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise TripError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
     manifest = _parse(path, content)
-    sources: dict[str, Source] = {f"channels.{k}": c for k, c in manifest.channels.items()}
+    sensors = manifest.sensors()
+    sources: dict[str, Source] = {f"channels.{name}": one for name, one in sensors.items()}
     if isinstance(manifest.speed, SpeedSource):
         sources["speed"] = manifest.speed
     for key, source in sources.items():
@@ -189,9 +209,14 @@ def read_manifest(path: Path) -> TripManifest:
                 f"{path}: `{key}.file` must name an existing plain file, got {source.file!r} "
                 f"(looked in {path.parent})"
             )
-    places = [(manifest.file_of(c).resolve(), c.column) for c in manifest.channels.values()]
-    if len(set(places)) < len(places):
-        raise TripError(f"{path}: two `channels` have the same file and column; each is one sensor")
+    places: dict[tuple[Path, str | None], str] = {}
+    for name, one in sensors.items():
+        other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
+        if other != name:
+            raise TripError(
+                f"{path}: two `channels` have the same file and column, {other} and {name}; each "
+                "is one sensor"
+            )
     return manifest
 
 
@@ -222,7 +247,12 @@ def write_manifest(manifest: TripManifest) -> Path:
         If the folder cannot be written.
     """
     speed = manifest.speed
-    channels = {name: _without_none(asdict(c)) for name, c in manifest.channels.items()}
+    channels = {
+        name: _without_none(asdict(one))
+        if isinstance(one, Channel)
+        else [_without_none(asdict(sensor)) for sensor in one]
+        for name, one in manifest.channels.items()
+    }
     content = {
         "format": FORMAT,
         "vehicle": manifest.vehicle,
@@ -275,7 +305,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
         mileage_km=top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)),
         start=_parse_start(top) if top.has("start") else None,
         speed=_parse_speed(top),
-        channels={name: _parse_channel(path, name, channels[name]) for name in CHANNELS},
+        channels={name: _parse_channels(path, name, channels[name]) for name in CHANNELS},
         truth=_parse_truth(path, content["truth"]) if top.has("truth") else {},
         bogie=top.choice("bogie", BOGIES) if top.has("bogie") else None,
         side=top.choice("side", SIDES) if top.has("side") else None,
@@ -301,10 +331,36 @@ def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
     return SpeedSource(unit=section.choice("unit", list(SPEED_UNITS)), **_parse_source(section))
 
 
-def _parse_channel(path: Path, name: str, content: Any) -> Channel:
+def _parse_channels(path: Path, name: str, content: Any) -> Channel | Pair:
+    """Return where the one accelerometer of a channel, or the left and the right, are stored."""
+    if not isinstance(content, list):
+        return _parse_channel(path, f"channels.{name}", content)
+    if not 1 <= len(content) <= 2:
+        raise TripError(
+            f"{path}: `channels.{name}` must be a sensor, or a list of one on the left and one on "
+            f"the right, got a list of {len(content)}"
+        )
+    found = [_parse_channel(path, f"channels.{name}[{i}]", one) for i, one in enumerate(content)]
+    if len(found) == 1:
+        return found[0]
+    first, second = found
+    left, right = SIDES
+    if first.side is None:
+        first = replace(first, side=left if second.side in (None, right) else right)
+    if second.side is None:
+        second = replace(second, side=left if first.side == right else right)
+    if first.side == second.side:
+        raise TripError(
+            f"{path}: `channels.{name}` has two sensors on the {first.side}; a pair is one on the "
+            "left and one on the right"
+        )
+    return (first, second) if first.side == left else (second, first)
+
+
+def _parse_channel(path: Path, where: str, content: Any) -> Channel:
     """Return where one accelerometer is stored."""
-    optional = (*_SOURCE, "sign", "range")
-    section = CheckedMapping(path, f"channels.{name}", content, ("file", "unit"), optional)
+    optional = (*_SOURCE, "sign", "range", "side")
+    section = CheckedMapping(path, where, content, ("file", "unit"), optional)
     sign = section.number("sign", "1 or -1") if section.has("sign") else 1.0
     if sign not in (1.0, -1.0):
         raise section.refuse("sign", "1 or -1")
@@ -312,6 +368,7 @@ def _parse_channel(path: Path, name: str, content: Any) -> Channel:
         unit=section.choice("unit", list(ACCELERATION_UNITS)),
         sign=int(sign),
         range=section.positive("range") if section.has("range") else None,
+        side=section.choice("side", SIDES) if section.has("side") else None,
         **_parse_source(section),
     )
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.recordings.manifest import CHANNELS, TripError
 
 SLOW = (0.2, 0.4)
@@ -69,6 +71,59 @@ def check_channels(
     gains = (spectra.responses("Hv")[:, slow] / expected[:, slow]).mean(dim=1)
     _check_gains([complex(gain) for gain in gains])
     return ""
+
+
+def check_pairs(
+    segments: SegmentSpectra,
+    differences: SegmentSpectra,
+    chosen: Tensor,
+    paired: Sequence[bool],
+    vehicle: Vehicle,
+) -> None:
+    """Raise TripError where the two sensors of a pair do not go together.
+
+    Slowly, left and right move almost alike, for the mean of both rails is far larger than their
+    difference. With average m and half difference h the left sensor is m + h, the right m - h.
+
+    Parameters
+    ----------
+    segments : SegmentSpectra
+        Of the three channels.
+    differences : SegmentSpectra
+        Half of left minus right, one for each pair, of the same segments.
+    chosen : bool tensor of shape (n_segments,)
+    paired : sequence of 3 bool
+        Which channels are pairs.
+    vehicle : Vehicle
+
+    Raises
+    ------
+    TripError
+        If one is turned, or more than ``GAIN_TOLERANCE`` times as large as the other.
+    """
+    modes, _ = QuarterCar(vehicle).natural_modes()
+    slow = (segments.frequencies_hz >= SLOW[0] * modes[0]) & (segments.frequencies_hz <= modes[0])
+    if not bool(slow.any()):
+        return
+    for row, i in enumerate(index for index, is_pair in enumerate(paired) if is_pair):
+        average = segments.values[chosen, i][:, slow]
+        half = differences.values[chosen, row][:, slow]
+        left, right = average + half, average - half
+        power = [float(side.abs().square().sum()) for side in (left, right)]
+        shared = float((left.conj() * right).real.sum()) / math.sqrt(power[0] * power[1])
+        if shared**2 < COHERENT:
+            continue
+        name, size = CHANNELS[i], math.sqrt(power[0] / power[1])
+        if shared < 0:
+            raise TripError(
+                f"{name}: its left and its right sensor move against each other at low frequency; "
+                "turn the sign of one in the manifest"
+            )
+        if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
+            raise TripError(
+                f"{name}: its left sensor shows {size:.3g} times what the right one does at low "
+                f"frequency{_slip(size)}; check unit and sensitivity of both in the manifest"
+            )
 
 
 def _check_order(spectra: CrossSpectra, expected: Tensor) -> None:

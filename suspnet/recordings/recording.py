@@ -1,11 +1,15 @@
-"""One trip, cleaned and on one clock: three accelerations and the speed."""
+"""One trip, cleaned and on one clock: accelerations at three places and the speed.
+
+A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled on
+its own. Half their sum is the channel, in which roll cancels; half their difference is kept too.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 
 import numpy as np
@@ -16,7 +20,9 @@ from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     CHANNELS,
+    SIDES,
     SPEED_UNITS,
+    Channel,
     SpeedSource,
     TripError,
     TripManifest,
@@ -46,7 +52,8 @@ class Recording:
     rate_hz : float, [Hz]
     signals : array of shape (3, n), [m/s2]
         Accelerations in the order of ``CHANNELS``, upwards or downwards as the signs in the
-        manifest make it, with zero phase and gain 1 up to ``rate_hz / 4``.
+        manifest make it, with zero phase and gain 1 up to ``rate_hz / 4``. Where there is a pair
+        of sensors, their average, (left + right) / 2.
     usable : array of shape (n,)
         False where a fault that was not repaired takes part in a signal, or the speed is unknown.
     speed_m_per_s : array of shape (n,), [m/s]
@@ -57,6 +64,10 @@ class Recording:
         ``n / rate_hz``.
     start_s : float, [s]
         Time of the first sample on the trip's clock, a multiple of ``1 / rate_hz``.
+    paired : tuple of 3 bool
+        Which channels are pairs of sensors, in the order of ``CHANNELS``.
+    differences : array of shape (n_pairs, n), [m/s2]
+        (left - right) / 2 of each pair, in the order of ``CHANNELS``.
     """
 
     manifest: TripManifest
@@ -67,12 +78,15 @@ class Recording:
     faults: tuple[Fault, ...]
     duration_s: float
     start_s: float = 0.0
+    paired: tuple[bool, bool, bool] = (False, False, False)
+    differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """One channel after the first stage of resampling."""
+    """One sensor after the first stage of resampling."""
 
+    name: str
     decimated: Decimated
     rate_hz: float
     start_s: float
@@ -106,7 +120,7 @@ def load_recording(
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
-    Files are read block by block, the channels at the same time. Only the time that all channels
+    Files are read block by block, the sensors at the same time. Only the time that all sensors
     cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not complete.
 
     Parameters
@@ -119,16 +133,19 @@ def load_recording(
     Raises
     ------
     TripError
-        If a file cannot be read, a rate is lower than `rate_hz`, a channel is constant or has no
-        usable sample, fewer than ``SHORTEST_S`` are common to all channels, times are wrong, or
+        If a file cannot be read, a rate is lower than `rate_hz`, a sensor is constant or has no
+        usable sample, fewer than ``SHORTEST_S`` are common to all sensors, times are wrong, or
         the speed is unknown throughout.
     ValueError
         If `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
-    with ThreadPoolExecutor(len(CHANNELS)) as pool:
+    sensors = manifest.sensors()
+    with ThreadPoolExecutor(len(sensors)) as pool:
         streams = list(
-            pool.map(lambda name: _read_channel(manifest, name, rate_hz, cleaning), CHANNELS)
+            pool.map(
+                lambda name: _read_sensor(manifest, name, sensors[name], rate_hz, cleaning), sensors
+            )
         )
         times_s = _common_times(manifest, streams, rate_hz)
         resampled = list(pool.map(lambda stream: _resample(stream, times_s, rate_hz), streams))
@@ -140,22 +157,53 @@ def load_recording(
             f"{manifest.path}: at no time are all channels and the speed usable: "
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
-    signals = np.stack([values for values, _ in resampled])
+    values = dict(zip(sensors, (values for values, _ in resampled), strict=True))
+    paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz
     return Recording(
-        manifest, rate_hz, signals, usable, speed, faults, duration_s, float(times_s[0])
+        manifest,
+        rate_hz,
+        signals,
+        usable,
+        speed,
+        faults,
+        duration_s,
+        float(times_s[0]),
+        paired,
+        differences,
     )
 
 
-def _read_channel(
-    manifest: TripManifest, name: str, wanted_hz: float, cleaning: CleaningSettings | None
+def _combined(
+    manifest: TripManifest, values: Mapping[str, FloatArray]
+) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
+    """Return which channels are pairs, the channels (3, n), and the pairs' half differences."""
+    signals, differences = [], []
+    axle_box, bogie, body = (not isinstance(manifest.channels[name], Channel) for name in CHANNELS)
+    paired = axle_box, bogie, body
+    for name, is_pair in zip(CHANNELS, paired, strict=True):
+        if is_pair:
+            left, right = (values[f"{name} {side}"] for side in SIDES)
+            signals.append((left + right) / 2)
+            differences.append((left - right) / 2)
+        else:
+            signals.append(values[name])
+    n = len(signals[0])
+    return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
+
+
+def _read_sensor(
+    manifest: TripManifest,
+    name: str,
+    channel: Channel,
+    wanted_hz: float,
+    cleaning: CleaningSettings | None,
 ) -> _Stream:
-    """Read, clean and decimate one channel as it streams by."""
-    channel = manifest.channels[name]
+    """Read, clean and decimate one sensor as it streams by."""
     where = f"{manifest.path}: channel {name!r}"
     unit = ACCELERATION_UNITS[channel.unit]
     timeline = Timeline(where, channel.rate_hz) if channel.time is not None else None
-    blocks = _values(manifest, name, timeline)
+    blocks = _values(manifest, channel, timeline)
     first_block = next(blocks)
     rate_hz = _known_rate(where, channel.rate_hz, timeline)
     if rate_hz < 0.99 * wanted_hz:
@@ -168,12 +216,13 @@ def _read_channel(
     faults = cleaner.faults(start_s)
     _check_alive(where, cleaner, faults)
     rate_hz = _known_rate(where, channel.rate_hz, timeline)
-    return _Stream(decimated, rate_hz, start_s, cleaner.n_samples, faults)
+    return _Stream(name, decimated, rate_hz, start_s, cleaner.n_samples, faults)
 
 
-def _values(manifest: TripManifest, name: str, timeline: Timeline | None) -> Iterator[FloatArray]:
-    """Yield a channel in its own unit, evenly sampled."""
-    channel = manifest.channels[name]
+def _values(
+    manifest: TripManifest, channel: Channel, timeline: Timeline | None
+) -> Iterator[FloatArray]:
+    """Yield a sensor's values in its own unit, evenly sampled."""
     path = manifest.file_of(channel)
     if timeline is not None:
         yield from timeline.even(open_columns(path, [channel.time, channel.column]))
@@ -183,7 +232,7 @@ def _values(manifest: TripManifest, name: str, timeline: Timeline | None) -> Ite
 
 
 def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
-    """Return a channel's rate as stated or by its time stamps, [Hz]."""
+    """Return a sensor's rate as stated or by its time stamps, [Hz]."""
     if timeline is None:
         assert stated_hz is not None  # the manifest has one or the other
         return stated_hz
@@ -193,7 +242,7 @@ def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) 
 
 
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
-    """Raise TripError if a channel has no usable sample."""
+    """Raise TripError if a sensor has no usable sample."""
     if cleaner.n_bad < cleaner.n_samples:
         return
     n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
@@ -208,8 +257,7 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = ", ".join(
-            f"{name} from {stream.start_s:.1f} to {stream.end_s:.1f} s"
-            for name, stream in zip(CHANNELS, streams, strict=True)
+            f"{stream.name} from {stream.start_s:.1f} to {stream.end_s:.1f} s" for stream in streams
         )
         raise TripError(
             f"{manifest.path}: only {max(common_s, 0.0):.1f} s are common to all channels; "
@@ -222,7 +270,7 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
 
 
 def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, BoolArray]:
-    """Return a channel at instants of the common clock, and where a bad sample took part."""
+    """Return a sensor at instants of the common clock, and where a bad sample took part."""
     decimated = stream.decimated
     return interpolate(
         decimated.values,

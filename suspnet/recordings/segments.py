@@ -35,6 +35,17 @@ def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
     )
 
 
+def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
+    """Return the segments of `recording_segments` of half the differences of pairs of sensors."""
+    return segment_spectra(
+        torch.as_tensor(recording.differences),
+        recording.rate_hz,
+        welch,
+        high_hz=recording.rate_hz / 4,
+        usable=torch.as_tensor(recording.usable),
+    )
+
+
 def segment_speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
     """Return the speed in each segment, shape (n_segments, n_samples of a segment), [m/s]."""
     length, _ = segments.welch.sizes(recording.rate_hz)

@@ -22,7 +22,7 @@ from suspnet.model.from_curves import (
     regress,
     residual_scales,
 )
-from suspnet.problem import BLOCK, Problem
+from suspnet.problem import BATCH, BLOCK, Problem
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 from suspnet.uncertainty.refine import Refined
@@ -93,7 +93,14 @@ def regress_stream(
 ) -> FloatArray:
     """Return the regression's estimates of all curves, (n_curves, n_outputs); NaN where missing."""
     if not model.estimator.works_on_curves:
-        return regress(model, problem.observer, data.inputs, Tensor())
+        batches = range(problem.n_batches(len(data.inputs)))
+
+        def batch(i: int) -> FloatArray:
+            inputs = data.inputs[i * BATCH : (i + 1) * BATCH]
+            return regress(model, problem.observer, inputs, Tensor())
+
+        with pool_of(problem.threads if model.corrected else 1) as pool:
+            return np.concatenate(list(pool.map(batch, batches)))
 
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> FloatArray:
         return regress(model, problem.observer, data.inputs[rows], curves, mass)

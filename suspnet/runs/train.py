@@ -102,7 +102,8 @@ def train(
             metrics["search"] = asdict(found) | {"best": found.best}
         if config and config.get("ablation_name"):
             metrics["ablation"] = config["ablation_name"]
-        accuracy = {"test_rms_percent": rms_percent(problem.task, outcome)}
+        metrics["rms_percent"] = rms_percent(problem.task, outcome)
+        accuracy = {"test_rms_percent": metrics["rms_percent"]}
         save_model(folder, replace(model, training=training | accuracy))
         log_hyperparameters(run_log, metrics, training["parameters"], varied)
         if figures:

@@ -112,15 +112,18 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
     speeds = [model.generator.speed_m_per_s for model in models]
     if len(set(speeds)) < len(speeds):
         raise ModelFileError(
-            f"two models are for the same speed ({', '.join(map(_speed_words, speeds))}); give the "
+            f"two models are for the same speed ({', '.join(map(_speed_words, models))}); give the "
             "folder of one run, or of a multirun over speed_m_per_s alone"
         )
     return first.task.outputs
 
 
-def _speed_words(speed: float | None) -> str:
-    """Return a model's speed in words."""
-    return "any" if speed is None else f"{speed:g} m/s"
+def _speed_words(model: TrainedModel) -> str:
+    """Return the speeds that a model reads, in words."""
+    speed, half_width = model.generator.speed_m_per_s, trip_settings(model).speed_half_width
+    if speed is None:
+        return "any"
+    return f"{speed * (1 - half_width):.3g} to {speed * (1 + half_width):.3g} m/s"
 
 
 def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
@@ -304,7 +307,7 @@ def _details(
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",
-        "speeds": ", ".join(_speed_words(m.generator.speed_m_per_s) for m in models),
+        "speeds": ", ".join(map(_speed_words, models)),
         "transfer functions": f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
         "healthy is": reference,

@@ -62,11 +62,11 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
 
 
 def _reasons(results: Sequence[TripResult]) -> list[str]:
-    """Return a paragraph for each reason and flag with the trips that it is of, as Markdown."""
+    """Return a paragraph for each reason, flag and side with its trips, as Markdown."""
     trips: dict[str, list[str]] = {}
     for result in results:
-        if result.reason or result.flags:
-            trips.setdefault(result.reason or result.flags, []).append(result.trip)
+        for words in filter(None, (result.reason or result.flags, result.sides)):
+            trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
 
 

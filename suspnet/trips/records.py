@@ -106,6 +106,9 @@ class TripResult:
         estimate * exp(half width); NaN where the model has no intervals.
     flags : str
         The flags of the estimate in words; empty if there are none.
+    sides : str
+        Which side of which part is weaker, in words; empty without pairs of sensors, and if nothing
+        stands out.
     quality : Quality
     seconds : float, [s]
         Time the evaluation took.
@@ -127,6 +130,7 @@ class TripResult:
     truth: dict[str, float] = field(default_factory=dict)
     half_widths: dict[str, float] = field(default_factory=dict)
     flags: str = ""
+    sides: str = ""
     quality: Quality = field(default_factory=Quality)
     seconds: float = 0.0
     curves: TripCurves | None = None
@@ -152,7 +156,7 @@ class TripResult:
             head
             | numbers
             | asdict(self.quality)
-            | {"seconds": self.seconds, "manifest": self.manifest}
+            | {"sides": self.sides, "seconds": self.seconds, "manifest": self.manifest}
         )
 
 

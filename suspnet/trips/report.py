@@ -22,6 +22,7 @@ from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.limits import Limits, Severity
 from suspnet.trips.records import OK, TripResult
+from suspnet.trips.sides import sides_finding
 
 NAMES = {
     "k_p": "stiffness of the primary spring",
@@ -129,7 +130,7 @@ def write_report(
     trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
     severity, finding = overall(assessments)
     told = worst_first(assessments)
-    doubts = _doubts(trips)
+    doubts, sides = _doubts(trips), sides_finding(trips)
     halves = {name: [_half_width(r, name) for r in trips] for name in outputs}
     known = any(math.isfinite(half) for column in halves.values() for half in column)
     shown = {
@@ -141,9 +142,10 @@ def write_report(
         "report.html",
         title=title,
         headline=_headline(trips),
-        tone="plain" if tone == "good" and (doubts or told) else tone,
+        tone="plain" if tone == "good" and (doubts or told or sides) else tone,
         finding=finding,
         doubts=doubts,
+        sides=sides,
         told=told,
         assessments=assessments,
         limits=limits or {},

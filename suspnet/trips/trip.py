@@ -14,13 +14,14 @@ from torch import Tensor
 
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
-from suspnet.model.from_recording import SpeedBin, TripSettings, no_segment, speed_bin
+from suspnet.model.from_recording import SpeedBin, TripSettings, combined, no_segment, speed_bins
 from suspnet.model.from_spectra import trip_settings
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
+from suspnet.trips.sides import spoken_sides, weaker_sides
 
 log = logging.getLogger(__name__)
 WINDOWS = 600
@@ -104,27 +105,27 @@ def _bins(
     settings: TripSettings,
 ) -> tuple[list[SpeedBin], list[str]]:
     """Return the bins with an estimate, and the reasons of those without."""
-    bins, reasons = [], []
+    bins: list[SpeedBin] = []
+    reasons = []
+    speeds = [model.generator.speed_m_per_s for model, _ in pairs]
     for model, segments in pairs:
         try:
-            bins.append(speed_bin(model, recording, segments, settings))
+            bins += speed_bins(model, recording, segments, settings, speeds)
         except NoEstimateError as reason:
             reasons.append(str(reason))
     return bins, reasons
 
 
 def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]) -> TripResult:
-    """Average the bins' logarithms, each weighted by its averages.
+    """Return a result with the combined estimate of its speed bins.
 
-    So are the half widths of their intervals: models may err alike, so nothing averages out.
     Bins may overlap: a segment that two models read counts once in the quality.
     """
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
-    values = np.exp(weights @ np.log(np.concatenate([b.estimate.values for b in bins])))
-    half_widths = weights @ np.concatenate([b.estimate.half_widths for b in bins])
+    estimate = combined(bins)
     outputs = bins[0].method.task.outputs
-    estimates = dict(zip(outputs, values.tolist(), strict=True))
+    estimates = dict(zip(outputs, estimate.values[0].tolist(), strict=True))
     coherence = sum(
         w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
     )
@@ -149,26 +150,12 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         status=OK,
         estimates=estimates,
         raw=dict(estimates),
-        half_widths=dict(zip(outputs, half_widths.tolist(), strict=True)),
-        flags=_flags(bins),
+        half_widths=dict(zip(outputs, estimate.half_widths[0].tolist(), strict=True)),
+        flags=estimate.flags.reasons[0],
+        sides=spoken_sides(weaker_sides(best, recording, list(estimates.values()))),
         quality=quality,
         curves=_curves(best, recording),
     )
-
-
-def _flags(bins: Sequence[SpeedBin]) -> str:
-    """Return the flags of a trip's estimate: of several bins, those of the best one flagged.
-
-    Each bin puts the same into other numbers.
-    """
-    found = [b for b in bins if b.estimate.flags.flagged.any()]
-    if not found:
-        return ""
-    worst = max(found, key=lambda b: b.spectra.n_averages)
-    if len(bins) == 1:
-        return worst.estimate.flags.reasons[0]
-    at = f"at {worst.speed_m_per_s:.1f} m/s"
-    return f"in {len(found)} of {len(bins)} speed bins, {at}: {worst.estimate.flags.reasons[0]}"
 
 
 def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:

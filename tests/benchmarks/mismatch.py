@@ -45,7 +45,7 @@ SAMPLED = {
     "body_gyration": 0.15,
     "speed": 0.02,
 }
-UNCERTAIN = [f"generator.uncertainty.{name}={width}" for name, width in SAMPLED.items()]
+UNCERTAIN = [f"+generator.distribution.{name}={width}" for name, width in SAMPLED.items()]
 READINGS = {
     "nominal": [],
     "sampled": UNCERTAIN,

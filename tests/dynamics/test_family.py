@@ -54,7 +54,7 @@ def kappas(n, which, parts, s):
         damper_s = 1 / (1 / damper_s + 1 / n["secondary_bushing"])
     spring_p = k_p
     if "rubber" in parts:
-        branch, rate = n["rubber_share"] * k_p, 2 * math.pi * 5
+        branch, rate = n["rubber_share"] * k_p, 2 * math.pi * n["rubber_frequency"]
         spring_p += 1 / (1 / branch + 1 / (branch / rate * s)) + 1j * n["rubber_loss"] * k_p
     secondary = k_s + damper_s
     if "air_spring" in parts:
@@ -111,6 +111,8 @@ def naive(generator, ratios, frequency_hz):
             if "longitudinal" in parts:
                 link = np.zeros(10)
                 link[1], link[first + 1] = n["body_lever"], n["bogie_lever"]
+                if "bending" in parts:
+                    link[3] = n["body_lever"] * n["bending_slope"] / place
                 kappa_x = n["longitudinal_stiffness"] + n["longitudinal_damping"] * s
                 system += kappa_x * np.outer(link, link)
         if "guidance" in parts:
@@ -129,9 +131,9 @@ def naive(generator, ratios, frequency_hz):
     at_sensor = n["bending_at_sensor"] if "bending" in parts else 0.0
     body_sensor[:4] = 1.0, place, n["body_lateral"], at_sensor
     box = np.array([1.0, n["axle_box_lateral"] / 0.75])
-    return (
-        np.stack([box, frame @ motion, body_sensor @ motion]) * [1, math.sqrt(n["cross_level"])]
-    ).T
+    waves = (2 * math.pi * frequency_hz / n["speed"]) ** 2
+    share = n["cross_level"] * waves / (waves + 0.438**2)
+    return (np.stack([box, frame @ motion, body_sensor @ motion]) * [1, math.sqrt(share)]).T
 
 
 def reference(generator, n):
@@ -181,7 +183,7 @@ VANISHING = {
     "rubber": {"rubber_share": 1e-16, "rubber_loss": 1e-16},
     "guidance": {"guidance_stiffness": 1e-16, "guidance_damping": 1e-16},
     "longitudinal": {"longitudinal_stiffness": 1e-16, "longitudinal_damping": 1e-16},
-    "bending": {"bending_at_pivot": 1e-16, "bending_at_sensor": 1e-16},
+    "bending": {"bending_at_pivot": 1e-16, "bending_at_sensor": 1e-16, "bending_slope": 1e-16},
     "roll": {},
 }
 

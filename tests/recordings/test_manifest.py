@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from suspnet.recordings.manifest import (
     CHANNELS,
+    SIDES,
     Channel,
     Place,
     SpeedSource,
@@ -137,6 +138,12 @@ channels = st.builds(
     range=st.none() | positive,
     **sources,
 )
+single = st.builds(replace, channels, side=st.none() | st.sampled_from(SIDES))
+pairs = st.builds(
+    lambda left, right: (replace(left, side="left"), replace(right, side="right")),
+    channels,
+    channels,
+)
 
 
 @given(
@@ -149,12 +156,13 @@ channels = st.builds(
         mileage_km=st.floats(0, 1e7),
         start=st.none() | st.datetimes(),
         speed=positive | st.builds(SpeedSource, unit=st.sampled_from(["m/s", "km/h"]), **sources),
-        channels=st.fixed_dictionaries(dict.fromkeys(CHANNELS, channels)),
+        channels=st.fixed_dictionaries(dict.fromkeys(CHANNELS, single | pairs)),
         truth=st.dictionaries(st.sampled_from(["k_p", "c_p", "k_s", "c_s", "M_s"]), positive),
     )
 )
 def test_written_manifest_reads_the_same(tmp_path_factory, manifest):
-    assume(len({(c.file, c.column) for c in manifest.channels.values()}) == len(CHANNELS))
+    sensors = manifest.sensors().values()
+    assume(len({(c.file, c.column) for c in sensors}) == len(sensors))
     folder = tmp_path_factory.mktemp("trip")
     (folder / "sub").mkdir()
     for name in FILES:
@@ -307,3 +315,63 @@ def test_place_of_a_manifest_needs_nothing_else(folder):
     assert read_place(write(folder, "suspension: ' a '\nside: left")) == Place("a", "", "left")
     words = [str(Place("a", "leading", "left")), str(Place("a")), str(Place())]
     assert words == ["a, leading bogie, left", "a", "unknown"]
+
+
+# sensors left and right
+
+LEFT = {"file": "all.mat", "column": "l", "unit": "g", "rate_hz": 200.0}
+RIGHT = {"file": "all.mat", "column": "r", "unit": "m/s2", "time": "t", "sign": -1}
+
+
+@pytest.mark.parametrize(
+    ("sides", "columns"),
+    [
+        ((None, None), "lr"),
+        (("left", "right"), "lr"),
+        (("right", "left"), "rl"),
+        (("right", None), "rl"),
+        ((None, "left"), "rl"),
+        (("left", None), "lr"),
+        ((None, "right"), "lr"),
+    ],
+)
+def test_pair_is_left_then_right(folder, sides, columns):
+    listed = [LEFT | {"side": sides[0]}, RIGHT | {"side": sides[1]}]
+    manifest = read_manifest(changed(folder, *BODY, to=listed))
+    left, right = manifest.channels["body"]
+    assert (left.side, right.side) == SIDES
+    assert left.column + right.column == columns
+    assert {one.column: one.unit for one in (left, right)} == {"l": "g", "r": "m/s2"}
+    assert list(manifest.sensors()) == ["axle_box", "bogie", "body left", "body right"]
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+def test_list_of_one_is_one_sensor(folder):
+    path = changed(folder, *BODY, to=[LEFT | {"side": "right"}])
+    manifest = read_manifest(path)
+    assert manifest.channels["body"] == Channel("all.mat", "g", "l", 200.0, side="right")
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+@pytest.mark.parametrize(
+    ("listed", "message"),
+    [
+        ([], "`channels.body` must be a sensor, or a list .* got a list of 0"),
+        ([LEFT, RIGHT, LEFT], "`channels.body` must be a sensor, or a list .* got a list of 3"),
+        ([LEFT, "all.mat"], r"`channels.body\[1\]` must be a mapping, got 'all.mat'"),
+        ([LEFT, RIGHT | {"unit": "mg"}], r"`channels.body\[1\].unit` must be one of"),
+        ([LEFT | {"rate_hz": None}, RIGHT], r"`channels.body\[0\]` needs `rate_hz` or `time`"),
+        ([LEFT | {"side": "middle"}, RIGHT], r"`channels.body\[0\].side` must be one of \['left'"),
+        ([LEFT | {"side": "left"}] * 2, "`channels.body` has two sensors on the left; a pair is"),
+        ([LEFT | {"side": "right"}] * 2, "`channels.body` has two sensors on the right; a pair"),
+        ([LEFT, LEFT], "two `channels` have the same file and column, body left and body right"),
+        ([LEFT, RIGHT | {"file": "x.mat"}], "`channels.body right.file` must name an existing"),
+        (
+            [LEFT, RIGHT | {"file": "sub/bogie.csv", "column": "a"}],
+            "two `channels` have the same file and column, bogie and body right; each is one",
+        ),
+    ],
+)
+def test_mistake_in_a_pair_is_named(folder, listed, message):
+    with pytest.raises(TripError, match=rf"trip\.yaml: {message}"):
+        read_manifest(changed(folder, *BODY, to=listed))

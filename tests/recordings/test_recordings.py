@@ -253,6 +253,100 @@ def test_wrong_speed_is_named(tmp_path, trip, seconds, speed, source, message):
         speed_from(tmp_path, trip, seconds, speed, **source)
 
 
+# --- a sensor on the left and one on the right ------------------------------------------------
+
+
+SINGLE = {"file": "single.parquet", "column": "a", "unit": "m/s2", "rate_hz": 500.0}
+
+
+def paired(path: Path, name: str, right: np.ndarray, times=None, **changes) -> Path:
+    """Give a channel of a trip a second sensor, on the right."""
+    content = yaml.safe_load(path.read_text())
+    first = content["channels"][name]
+    second = {key: value for key, value in (SINGLE | changes).items() if value is not None}
+    columns = {"a": right} | ({} if times is None else {"t": times})
+    pq.write_table(pa.table(columns), path.parent / second["file"])
+    content["channels"][name] = [first, second]
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def roll(times_s: np.ndarray) -> np.ndarray:
+    return 0.3 * np.cos(2 * np.pi * 3.1 * times_s + 1)
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 1000.3])
+def test_pair_is_averaged_whatever_its_clocks_rates_units_and_signs(trip, rate_hz):
+    at = 0.2517 + np.arange(int(66 * rate_hz)) / rate_hz
+    left = samples("bogie")
+    path = trip(signals={"bogie": motion(left) + roll(left)})
+    right = -(motion(at) - roll(at)) / 9.80665
+    path = paired(path, "bogie", right, rate_hz=rate_hz, unit="g", sign=-1, start_s=0.2517)
+    recording = load(path)
+    assert recording.paired == (False, True, False)
+    assert recording.differences.shape == (1, len(recording.usable))
+    assert recording.usable.all()
+    np.testing.assert_allclose(recording.signals[1], motion(clock(recording)), atol=3e-4)
+    np.testing.assert_allclose(recording.differences[0], roll(clock(recording)), atol=3e-4)
+    np.testing.assert_allclose(recording.signals[0], recording.signals[1], atol=3e-4)
+
+
+def test_second_sensor_with_times_may_start_later(trip):
+    at = 2.0 + samples("bogie")
+    path = paired(trip(duration_s=66.0), "body", motion(at), at, rate_hz=None, time="t")
+    recording = load(path)
+    assert 2.0 < recording.start_s < 2.2
+    np.testing.assert_allclose(recording.signals[2], motion(clock(recording)), atol=3e-4)
+    np.testing.assert_allclose(recording.differences, 0, atol=3e-4)
+
+
+def test_single_sensors_have_no_difference(trip):
+    recording = load(trip())
+    assert recording.paired == (False, False, False)
+    assert recording.differences.shape == (0, len(recording.usable))
+
+
+def test_gap_in_one_sensor_of_a_pair_is_unusable(trip):
+    at = np.arange(int(64 * 500.0)) / 500
+    values = motion(at)
+    values[10_000:11_000] = np.nan
+    recording = load(paired(trip(), "axle_box", values))
+    here = clock(recording)
+    assert not recording.usable[(here > 20) & (here < 22)].any()
+    assert recording.usable[(here < 19.8) | (here > 22.2)].all()
+    assert [str(fault) for fault in recording.faults] == [
+        "axle_box right: gap of 1000 samples (2 s) from 20.000 s on, not usable"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("right", "changes", "message"),
+    [
+        (np.full(32_000, 2.0), {}, r"channel 'body right' is constant \(2\) throughout: is the"),
+        (np.full(32_000, np.nan), {}, "channel 'body right' has no usable sample: body right: gap"),
+        (np.empty(0), {}, r"single\.parquet is empty"),
+        (np.ones(3200), {"rate_hz": 50.0}, "channel 'body right' has 50 Hz; at least 100 Hz"),
+        (
+            motion(np.arange(5000) / 500),
+            {},
+            r"only 10\.0 s are common .*body right from 0\.0 to 10",
+        ),
+        (motion(np.arange(32_000) / 500), {"column": "b"}, r"single\.parquet has no column 'b'"),
+    ],
+)
+def test_bad_sensor_of_a_pair_is_named(trip, right, changes, message):
+    with pytest.raises(TripError, match=message):
+        load(paired(trip(), "body", right, **changes))
+
+
+def test_truncated_file_of_one_sensor_is_named(trip):
+    path = paired(trip(), "body", motion(np.arange(32_000) / 500))
+    file = path.parent / "single.parquet"
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(TripError, match=r"single\.parquet is damaged, cut off or not a \.parquet"):
+        load(path)
+
+
 # --- failure ---------------------------------------------------------------------------------
 
 

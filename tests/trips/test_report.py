@@ -335,3 +335,13 @@ def test_flags_on_all_trips_contradict_nothing(tmp_path):
     assert "Notice: 1 of 4 parameters is to be looked at:" in page.text
     assert "below the act limit of 80 %; so it was from the first trips on; all" in page.text
     assert "All 12 trips are flagged" in page.text
+
+
+def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
+    words = "primary spring: the left side is weaker (about 20 %)"
+    _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words)])
+    assert "Left and right differ on 1 of the last 2 trips; on trip_001: primary" in page.text
+    assert page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 2
+    assert "\u25d0 Sides" in page.text
+    _, page = write(tmp_path / "plain.html", [trip(0)])
+    assert "\u25d0" not in page.text

@@ -1,0 +1,161 @@
+"""Trips with sensors left and right: the same estimate, and which side is weaker, in words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from roll_reference import CHANNELS, sided_responses, track_amplitudes
+from trip_fixtures import MINUTES, OUTPUTS, SPEED
+from trip_records import trip
+
+from suspnet.features.side_difference import SideDifference
+from suspnet.model.from_recording import TripSettings
+from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
+from suspnet.trips.sides import UNEXPLAINED, sides_finding, spoken_sides
+from suspnet.trips.trip import evaluate_trip
+
+RATE_HZ, TOP_HZ = 250.0, 30.0
+WEAK = (-0.111, 0.0, 0.0, 0.0)
+
+
+def write_pairs(folder, d, change=None, singles=()):
+    """Write a trip of the vehicle written out corner by corner; `change` alters a sensor."""
+    rng = np.random.default_rng(4)
+    n = int(60 * MINUTES * RATE_HZ)
+    frequencies_hz = np.arange(1, int(TOP_HZ * 60 * MINUTES)) / (60 * MINUTES)
+    track = rng.normal(size=(2, len(frequencies_hz))) + 1j * rng.normal(
+        size=(2, len(frequencies_hz))
+    )
+    track *= track_amplitudes(frequencies_hz, SPEED)
+    spectra = np.zeros((3, 2, n // 2 + 1), dtype=complex)
+    spectra[..., 1 : len(frequencies_hz) + 1] = np.einsum(
+        "psif,if->psf", sided_responses(frequencies_hz, SPEED, d), track
+    )
+    signals = np.fft.irfft(spectra, n)
+    signals *= 5 / signals[0].std()
+    noise = 0.02 * signals.std(axis=2, keepdims=True) * rng.normal(size=signals.shape)
+    channels = {}
+    for name, pair in zip(CHANNELS, signals + noise, strict=True):
+        columns = dict(zip(("left", "right"), pair, strict=True))
+        if name in singles:
+            columns = {"left": pair.mean(axis=0)}
+        for side, values in (change or {}).get(name, {}).items():
+            columns[side] = values(columns[side])
+        pq.write_table(pa.table(columns), folder / f"{name}.parquet")
+        source = {"file": f"{name}.parquet", "unit": "m/s2", "rate_hz": RATE_HZ}
+        channels[name] = [source | {"column": side} for side in columns]
+    content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}
+    content |= {"mileage_km": 1.0, "speed": SPEED, "channels": channels}
+    path = folder / "trip.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory, model):
+    return evaluate_trip(
+        write_pairs(tmp_path_factory.mktemp("plain"), (0,) * 4), [model], TripSettings()
+    )
+
+
+# reference
+
+
+def test_average_of_a_pair_has_no_roll(plain, model):
+    """Cross level is half of the track's motion at the sensors, and the estimate is healthy."""
+    assert (plain.status, plain.reason, plain.sides) == (OK, "", "")
+    for name in OUTPUTS:
+        rms = model.training["test_rms_percent"][name]
+        assert abs(100 * (plain.estimates[name] - 1)) < 4 * rms
+
+
+def test_weaker_side_is_told(tmp_path, model):
+    result = evaluate_trip(write_pairs(tmp_path, WEAK), [model], TripSettings())
+    assert result.sides.startswith("primary spring: the left side is weaker (about ")
+    assert float(result.sides.split("about ")[1].split(" ")[0]) == pytest.approx(20, abs=4)
+    assert result.row(OUTPUTS)["sides"] == result.sides
+    assert "; " not in result.sides
+
+
+def test_two_pairs_do_not_tell_the_sides(tmp_path, model):
+    path = write_pairs(tmp_path, WEAK, singles=("body",))
+    result = evaluate_trip(path, [model], TripSettings())
+    assert (result.status, result.sides) == (OK, "")
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (
+            {"body": {"right": lambda v: -v}},
+            "body: its left and its right sensor move against each other at low frequency",
+        ),
+        (
+            {"bogie": {"left": lambda v: 9.80665 * v}},
+            "bogie: its left sensor shows 9.8",
+        ),
+    ],
+)
+def test_wrong_sign_or_unit_of_one_sensor_is_named(tmp_path, model, change, reason):
+    path = write_pairs(tmp_path, (0,) * 4, change)
+    result = evaluate_trip(path, [model], TripSettings())
+    assert result.status == ERROR
+    assert result.reason.startswith(reason)
+    assert "manifest" in result.reason
+
+
+def test_pair_needs_a_model_of_pairs(tmp_path, model):
+    generator = replace(model.generator, parts=("roll",), sensor_lateral_m=(1.0, 0.0, 0.9))
+    one_sided = replace(model, generator=generator)
+    path = write_pairs(tmp_path, (0,) * 4)
+    result = evaluate_trip(path, [one_sided], TripSettings())
+    assert result.status == ERROR
+    assert "one sensor beside the middle: axle_box (1 m), body (0.9 m); give one" in result.reason
+
+
+# words
+
+
+def difference(d, deviations=(0.01,) * 4, misfit=1.0):
+    return SideDifference(np.array(d), np.array(deviations), misfit)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (None, ""),
+        (difference((0, 0, 0, 0)), ""),
+        (difference((0.04, 0.039, -0.04, 0)), ""),
+        (difference((0.3, 0, 0, 0), (0.1,) * 4), ""),
+        (
+            difference((0, 0.25, 0, -1 / 9)),
+            "primary damper: the right side is weaker (about 40 %); "
+            "secondary damper: the left side is weaker (about 20 %)",
+        ),
+        (difference((-0.3, 0, 0, 0), misfit=2.1), UNEXPLAINED),
+    ],
+)
+def test_words_name_what_is_clear_and_large(found, words):
+    assert spoken_sides(found) == words
+
+
+def test_report_counts_the_last_trips_and_names_the_newest():
+    words = "primary spring: the left side is weaker (about 20 %)"
+    trips = [trip(i, sides=words if i in (1, 4, 6) else "") for i in range(8)]
+    sentence = sides_finding(trips)
+    assert sentence.startswith(
+        f"Left and right differ on 2 of the last 5 trips; on trip_006: {words}."
+    )
+    assert "compare several trips" in sentence
+    assert sides_finding(trips[:1]) == sides_finding([]) == ""
+    assert sides_finding([trip(0, sides=words)]).startswith(
+        "Left and right differ on the last trip;"
+    )
+    assert sides_finding([*trips[:1], replace(trip(9, missing=True), sides="")]) == ""
+    assert trip(9, missing=True).status == NO_ESTIMATE
