@@ -23,7 +23,7 @@ from suspnet import (
     save_model,
 )
 from suspnet.data import CurveSettings
-from suspnet.model.from_recording import speed_bin
+from suspnet.model.from_recording import speed_bins
 from suspnet.problem import TEST
 from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.runs.calibrate import calibrated
@@ -133,7 +133,8 @@ def test_trips_are_read_with_the_public_tfestimate(tmp_path_factory):
     path = small_fleet(tmp_path_factory)[0]
     recording = load_recording(read_manifest(path), 100.0)
     model, welch = model_at(), suspnet.Welch()
-    found = speed_bin(model, recording, recording_segments(recording, welch), TripSettings())
+    segments = recording_segments(recording, welch)
+    (found,) = speed_bins(model, recording, segments, TripSettings())
     assert found.chosen.all()
     axle_box, bogie, body = recording.signals
     links = [(axle_box, bogie, body), (bogie, body, axle_box)]

@@ -28,6 +28,7 @@ def compose(config: DictConfig) -> None:
         instantiate(config.scenario),
         instantiate(config.generator),
         seed=config.seed,
+        scatter=config.scatter,
         n_jobs=config.workers,
         progress=config.progress,
     )

@@ -242,11 +242,6 @@ class EstimateObserver:
         self._track = self._density_at(1.0)
         self._noise = self.noise_densities(self._gains, settings.rates_hz)
 
-    @cached_property
-    def directions(self) -> Directions:
-        """The directions of the generator's uncertain numbers that its curves show."""
-        return directions(self)
-
     def at(self, speeds: Speeds) -> EstimateObserver:
         """Return the observer of a trip at other speeds."""
         return EstimateObserver(self.settings, self.generator, speeds)
@@ -291,6 +286,11 @@ class EstimateObserver:
         relative = curves / self._healthy.responses(method).to(curves)
         parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
         return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
+
+    @cached_property
+    def directions(self) -> Directions:
+        """The directions of the generator's uncertain numbers that its curves show."""
+        return directions(self)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return the limit of the estimate of G_p and G_s for infinitely long trips.

@@ -47,10 +47,9 @@ class CurveMisfit:
 class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
 
-    With L L^H the covariance of (log G_p, log G_s) in a bin, u = 1 - expected / observed and r the
-    correlation of neighbouring bins (see ``Welch.correlated_bins``), the residuals are real and
-    imaginary part of L^-1 u sqrt(2 / r). Of an estimate S_zy / S_zx this u is
-    (S_zy - G S_zx) / S_zy: normal even where S_zx nearly vanishes, as log(S_zy / S_zx) is not.
+    With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
+    expected logarithms and r the correlation of neighbouring bins (see
+    ``Welch.correlated_bins``), the residuals are real and imaginary part of L^-1 u sqrt(2 / r).
 
     Attributes
     ----------
@@ -75,7 +74,7 @@ class EstimateMisfit:
 
         The covariance is that of the observation: it does not move with the ratios.
         """
-        u = 1 - self.observer.noise_free(ratios) / self.observed[rows]
+        u = (self.observed[rows] / self.observer.noise_free(ratios)).log()
         covariance = self.covariance[rows]
         l_pp = covariance[:, 0, 0].real.sqrt()
         l_sp = covariance[:, 1, 0] / l_pp

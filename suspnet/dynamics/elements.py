@@ -10,6 +10,11 @@ share of k at about 5 Hz. An air spring with an auxiliary volume N times its own
 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 that is the branch
 b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
 square of k_1 / (k_1 + k_2).
+
+A loss factor eta that no frequency changes has no causal motion in time. `Element.causal` puts a
+ladder of Maxwell branches in its place (``LOSS_HZ``, ``LOSS_SHARES``): from 0.3 to 20 Hz the
+imaginary part is eta k within 1.3 %; the stiffness rises through k at 2.7 Hz, as causality asks,
+from (1 - 1.5 eta) k at 0.3 Hz to (1 + 1.4 eta) k at 20 Hz.
 """
 
 from __future__ import annotations
@@ -18,8 +23,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
+
+LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
+"""Relaxation frequencies of the branches that stand for a loss factor, [Hz]."""
+LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
+"""Stiffness of each over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
+LOSS_REFERENCE_HZ = 2.7
+"""Frequency at which the ladder leaves the stiffness as it is, the middle of its band, [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +65,30 @@ class Element:
             share = stiffness * omega / (omega**2 + rate**2)
             real, imaginary = real + share * omega, imaginary + share * rate
         return torch.complex(*torch.broadcast_tensors(real, imaginary))
+
+    def causal(self) -> tuple[float, float, dict[float, float]]:
+        """Return stiffness, damping and branches of one vehicle's element for motion in time.
+
+        Returns
+        -------
+        stiffness : float, [N/m]
+        damping : float, [N s/m]
+        branches : dict of float
+            Stiffness [N/m] of the branch of each rate [1/s]; those of a loss factor are a ladder.
+        """
+        stiffness = float(self.stiffness)
+        damping = 0.0 if self.damping is None else float(self.damping)
+        given = [(float(one), float(rate)) for one, rate in self.branches]
+        if self.loss is not None:
+            lossy = float(self.loss) * stiffness
+            rates = 2 * math.pi * np.array(LOSS_HZ)
+            given += zip(lossy * np.array(LOSS_SHARES), rates.tolist(), strict=True)
+            square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+            stiffness -= lossy * float(np.dot(LOSS_SHARES, square / (square + rates**2)))
+        branches: dict[float, float] = {}
+        for one, rate in given:
+            branches[rate] = branches.get(rate, 0.0) + float(one)
+        return stiffness, damping, branches
 
 
 def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
@@ -96,6 +133,19 @@ def secondary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequenc
     return secondary_element(p, which, parts).at(omega)
 
 
-def longitudinal(p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
-    """Return kappa_x between body and bogie, (n_vehicles, n_freq), [N/m]."""
-    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"]).at(omega)
+def guidance_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the axle guidance of a bogie's side, which acts on its pitch times a."""
+    return Element(
+        p["guidance_stiffness"] * p["healthy_k_p"], p["guidance_damping"] * p["healthy_c_p"]
+    )
+
+
+def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the links along the train between body and bogie, of one side."""
+    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
+
+
+def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
+    """Return the body's first bending per modal mass of M_s; pay-load does not stiffen it."""
+    own = 2 * math.pi * p["bending_frequency"]
+    return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)

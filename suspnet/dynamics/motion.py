@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -15,22 +15,54 @@ LARGEST_CONDITION = 1e10
 """Above this condition number of the eigenvectors two modes coincide and cannot be told apart."""
 SERIES_BELOW = 0.1
 """Where |lambda h| is below this, `_foh_weights` sums a power series to avoid cancellation."""
+BLOCK = 1 << 14
+"""Number of samples stepped at once, so that all modes of a block stay in the cache."""
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A Maxwell branch: a spring b in series with a damper b / r, along u = g z - h w.
+
+    Its force is b (u - xi), where the damper's share xi of the stretch obeys xi' = r (u - xi).
+
+    Attributes
+    ----------
+    stiffness : float, [N/m]
+        b.
+    rate : float, [1/s]
+        r.
+    stretch : array of shape (n_dof,)
+        g.
+    input : array of shape (n_inputs,)
+        h.
+    """
+
+    stiffness: float
+    rate: float
+    stretch: FloatArray
+    input: FloatArray
 
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """A vehicle as M z'' + D z' + K z = D_w w' + K_w w, with sensors on its coordinates.
+    """A vehicle as M z'' + D z' + K z = D_w w' + K_w w, with sensors and Maxwell branches.
 
     Attributes
     ----------
     mass, damping, stiffness : arrays of shape (n_dof, n_dof)
         M, D and K in SI units.
-    input_damping, input_stiffness : arrays of shape (n_dof, n_wheelsets)
-        D_w and K_w.
-    sensors : array of shape (2, n_dof)
-        Displacement under the sensors on frame and body, from z.
+    input_damping, input_stiffness : arrays of shape (n_dof, n_inputs)
+        D_w and K_w. Inputs: the track under each wheelset, then with roll its angle there.
+    sensors : array of shape (2, n_dof) or (4, n_dof)
+        Displacement under the sensors on frame and body, from z; with roll then that of sensors
+        as far off the middle on the other side.
     behind_m : tuple of float, [m]
         How far each wheelset runs behind the one whose axle box is measured; negative is ahead.
+    branches : tuple of Branch
+    roll_per_m : float, [rad/m]
+        The track's angle over an independent process of `cross_level_spectrum`; 0 without roll.
+    lateral_m : tuple of 3 floats, [m]
+        Lateral place of the first sensors on axle box, frame and body.
     """
 
     mass: FloatArray
@@ -40,23 +72,32 @@ class LinearSystem:
     input_stiffness: FloatArray
     sensors: FloatArray
     behind_m: tuple[float, ...]
+    branches: tuple[Branch, ...] = ()
+    roll_per_m: float = 0.0
+    lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return A, B, C, D with inputs w and the displacements under the sensors as outputs.
 
-        The state x = (z, z' - M^-1 D_w w) absorbs the derivative of the input. Accelerations of
-        the wheels as inputs give accelerations of the sensors as outputs: the same system.
+        The state x = (z, z' - M^-1 D_w w, xi) absorbs the derivative of the input.
+        Accelerations of the wheels as inputs give accelerations of the sensors as outputs: the
+        same system.
         """
-        n = len(self.mass)
+        n, m = len(self.mass), len(self.branches)
         inverse = np.linalg.inv(self.mass)
-        a = np.block(
-            [[np.zeros((n, n)), np.eye(n)], [-inverse @ self.stiffness, -inverse @ self.damping]]
-        )
+        b, r = np.array([[one.stiffness, one.rate] for one in self.branches]).reshape(m, 2).T
+        g = np.array([one.stretch for one in self.branches]).reshape(m, n)
+        h = np.array([one.input for one in self.branches]).reshape(m, self.input_damping.shape[1])
+        pull = g.T * b
+        a = np.zeros((2 * n + m, 2 * n + m))
+        a[:n, n : 2 * n] = np.eye(n)
+        a[n : 2 * n] = inverse @ np.hstack([-self.stiffness - pull @ g, -self.damping, pull])
+        a[2 * n :, :n], a[2 * n :, 2 * n :] = r[:, None] * g, -np.diag(r)
         jump = inverse @ self.input_damping
-        force = inverse @ self.input_stiffness
-        b = np.vstack([jump, force - inverse @ self.damping @ jump])
-        c = np.hstack([self.sensors, np.zeros_like(self.sensors)])
-        return a, b, c, np.zeros((len(self.sensors), b.shape[1]))
+        force = inverse @ (self.input_stiffness + pull @ h)
+        inputs = np.vstack([jump, force - inverse @ self.damping @ jump, -r[:, None] * h])
+        c = np.hstack([self.sensors, np.zeros((len(self.sensors), n + m))])
+        return a, inputs, c, np.zeros((len(self.sensors), inputs.shape[1]))
 
 
 class SampledMotion:
@@ -91,20 +132,25 @@ class SampledMotion:
                 "two modes of the vehicle coincide (critical damping): change one of its "
                 "parameters by a millionth"
             )
-        kept = eigenvalues.imag >= 0  # the conjugate of each other mode adds its conjugate
-        self._lambda = eigenvalues[kept]
-        self._inputs: ComplexArray = np.linalg.solve(vectors, b.astype(np.complex128))[kept]
-        self._outputs: ComplexArray = (c @ vectors)[:, kept] * np.where(
-            self._lambda.imag > 0, 2.0, 1.0
+        # real modes first, then one of each pair: the conjugate of the other adds its conjugate
+        kept = np.concatenate(
+            [np.flatnonzero(eigenvalues.imag == 0), *np.nonzero(eigenvalues.imag > 0)]
         )
-        self._step_s = 1 / rate_hz
-        self._state: ComplexArray = np.zeros(len(self._lambda), dtype=np.complex128)
+        self._n_real = int(np.count_nonzero(eigenvalues.imag == 0))
+        self._decays: ComplexArray = np.exp(eigenvalues[kept] / rate_hz)
+        before, after = (w[:, None] for w in _foh_weights(eigenvalues[kept], 1 / rate_hz))
+        drives: ComplexArray = np.linalg.solve(vectors, b.astype(np.complex128))[kept]
+        self._forcing = self._split(np.hstack([before * drives, after * drives]))
+        weights = (c @ vectors)[:, kept]
+        weights[:, self._n_real :] *= 2.0
+        self._outputs = self._split(weights.conj().T).T  # Re(w q) = Re w Re q - Im w Im q
+        self._state: list[Any] = [0.0] * len(kept)
         self._last: FloatArray | None = None
 
-    @cached_property
-    def _weights(self) -> tuple[ComplexArray, ComplexArray]:
-        """Return the input's weights before and after a step, one for each mode."""
-        return _foh_weights(self._lambda, self._step_s)
+    def _split(self, rows: ComplexArray) -> FloatArray:
+        """Return rows of the real modes, then real parts of the others, then imaginary ones."""
+        n = self._n_real
+        return np.concatenate([rows.real, rows[n:].imag])
 
     def advance(self, inputs: Sequence[FloatArray]) -> FloatArray:
         """Return the outputs at the next samples; the system is at rest before the first.
@@ -112,31 +158,42 @@ class SampledMotion:
         Parameters
         ----------
         inputs : sequence of arrays of shape (n_samples,)
-            One for each wheelset.
+            One for each input of the system.
 
         Returns
         -------
-        array of shape (2, n_samples)
+        array of shape (n_sensors, n_samples)
             In the unit of the inputs.
         """
-        block = np.stack(inputs)
-        last = block[:, :1] if self._last is None else self._last
-        outputs = np.zeros((len(self._outputs), block.shape[1]))
-        before, after = self._weights
-        first_state = self._state
-        for j, eigenvalue in enumerate(self._lambda):
-            drive = np.tensordot(self._inputs[j], np.concatenate([last, block], axis=1), axes=1)
-            forcing = before[j] * drive[:-1] + after[j] * drive[1:]
-            if self._last is None:
-                forcing[0] = 0.0
-            decay = np.exp(eigenvalue * self._step_s)
-            start = np.array([decay * first_state[j]])
-            mode, _ = lfilter([1.0], [1.0, -decay], forcing, zi=start)
-            self._state[j] = mode[-1]
-            for row, weight in zip(outputs, self._outputs[:, j], strict=True):
-                row += weight.real * mode.real - weight.imag * mode.imag
-        self._last = block[:, -1:].copy()
+        outputs = np.empty((len(self._outputs), len(inputs[0])))
+        for first in range(0, outputs.shape[1], BLOCK):
+            block = slice(first, first + BLOCK)
+            outputs[:, block] = self._advance(np.stack([one[block] for one in inputs]))
         return outputs
+
+    def _advance(self, block: FloatArray) -> FloatArray:
+        """Return the outputs for a block of inputs of shape (n_inputs, n_samples)."""
+        last = block[:, :1] if self._last is None else self._last
+        shifted = np.concatenate([last, block[:, :-1]], axis=1)
+        modes: FloatArray = self._forcing @ np.concatenate([shifted, block])
+        if self._last is None:
+            modes[:, 0] = 0.0
+        n_modes = len(self._decays)
+        for j, decay in enumerate(self._decays):
+            if j < self._n_real:
+                modes[j] = self._filter(j, decay.real, modes[j])
+            else:
+                imaginary = modes[j + n_modes - self._n_real]
+                mode = self._filter(j, decay, modes[j] + 1j * imaginary)
+                modes[j], imaginary[:] = mode.real, mode.imag
+        self._last = block[:, -1:].copy()
+        return np.asarray(self._outputs @ modes)
+
+    def _filter(self, j: int, decay: complex, forcing: Any) -> Any:
+        """Return mode j, q[k+1] = decay q[k] + forcing[k+1], and keep its last value."""
+        mode, _ = lfilter([1.0], [1.0, -decay], forcing, zi=[decay * self._state[j]])
+        self._state[j] = mode[-1]
+        return mode
 
 
 def _foh_weights(eigenvalues: ComplexArray, step_s: float) -> tuple[ComplexArray, ComplexArray]:

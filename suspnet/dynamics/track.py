@@ -16,6 +16,7 @@ from suspnet.dynamics.track_spectra import (
     acceleration_density,
     band_rms,
     check_band,
+    cross_level_spectrum,
     track_spectrum,
 )
 from suspnet.types import FloatArray
@@ -26,6 +27,7 @@ __all__ = [
     "TrackSpectrum",
     "acceleration_density",
     "band_rms",
+    "cross_level_spectrum",
     "make_profile",
     "track_spectrum",
 ]

@@ -20,6 +20,8 @@ from suspnet.checks import check_choice, check_number
 from suspnet.types import FloatArray
 
 MM2_IN_M2 = 1e-6
+CROSS_LEVEL_RAD_PER_M = 0.4380
+"""Wave number below which the German cross level falls off against the mean [rad/m]."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,19 @@ def iso8608_density(n: FloatArray, roughness: float) -> FloatArray:
         G0, the density at n0: 16e-6 for class A, four times more for each further class.
     """
     return roughness * (n / 0.1) ** -2.0
+
+
+def cross_level_spectrum(mean: TrackSpectrum) -> TrackSpectrum:
+    """Return the spectrum of a cross level up to its share: S(n) n^2 / (n^2 + n_0^2), [m^3].
+
+    As in the German spectra, n_0 = 0.4380 / (2 pi); see ``CROSS_LEVEL_RAD_PER_M``.
+    """
+    return replace(mean, density=partial(_cross_level_density, mean=mean.density))
+
+
+def _cross_level_density(n: FloatArray, mean: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return the density of `cross_level_spectrum`, [m^3]."""
+    return mean(n) * n**2 / (n**2 + (CROSS_LEVEL_RAD_PER_M / (2 * math.pi)) ** 2)
 
 
 def _with_short_waves(

@@ -44,20 +44,23 @@ from torch import Tensor
 
 from suspnet.checks import check_choice, check_number
 from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.elements import longitudinal, primary, secondary
+from suspnet.dynamics.elements import (
+    bending_element,
+    guidance_element,
+    longitudinal_element,
+    primary,
+    secondary,
+)
 from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.quarter_car import QuarterCar
+from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
+from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M, vertical_motion
 from suspnet.tensors import as_tensor, check_device
-from suspnet.types import FloatArray
 
 SIDES = ("leading", "trailing")
-RAIL_LATERAL_M = 0.75
-"""Half distance of the rails' centres, of standard gauge."""
-CROSS_LEVEL_RAD_PER_M = 0.4380
-"""Wave number below which the German cross level falls off against the mean [rad/m]."""
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
 
 
@@ -224,9 +227,14 @@ class VerticalVehicle:
         p, omega = self._prepared(ratios, frequencies_hz)
         frame, body = _bounced(self, p, omega)
         inputs = [torch.stack([torch.ones_like(frame), frame, body], dim=1)]
-        if "roll" in self.parts and any(self.sensor_lateral_m):
+        if self.rolls:
             inputs.append(_rolled(self, p, omega))
         return torch.stack(inputs, dim=1)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether a sensor feels roll: the vehicle has it, and a sensor is off the middle."""
+        return "roll" in self.parts and any(self.sensor_lateral_m)
 
     def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
@@ -288,28 +296,18 @@ class VerticalVehicle:
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.
 
-        Coordinates: z, phi of the body, then z_i and psi_i of the measured and the other bogie.
-
         Parameters
         ----------
         ratios : tensor of shape (5,), (6,) or all columns, [-]
         """
-        p = {name: float(v.squeeze()) for name, v in self._numbers(as_tensor(ratios)[None]).items()}
-        m_p, m_s = p["bogie_mass"], p["M_s"]
-        pitch = m_p * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
-        body_pitch = 2 * m_s * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
-        mass = np.diag([2 * m_s, body_pitch, m_p, pitch, m_p, pitch])
-        damping, stiffness = (_couple(p, kind) for kind in "ck")
-        input_damping, input_stiffness = (_drive(p, kind) for kind in "ck")
-        sensors = np.zeros((2, 6))
-        sensors[0, 2] = 1.0
-        if self.frame_sensor == "axle":
-            sensors[0, 3] = 1.0 if self.axle == "leading" else -1.0
-        forward = 1.0 if self.bogie == "leading" else -1.0
-        sensors[1, :2] = 1.0, 1 + forward * self.body_sensor_m / p["half_pivot_distance"]
-        behind = self._behind(p["half_wheelbase"], p["half_pivot_distance"])
-        return LinearSystem(
-            mass, damping, stiffness, input_damping, input_stiffness, sensors, tuple(behind)
+        return vertical_motion(
+            self._numbers(as_tensor(ratios)[None]),
+            self.parts if self.rolls else tuple(part for part in self.parts if part != "roll"),
+            bogie=self.bogie,
+            axle=self.axle,
+            frame_sensor=self.frame_sensor,
+            body_sensor_m=self.body_sensor_m,
+            empty_kg=self.vehicle.body_mass_kg,
         )
 
     def complete(self, ratios: Tensor) -> Tensor:
@@ -371,16 +369,6 @@ class VerticalVehicle:
         return first + tuple(
             float(given.get(q.name, value)) for q, value in zip(QUANTITIES, standard, strict=True)
         )
-
-    def _behind(self, half_wheelbase: float, half_pivot: float) -> list[float]:
-        """Return how far the wheelsets run behind the measured one: its bogie's two, the other's.
-
-        Phi and psi count positive where the measured bogie, and the leading axle, rise.
-        """
-        shift = half_wheelbase if self.axle == "leading" else -half_wheelbase
-        apart = 2 * half_pivot if self.bogie == "leading" else -2 * half_pivot
-        own = [shift - half_wheelbase, shift + half_wheelbase]
-        return own + [apart + distance for distance in own]
 
     def _wheels(self, p: Mapping[str, Tensor], omega: Tensor) -> list[Tensor]:
         """Return the motion of each wheelset relative to the measured one, exp(-j omega delay)."""
@@ -460,7 +448,7 @@ def _bounced(
     forward = 1.0 if vehicle.bogie == "leading" else -1.0
     # phi counts positive where the measured bogie rises, psi where the leading axle does
     p = {**p, "body_lever": forward * p["body_lever"]}
-    link_x = longitudinal(p, omega) if "longitudinal" in vehicle.parts else None
+    link_x = longitudinal_element(p).at(omega) if "longitudinal" in vehicle.parts else None
     first = _bogie(p, "", omega, wheels[:2], link_x, vehicle.parts)
     other = _bogie(p, "other_", omega, wheels[2:], link_x, vehicle.parts)
     inertia = 2 * p["M_s"] * omega**2
@@ -527,12 +515,7 @@ def _bogie(
     free = 0.5 * (wheels[0] + wheels[1]) * kappa_p / below
     upright = kappa_p - inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
     if "guidance" in parts:
-        upright = upright + torch.complex(
-            *torch.broadcast_tensors(
-                p["guidance_stiffness"] * p["healthy_k_p"],
-                p["guidance_damping"] * p["healthy_c_p"] * omega,
-            )
-        )
+        upright = upright + guidance_element(p).at(omega)
     tilt: Tensor | float = 0.0
     righting: Tensor | float = 0.0
     driven = 0.5 * (wheels[0] - wheels[1]) * kappa_p
@@ -555,16 +538,9 @@ def _bogie(
 
 
 def _modal(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
-    """Return the dynamic stiffness of the body's bending by itself.
-
-    Pay-load adds to the modal mass of M_s, not to the stiffness.
-    """
-    own, empty = 2 * math.pi * p["bending_frequency"], vehicle.vehicle.body_mass_kg
-    return torch.complex(
-        *torch.broadcast_tensors(
-            empty * own**2 - p["M_s"] * omega**2, 2 * p["bending_damping"] * empty * own * omega
-        )
-    )
+    """Return the dynamic stiffness of the body's bending by itself."""
+    own = bending_element(p, vehicle.vehicle.body_mass_kg)
+    return own.at(omega) - p["M_s"] * omega**2
 
 
 def _rolled(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
@@ -598,25 +574,3 @@ def _rolled(vehicle: VerticalVehicle, p: Mapping[str, Tensor], omega: Tensor) ->
 def _phasor(angle: Tensor) -> Tensor:
     """Return exp(-j angle)."""
     return torch.complex(torch.cos(angle), -torch.sin(angle))
-
-
-def _couple(p: Mapping[str, float], kind: str) -> FloatArray:
-    """Return the damping (c) or stiffness (k) matrix for (z, phi, z_1, psi_1, z_2, psi_2)."""
-    matrix = np.zeros((6, 6))
-    for which, sign, row in (("", 1.0, 2), ("other_", -1.0, 4)):
-        secondary, primary = p[f"{which}{kind}_s"], p[f"{which}{kind}_p"]
-        stretch = np.zeros(6)
-        stretch[[0, 1, row]] = 1.0, sign, -1.0
-        matrix += secondary * np.outer(stretch, stretch)
-        matrix[row, row] += primary
-        matrix[row + 1, row + 1] += primary
-    return matrix
-
-
-def _drive(p: Mapping[str, float], kind: str) -> FloatArray:
-    """Return the input matrix of the four wheelsets, (6, 4)."""
-    matrix = np.zeros((6, 4))
-    for which, row, column in (("", 2, 0), ("other_", 4, 2)):
-        half = 0.5 * p[f"{which}{kind}_p"]
-        matrix[row : row + 2, column : column + 2] = [[half, half], [half, -half]]
-    return matrix

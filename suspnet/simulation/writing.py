@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -20,15 +20,28 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 from tqdm import tqdm
 
-from suspnet.checks import check_choice, check_number
 from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.dynamics.journey import Journey, service_journey, steady_journey
+from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
-from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
-from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest, write_manifest
+from suspnet.dynamics.track import (
+    TrackProfile,
+    cross_level_spectrum,
+    make_profile,
+    track_spectrum,
+)
+from suspnet.recordings.manifest import (
+    CHANNELS,
+    SIDES,
+    Channel,
+    Pair,
+    SpeedSource,
+    TripManifest,
+    write_manifest,
+)
+from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.sensors import Sensor
-from suspnet.storage import write_atomically
+from suspnet.storage import write_atomically, write_json
 from suspnet.types import FloatArray
 
 BLOCK = 1 << 18
@@ -54,79 +67,6 @@ class SimulatedVehicle(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Fleet:
-    """Trips of one suspension over its mileage.
-
-    Parameters
-    ----------
-    n_trips : int
-    last_mileage_km : float, [km]
-        Of the last trip; the others lie evenly before it.
-    minutes : float, [min]
-        Length of a trip.
-    speed_m_per_s : float, [m/s]
-        Steady or cruising speed.
-    journey : {"steady", "service"}
-        At one speed throughout, or with start, stops and slower stretches.
-    n_stops : int
-        Of a service journey.
-    track : str
-        A name of ``suspnet.dynamics.track.TRACKS``.
-    short_waves : bool
-    sensors : mapping
-        A `Sensor`'s arguments for each of axle_box, bogie and body.
-    suspension : str
-        Free text for the manifests.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
-    """
-
-    n_trips: int = 30
-    last_mileage_km: float = 308_000.0
-    minutes: float = 20.0
-    speed_m_per_s: float = 70.0
-    journey: Literal["steady", "service"] = "steady"
-    n_stops: int = 1
-    track: str = "german_low"
-    short_waves: bool = False
-    sensors: Mapping[str, Mapping[str, Any]] | None = None
-    suspension: str = "simulated"
-
-    def __post_init__(self) -> None:
-        check_number("n_trips", self.n_trips, low=1, whole=True)
-        for name in ("last_mileage_km", "minutes", "speed_m_per_s"):
-            check_number(name, getattr(self, name), above=0)
-        check_choice("journey", self.journey, ("steady", "service"))
-        track_spectrum(self.track, self.short_waves)
-        self.loggers()
-
-    def loggers(self) -> dict[str, Sensor]:
-        """Return each channel's sensor; those of Table II with 34 dB where none is given."""
-        given = dict(self.sensors or {})
-        if set(given) - set(CHANNELS):
-            raise ValueError(f"`sensors` must be named as in {CHANNELS}, got {sorted(given)}")
-        rates = dict(zip(CHANNELS, (5000.0, 2000.0, 2000.0), strict=True))
-        return {
-            name: Sensor(**({"rate_hz": rates[name]} | dict(given.get(name, {}))))
-            for name in CHANNELS
-        }
-
-    def mileage_km(self) -> FloatArray:
-        """Return the mileage of each trip, shape (n_trips,), [km]."""
-        return self.last_mileage_km * np.arange(1, self.n_trips + 1) / self.n_trips
-
-    def journey_of(self, seed: int) -> Journey:
-        """Return the speed along one trip."""
-        duration_s = 60 * self.minutes
-        if self.journey == "steady":
-            return steady_journey(self.speed_m_per_s, duration_s)
-        return service_journey(self.speed_m_per_s, duration_s, self.n_stops, seed)
-
-
 def write_fleet(
     folder: Path,
     fleet: Fleet,
@@ -134,10 +74,13 @@ def write_fleet(
     generator: SimulatedVehicle,
     *,
     seed: int = 0,
+    scatter: float = 0.0,
     n_jobs: int = 1,
     progress: bool = False,
 ) -> list[Path]:
     """Simulate trips and write each as a manifest with a folder of Parquet files.
+
+    The numbers of the healthy vehicle that was simulated stand in ``truth.json`` beside them.
 
     Parameters
     ----------
@@ -147,7 +90,11 @@ def write_fleet(
     generator : SimulatedVehicle
         ``QuarterCar`` or ``VerticalVehicle``.
     seed : int
-        Trip i draws track, noise and journey from (seed, i) alone.
+        Trip i draws track, noise and journey from (seed, i) alone, the suspension its true numbers
+        from the seed alone.
+    scatter : float, [-]
+        How far the true numbers lie from the generator's nominal ones: 0 not at all, 1 as far as
+        their priors say; see `scattered`.
     n_jobs : int
         Trips at the same time.
     progress : bool
@@ -156,7 +103,15 @@ def write_fleet(
     -------
     list of Path
         The manifests.
+
+    Raises
+    ------
+    ValueError
+        If no physical vehicle can be drawn, or `fleet` asks for both sides of a vehicle that has no
+        roll.
     """
+    generator = scattered(generator, scatter, seed)
+    _check_sides(fleet, generator)
     mileage = fleet.mileage_km()
     ratios = scenario.ratios(mileage, seed)
     jobs = (
@@ -165,13 +120,29 @@ def write_fleet(
     )
     done = Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
     bar = tqdm(done, total=fleet.n_trips, unit="trip", disable=None if progress else True)
-    return list(bar)
+    manifests = list(bar)
+    truth = {
+        "vehicle": generator.vehicle.name,
+        "generator": type(generator).__name__,
+        "parts": list(getattr(generator, "parts", ())),
+        "scatter": scatter,
+        "seed": seed,
+        "numbers": true_numbers(generator),
+    }
+    write_json(folder / "truth.json", truth)
+    return manifests
 
 
 def simulate_trip(
-    system: LinearSystem, profile: TrackProfile, journey: Journey, rate_hz: float
+    system: LinearSystem,
+    profile: TrackProfile,
+    journey: Journey,
+    rate_hz: float,
+    cross: TrackProfile | None = None,
 ) -> FloatArray:
     """Return accelerations of axle box, frame and body along a trip, shape (3, n_samples), [m/s^2].
+
+    With sensors on both sides three more rows follow, those of the other side.
 
     The axle box feels v^2 r'' + a r' of the track r at its place; the other wheelsets feel the
     same track where they are. The vehicle's response is exact for an acceleration of the wheels
@@ -184,26 +155,37 @@ def simulate_trip(
         As long as the journey with its lead-in, and the train, ask for (`profile_length_m`).
     journey : Journey
     rate_hz : float, [Hz]
+    cross : TrackProfile, optional
+        With roll: an independent profile of `cross_level_spectrum`, which times the system's
+        `roll_per_m` is the angle of the track.
     """
     motion = SampledMotion(system, rate_hz)
     n_lead = round(_lead_in_s(journey) * rate_hz)
     n_samples = math.floor(journey.duration_s * rate_hz + 1e-6)
     start_m = _start_m(system, journey)
-    signals = np.empty((3, n_samples))
+    n_sides = len(system.sensors) // 2
+    signals = np.empty((n_sides, 3, n_samples))
+    measured = system.behind_m.index(min(system.behind_m, key=abs))
+    tracks = [(profile, 1.0)] + ([] if cross is None else [(cross, system.roll_per_m)])
     for first in range(-n_lead, n_samples, BLOCK):
         times = np.arange(first, min(first + BLOCK, n_samples)) / rate_hz
         position, speed, acceleration = journey.at(times)
         wheels = []
-        for behind in system.behind_m:
-            _, slope, curvature = profile.at(start_m + position - behind)
-            wheels.append(speed**2 * curvature + acceleration * slope)
-        outputs = motion.advance(wheels)
+        for track, scale in tracks:
+            squared, scaled = scale * speed**2, scale * acceleration
+            for behind in system.behind_m:
+                _, slope, curvature = track.at(start_m + position - behind)
+                wheels.append(squared * curvature + scaled * slope)
+        outputs = motion.advance(wheels).reshape(n_sides, 2, len(times))
         kept = slice(max(0, -first), None)
         place = slice(max(0, first), max(0, first + len(times)))
-        measured = system.behind_m.index(min(system.behind_m, key=abs))
-        signals[0, place] = wheels[measured][kept]
-        signals[1:, place] = outputs[:, kept]
-    return signals
+        signals[:, 0, place] = wheels[measured][kept]
+        if cross is not None:
+            angle = wheels[len(system.behind_m) + measured][kept]
+            for side, sign in enumerate((1.0, -1.0)[:n_sides]):
+                signals[side, 0, place] += sign * system.lateral_m[0] * angle
+        signals[:, 1:, place] = outputs[:, :, kept]
+    return signals.reshape(3 * n_sides, n_samples)
 
 
 def profile_length_m(system: LinearSystem, journey: Journey) -> float:
@@ -233,32 +215,31 @@ def _write_trip(
     seed: int,
 ) -> Path:
     """Simulate one trip, write its manifest and files, and return the manifest's path."""
-    track, noise, speeds = np.random.SeedSequence([seed, index]).spawn(3)
+    track, noise, speeds, cross = np.random.SeedSequence([seed, index]).spawn(4)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
-    sensors = fleet.loggers()
-    rate_hz = max(sensor.rate_hz for sensor in sensors.values())
+    rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
     system = generator.motion_system(torch.as_tensor(ratios))
-    profile = make_profile(
-        track_spectrum(fleet.track, fleet.short_waves),
-        profile_length_m(system, journey),
-        float(journey.speeds_m_per_s.max()) / rate_hz,
-        int(track.generate_state(1)[0]),
-    )
-    signals = simulate_trip(system, profile, journey, rate_hz)
-    del profile
-    rng = np.random.default_rng(noise)
-    name = f"trip_{index + 1:03d}"
-    channels = {}
-    for channel, signal in zip(CHANNELS, signals, strict=True):
-        sensor = sensors[channel]
-        recorded = sensor.record(_resampled(signal, rate_hz, sensor.rate_hz), rng)
-        file = f"{name}/{channel}.parquet"
-        _write_column(folder / file, "acceleration", recorded.astype(np.float32))
-        channels[channel] = Channel(
-            file, "m/s2", column="acceleration", rate_hz=sensor.rate_hz, range=sensor.range_m_per_s2
+    if fleet.sides == "left":
+        system = replace(system, sensors=system.sensors[:2])
+    mean = track_spectrum(fleet.track, fleet.short_waves)
+    processes = [(mean, track)]
+    if system.roll_per_m:
+        processes.append((cross_level_spectrum(mean), cross))
+    profiles = [
+        make_profile(
+            spectrum,
+            profile_length_m(system, journey),
+            float(journey.speeds_m_per_s.max()) / rate_hz,
+            int(source.generate_state(1)[0]),
         )
+        for spectrum, source in processes
+    ]
+    signals = simulate_trip(system, profiles[0], journey, rate_hz, *profiles[1:])
+    del profiles
+    name = f"trip_{index + 1:03d}"
+    channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)
-    _write_column(folder / name / "speed.parquet", "speed", journey.at(whole_s)[1])
+    _write_columns(folder / name / "speed.parquet", {"speed": journey.at(whole_s)[1]})
     manifest = TripManifest(
         path=folder / f"{name}.yaml",
         name=name,
@@ -273,6 +254,48 @@ def _write_trip(
     return write_manifest(manifest)
 
 
+def _write_channels(
+    folder: Path,
+    name: str,
+    fleet: Fleet,
+    system: LinearSystem,
+    signals: FloatArray,
+    rate_hz: float,
+    noise: np.random.SeedSequence,
+) -> dict[str, Channel | Pair]:
+    """Write what the sensors record of signals (3 or 6, n_samples), and return where it is."""
+    rng = np.random.default_rng(noise)
+    sensors = fleet.loggers()
+    channels: dict[str, Channel | Pair] = {}
+    for i, channel in enumerate(CHANNELS):
+        sensor, file = sensors[channel], f"{name}/{channel}.parquet"
+        recorded = [
+            sensor.record(_resampled(one, rate_hz, sensor.rate_hz), rng).astype(np.float32)
+            for one in signals[i::3]
+        ]
+        one = Channel(file, "m/s2", rate_hz=sensor.rate_hz, range=sensor.range_m_per_s2)
+        if len(recorded) == 1:
+            columns = {"acceleration": recorded[0]}
+            side = SIDES[0 if system.lateral_m[i] > 0 else 1] if system.lateral_m[i] else None
+            channels[channel] = replace(one, column="acceleration", side=side)
+        else:
+            placed = recorded if system.lateral_m[i] >= 0 else recorded[::-1]
+            columns = dict(zip(SIDES, placed, strict=True))
+            left, right = (replace(one, column=side, side=side) for side in SIDES)
+            channels[channel] = left, right
+        _write_columns(folder / file, columns)
+    return channels
+
+
+def _check_sides(fleet: Fleet, generator: SimulatedVehicle) -> None:
+    """Raise ValueError unless the generator has the sides that the fleet asks for."""
+    if fleet.sides == "both" and not generator.motion_system(torch.ones(5)).roll_per_m:
+        raise ValueError(
+            "`sides`=both needs a vehicle with roll and sensors off the middle (generator=family "
+            "sensor_lateral_m=[1,1,1]); leave `sides` out for one sensor at each place"
+        )
+
+
 def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
     """Return a signal at another rate, low-passed."""
     ratio = Fraction(to_hz / from_hz).limit_denominator(1000)
@@ -281,8 +304,8 @@ def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
     return np.asarray(resample_poly(signal, ratio.numerator, ratio.denominator, window=ANTI_ALIAS))
 
 
-def _write_column(path: Path, name: str, values: NDArray[Any]) -> None:
-    """Write one array as a Parquet file, atomically."""
+def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays of one length as a Parquet file, atomically."""
     stream = io.BytesIO()
-    pq.write_table(pa.table({name: values}), stream, row_group_size=ROW_GROUP)
+    pq.write_table(pa.table(dict(columns)), stream, row_group_size=ROW_GROUP)
     write_atomically(path, stream.getvalue())

@@ -12,14 +12,17 @@ import pyarrow.parquet as pq
 import pytest
 from cli_runner import ROOT, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from trip_fixtures import RATES_HZ, changed, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, simulate, train
 from suspnet.cli.program import CONFIGS
+from suspnet.dynamics.quantities import PARTS
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.runs.tensorboard import RunLog
+from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.trips import fleet, output
 from suspnet.trips.limits import Severity
 
@@ -32,7 +35,9 @@ VEHICLES = [
 CARS = ("sedan", "truck")
 """Without geometry; so little of theirs is slow that it drowns in 34 dB of noise."""
 RATES = [f"fleet.sensors.{n}.rate_hz={r:g}" for n, r in zip(CHANNELS, RATES_HZ, strict=True)]
-SIMULATE = ["fleet.minutes=5", "progress=false", "workers=1", *RATES]
+SHORT = ["fleet.minutes=5", "progress=false", "workers=1", *RATES]
+SIMULATE = [*SHORT, "generator=best", "scatter=0"]
+"""The vehicle of the file itself, which a model reads that has not been commissioned."""
 TRAIN = [
     *("experiment=trips", "data.n_train=1000", "data.n_test=100", "data.minutes=5"),
     "data.n_calibrate=300",
@@ -154,6 +159,29 @@ def test_simulate_as_a_module(tmp_path):
         "trip_001.yaml",
         "trip_002.yaml",
     ]
+
+
+def test_fleet_unless_told_otherwise_is_a_scattered_vehicle_with_sensors_on_both_sides(tmp_path):
+    trips = tmp_path / "trips"
+    options = [*SHORT, f"out={trips}", "fleet.n_trips=1", "fleet.minutes=0.5", "seed=2"]
+    assert run_program(simulate, tmp_path / "log", *options) == 0
+    assert sorted(path.name for path in trips.iterdir()) == [
+        "trip_001",
+        "trip_001.yaml",
+        "truth.json",
+    ]
+    columns = [
+        pq.read_table(trips / "trip_001" / f"{name}.parquet").column_names for name in CHANNELS
+    ]
+    assert columns == 3 * [["left", "right"]]
+    truth = json.loads((trips / "truth.json").read_text())
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        generator = instantiate(compose("simulate").generator)
+    assert (
+        truth["parts"] == list(generator.parts) == [part for part in PARTS if part != "air_spring"]
+    )
+    assert truth["numbers"] == true_numbers(scattered(generator, 1.0, 2))
+    assert all(one["ratio"] != 1 for name, one in truth["numbers"].items() if name != "bogie_mass")
 
 
 @pytest.mark.slow
@@ -471,6 +499,10 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["track=moon"], "track.* must be one of|moon"),
         (["fleet.sensors.body.rate_hz=0"], "`sensor.rate_hz` must be a finite number > 0, got 0"),
         (["scenario.spread=2"], r"`scenario.spread` must be a finite number >= 0 and < 1, got 2"),
+        (["scatter=-1"], "`scatter` must be a finite number >= 0 and <= 5, got -1"),
+        (["scatter=nan"], "`scatter` must be a finite number >= 0 and <= 5, got nan"),
+        (["fleet.sides=up"], r"`sides` must be one of \('both', 'left'\), got 'up'"),
+        (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
         (["fleet._target_=os.system"], "must lie in suspnet"),
     ],

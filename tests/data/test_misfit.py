@@ -101,7 +101,7 @@ def test_information_of_curves_is_fishers(used):
 def test_information_of_estimates_is_that_of_the_bound(generator):
     observer = TRIPS.observer(generator)
     truth = torch.as_tensor(TRUTH[None])
-    misfit = EstimateMisfit(observer, observer.observe(truth, 3), observer.covariance(truth))
+    misfit = observer.misfit(observer.observe(truth, 3), truth)
     found = information_by_differences(misfit, TRUTH, range(5))
     expected = fisher_information(observer, TRUTH[None], PARAMETERS)[0]
     size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))

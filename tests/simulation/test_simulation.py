@@ -1,6 +1,7 @@
 """Simulated trips: what vehicle, track and journey make of them, and the files they leave."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -10,10 +11,12 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.journey import Journey, steady_journey
+from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.features.transfer_estimate import tfestimate
 from suspnet.features.welch import Welch
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, read_manifest
+from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.writing import (
     BLOCK,
@@ -23,6 +26,7 @@ from suspnet.simulation.writing import (
     simulate_trip,
     write_fleet,
 )
+from suspnet.storage import read_json
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
 GENERATORS = {
@@ -32,6 +36,12 @@ GENERATORS = {
         AM96, speed_m_per_s=50.0, bogie="trailing", axle="trailing", body_sensor_m=2.0
     ),
 }
+FAMILY = VerticalVehicle(
+    AM96,
+    speed_m_per_s=50.0,
+    parts=("bushings", "rubber", "guidance", "longitudinal", "bending", "roll"),
+    sensor_lateral_m=(1.0, 0.9, 1.1),
+)
 COARSE = {name: {"rate_hz": 200.0} for name in CHANNELS}
 ONE_LOAD = Scenario("one load", mass_low=1.0, mass_high=1.0)
 
@@ -95,6 +105,36 @@ def test_trip_over_waves_shows_the_transfer_functions(name):
     # the axle box feels v^2 r''
     amplitude = 1e-3 * (2 * math.pi * frequencies) ** 2
     np.testing.assert_allclose(np.abs(phasors[:, 0]), amplitude, rtol=1e-4)
+
+
+def test_trip_over_mean_and_cross_level_shows_the_channels_of_both_sides():
+    speed, rate_hz = 50.0, 500.0
+    waved, tilted = np.array([1.3, 5.4, 9.0]), np.array([0.8, 2.1, 7.0])
+    names = (*PARAMETERS, *UNMEASURED)
+    ratios = torch.ones(len(names), dtype=torch.float64)
+    ratios[:5] = DEGRADED
+    ratios[names.index("rubber_loss")] = 1e-9
+    journey = steady_journey(speed, 80.0)
+    system = FAMILY.motion_system(ratios)
+    length_m = profile_length_m(system, journey)
+    profile, cross = (waves(length_m, speed, f) for f in (waved, tilted))
+    signals = simulate_trip(system, profile, journey, rate_hz, cross)[:, -5000:]
+    times = np.arange(35_000, 40_000) / rate_hz
+    frequencies = np.concatenate([waved, tilted])
+    columns = [f(2 * math.pi * w * times) for w in frequencies for f in (np.cos, np.sin)]
+    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
+    phasors = (fits[0::2] - 1j * fits[1::2]).reshape(6, 2, 3)  # frequency, side, place
+    mean, roll = FAMILY.channels(ratios[None], torch.as_tensor(frequencies))[0].numpy()
+    height = phasors[:3, :, 0].mean(axis=1)
+    expected = np.stack([mean[:, :3], mean[:, :3]]) * height
+    tolerance = {"rtol": 3e-3, "atol": 0}  # straight lines between samples; see above
+    np.testing.assert_allclose(np.moveaxis(phasors[:3], 0, -1), expected, **tolerance)
+    scaled = phasors[3:, 0, 0] / roll[0, 3:]  # the axle box has no dynamics of its own
+    expected = np.stack([roll[:, 3:], -roll[:, 3:]]) * scaled
+    np.testing.assert_allclose(np.moveaxis(phasors[3:], 0, -1), expected, **tolerance)
+    # the colour of the cross level is the track's, not the vehicle's
+    amplitude = 1e-3 * (2 * math.pi * tilted) ** 2 * math.sqrt(0.5) / 0.75
+    np.testing.assert_allclose(np.abs(phasors[3:, 0, 0]), amplitude, rtol=1e-4)
 
 
 def test_trip_over_a_random_track_has_the_transfer_function_of_the_vehicle():
@@ -182,7 +222,7 @@ def test_same_seed_writes_the_same_bytes(tmp_path):
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_fleet(tmp_path / folder, fleet(), scenario, GENERATORS["leading"], seed=seed)
     first, again, other = (contents(tmp_path / folder) for folder in "abc")
-    assert len(first) == 2 * (1 + 4)
+    assert len(first) == 2 * (1 + 4) + 1  # truth.json
     assert first == again
     assert set(first) == set(other)
     changed = {name for name in first if first[name] != other[name]}
@@ -316,7 +356,90 @@ def test_loggers_are_those_of_table_2_unless_given():
     assert [s.rate_hz for s in Fleet().loggers().values()] == [5000.0, 2000.0, 2000.0]
 
 
+def pair(folder, trip, place):
+    """Return what the sensors on the left and on the right recorded."""
+    table = pq.read_table(folder / trip / f"{place}.parquet")
+    assert table.column_names == ["left", "right"]
+    return [table[side].to_numpy() for side in table.column_names]
+
+
+def test_vehicle_that_rolls_is_written_with_sensors_on_both_sides(tmp_path):
+    silent = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
+    (path,) = write_fleet(tmp_path / "a", fleet(n_trips=1, sensors=silent), ONE_LOAD, FAMILY)
+    channels = read_manifest(path).channels
+    assert [[one.side for one in channels[name]] for name in CHANNELS] == 3 * [["left", "right"]]
+    write_fleet(tmp_path / "b", fleet(n_trips=1), ONE_LOAD, FAMILY)
+    off = replace(FAMILY, sensor_lateral_m=(0.0, 0.0, 0.0))
+    write_fleet(tmp_path / "middle", fleet(n_trips=1, sensors=silent), ONE_LOAD, off)
+    for name in CHANNELS:
+        clean, noisy = (pair(tmp_path / folder, "trip_001", name) for folder in "ab")
+        middle = column(tmp_path / "middle" / "trip_001" / f"{name}.parquet")
+        # the average of both has no roll
+        largest = np.abs(middle).max()
+        np.testing.assert_allclose(sum(clean) / 2, middle, rtol=0, atol=1e-5 * largest)
+        assert (clean[0] - clean[1]).std() > 0.1 * middle.std()
+        noise = [b - a for a, b in zip(clean, noisy, strict=True)]
+        assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # 2400 samples: 0.02
+        assert min(one.std() for one in noise) > 0
+
+
+def test_one_sensor_alone_is_the_left_one_of_both(tmp_path):
+    sensors = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
+    trips = fleet(n_trips=1, sensors=sensors)
+    other = replace(FAMILY, sensor_lateral_m=(1.0, -0.9, 1.1))
+    for generator, side in ((FAMILY, "left"), (other, "right")):
+        both, one = tmp_path / f"both {side}", tmp_path / f"one {side}"
+        write_fleet(both, trips, ONE_LOAD, generator)
+        (path,) = write_fleet(one, replace(trips, sides="left"), ONE_LOAD, generator)
+        sides = [read_manifest(path).channels[name].side for name in CHANNELS]
+        assert sides == ["left", side, "left"]
+        for name, where in zip(CHANNELS, sides, strict=True):
+            alone = column(one / "trip_001" / f"{name}.parquet")
+            placed = dict(zip(("left", "right"), pair(both, "trip_001", name), strict=True))
+            np.testing.assert_allclose(alone, placed[where], rtol=1e-5, atol=1e-6)
+
+
+def test_mean_level_of_the_track_is_the_same_with_and_without_cross_level(tmp_path):
+    sensors = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
+    trips = fleet(n_trips=1, sensors=sensors)
+    plain = replace(FAMILY, parts=())
+    for name, generator in (("family", FAMILY), ("plain", plain)):
+        write_fleet(tmp_path / name, trips, ONE_LOAD, generator)
+    left, right = pair(tmp_path / "family", "trip_001", "axle_box")
+    track = column(tmp_path / "plain" / "trip_001" / "axle_box.parquet")
+    np.testing.assert_allclose((left + right) / 2, track, rtol=0, atol=1e-5 * np.abs(track).max())
+    # half the difference is the cross level: half the density of the mean but for waves longer than
+    # 14 m, 1 m over 0.75 m
+    ratio = np.std((left - right) / 2) / np.std(track)
+    assert ratio == pytest.approx(math.sqrt(0.5) / 0.75, rel=0.2)
+    assert abs(np.corrcoef((left - right) / 2, track)[0, 1]) < 0.2
+
+
+def test_scattered_fleet_says_what_it_was_and_wears_relative_to_it(tmp_path):
+    for folder, trips in (("two", 2), ("three", 3)):
+        write_fleet(tmp_path / folder, fleet(n_trips=trips), ONE_LOAD, FAMILY, seed=7, scatter=1.0)
+    truth, same = (read_json(tmp_path / folder / "truth.json") for folder in ("two", "three"))
+    assert truth == same
+    assert (truth["vehicle"], truth["scatter"], truth["seed"]) == ("am96", 1.0, 7)
+    assert truth["numbers"] == true_numbers(scattered(FAMILY, 1.0, 7))
+    assert read_manifest(tmp_path / "two" / "trip_001.yaml").truth["k_p"] == 1.0
+    for name in CHANNELS:
+        two, three = (pair(tmp_path / folder, "trip_001", name) for folder in ("two", "three"))
+        np.testing.assert_array_equal(two, three)
+    write_fleet(tmp_path / "none", fleet(n_trips=1), ONE_LOAD, FAMILY, seed=7)
+    numbers = read_json(tmp_path / "none" / "truth.json")["numbers"]
+    assert {one["ratio"] for one in numbers.values()} == {1.0}
+
+
 # failure
+
+
+def test_both_sides_of_a_vehicle_without_roll_are_rejected(tmp_path):
+    middle = replace(FAMILY, sensor_lateral_m=(0.0, 0.0, 0.0))
+    for generator in (*GENERATORS.values(), middle):
+        with pytest.raises(ValueError, match="`sides`=both needs a vehicle with roll"):
+            write_fleet(tmp_path, fleet(sides="both"), ONE_LOAD, generator)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -330,6 +453,7 @@ def test_loggers_are_those_of_table_2_unless_given():
         ({"speed_m_per_s": math.inf}, "`speed_m_per_s` must be a finite number > 0"),
         ({"speed_m_per_s": math.nan}, "`speed_m_per_s` must be a finite number > 0"),
         ({"journey": "scenic"}, "`journey` must be one of .*'steady', 'service'.*, got 'scenic'"),
+        ({"sides": "up"}, "`sides` must be one of .*'both', 'left'.*, got 'up'"),
         ({"track": "moon"}, "`track` must be one of .*'moon'"),
         ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
         ({"sensors": {"roof": {}}}, r"`sensors` must be named as in .*\['roof'\]"),

@@ -1,0 +1,203 @@
+"""Motion in time of the vertical vehicle, assembled element by element.
+
+Each spring, damper and Maxwell branch acts along a stretch u = g z - h w of coordinates z and
+inputs w, and adds an outer product: k g g^T to the stiffness, k g h^T to that of the input.
+Letters and equations are those of `suspnet.dynamics.vertical_vehicle`. Coordinates: z and phi of
+the body, z_i and psi_i of the measured bogie (1) and of the other one (2), then q of the bending
+and the three angles of roll where there are such. Inputs: the mean of both rails under each
+wheelset, w, then with roll the angle of the track there, x.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from torch import Tensor
+
+from suspnet.dynamics.elements import (
+    Element,
+    bending_element,
+    guidance_element,
+    longitudinal_element,
+    primary_element,
+    secondary_element,
+)
+from suspnet.dynamics.motion import Branch, LinearSystem
+from suspnet.types import FloatArray
+
+RAIL_LATERAL_M = 0.75
+"""Half distance of the rails' centres, of standard gauge."""
+BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
+"""Prefix of its numbers, suffix of its coordinates, the sign of phi above it and the suffixes of
+its wheelsets, of each bogie."""
+
+Acting = tuple[Element, FloatArray]
+"""An element and the stretch along which it acts, over coordinates and inputs."""
+
+
+def vertical_motion(
+    p: Mapping[str, Tensor],
+    parts: Sequence[str],
+    *,
+    bogie: str,
+    axle: str,
+    frame_sensor: str,
+    body_sensor_m: float,
+    empty_kg: float,
+) -> LinearSystem:
+    """Return the equations of motion of one vehicle.
+
+    Parameters
+    ----------
+    p : mapping of tensors of one element
+        ``PARAMETERS`` and ``UNMEASURED`` in SI units.
+    parts : sequence of str
+        From ``PARTS``.
+    bogie, axle, frame_sensor, body_sensor_m
+        As of ``VerticalVehicle``.
+    empty_kg : float, [kg]
+        M_s without pay-load.
+    """
+    n = {name: float(value) for name, value in p.items()}
+    masses = _masses(n, parts)
+    inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
+    e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
+    forward = 1.0 if bogie == "leading" else -1.0
+    acting = _suspensions(p, n, parts, e)
+    if "longitudinal" in parts:
+        acting += _links(p, n, parts, e, forward)
+    if "bending" in parts:
+        acting.append((bending_element(p, empty_kg), e["q"]))
+    if "roll" in parts:
+        acting += _rolling(p, n, parts, e)
+    frame, body = e["z_1"].copy(), _above(n, parts, e, "bending_at_sensor")
+    if frame_sensor == "axle":
+        frame += e["psi_1"] if axle == "leading" else -e["psi_1"]
+    body += (1 + forward * body_sensor_m / n["half_pivot_distance"]) * e["phi"]
+    sensors = np.array([frame, body])
+    if "roll" in parts:
+        lean = np.array([n["frame_lateral"] * e["theta_1"], n["body_lateral"] * e["theta"]])
+        sensors = np.vstack([sensors + lean, sensors - lean])
+    system = _assembled(list(masses.values()), acting, sensors, _behind(n, bogie, axle))
+    if "roll" not in parts:
+        return system
+    roll_per_m = math.sqrt(n["cross_level"]) / RAIL_LATERAL_M
+    lateral_m = n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]
+    return replace(system, roll_per_m=roll_per_m, lateral_m=lateral_m)
+
+
+def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
+    """Return each coordinate with its mass or, of an angle, its moment of inertia."""
+    bogie = n["bogie_mass"]
+    pitch = bogie * (n["bogie_gyration"] / n["half_wheelbase"]) ** 2
+    body_pitch = 2 * n["M_s"] * (n["body_gyration"] / n["half_pivot_distance"]) ** 2
+    masses = {"z": 2 * n["M_s"], "phi": body_pitch}
+    masses |= {"z_1": bogie, "psi_1": pitch, "z_2": bogie, "psi_2": pitch}
+    if "bending" in parts:
+        masses["q"] = n["M_s"]
+    if "roll" in parts:
+        roll = bogie * n["bogie_roll_gyration"] ** 2
+        masses["theta"] = 2 * n["M_s"] * n["body_roll_gyration"] ** 2
+        masses |= {"theta_1": roll, "theta_2": roll}
+    return masses
+
+
+def _above(
+    n: Mapping[str, float], parts: Sequence[str], e: Mapping[str, FloatArray], shape: str
+) -> FloatArray:
+    """Return the bounce of the body with its bending, at the pivots or at the sensor."""
+    return e["z"] + n[shape] * e["q"] if "bending" in parts else e["z"].copy()
+
+
+def _suspensions(
+    p: Mapping[str, Tensor],
+    n: Mapping[str, float],
+    parts: Sequence[str],
+    e: Mapping[str, FloatArray],
+) -> list[Acting]:
+    """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
+    acting = []
+    body = _above(n, parts, e, "bending_at_pivot")
+    for which, i, sign, (first, last) in BOGIES:
+        primary, secondary = primary_element(p, which, parts), secondary_element(p, which, parts)
+        acting += [
+            (primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
+            (primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
+            (secondary, body + sign * e["phi"] - e[f"z_{i}"]),
+        ]
+        if "guidance" in parts:
+            acting.append((guidance_element(p), e[f"psi_{i}"]))
+    return acting
+
+
+def _links(
+    p: Mapping[str, Tensor],
+    n: Mapping[str, float],
+    parts: Sequence[str],
+    e: Mapping[str, FloatArray],
+    forward: float,
+) -> list[Acting]:
+    """Return the links along the train: phi counts positive where the measured bogie rises."""
+    body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
+    lever = n["bogie_lever"] / n["half_wheelbase"]
+    acting = []
+    for _, i, sign, _ in BOGIES:
+        turned = e["phi"].copy()
+        if "bending" in parts:
+            turned += sign * n["bending_slope"] * e["q"]
+        acting.append((longitudinal_element(p), body_lever * turned + lever * e[f"psi_{i}"]))
+    return acting
+
+
+def _rolling(
+    p: Mapping[str, Tensor],
+    n: Mapping[str, float],
+    parts: Sequence[str],
+    e: Mapping[str, FloatArray],
+) -> list[Acting]:
+    """Return both suspensions and the anti-roll bar of each bogie in roll, one side's share."""
+    acting = []
+    for which, i, _, (first, last) in BOGIES:
+        track, across = 0.5 * (e[f"x_{first}"] + e[f"x_{last}"]), e["theta"] - e[f"theta_{i}"]
+        acting += [
+            (primary_element(p, which, parts), n["primary_lateral"] * (e[f"theta_{i}"] - track)),
+            (secondary_element(p, which, parts), n["secondary_lateral"] * across),
+            (Element(p["anti_roll_bar"] / 2, None), across),
+        ]
+    return acting
+
+
+def _assembled(
+    masses: list[float], acting: list[Acting], sensors: FloatArray, behind_m: tuple[float, ...]
+) -> LinearSystem:
+    """Return the system of masses and of elements along their stretches."""
+    n, n_all = len(masses), sensors.shape[1]
+    stiffness, damping = np.zeros((2, n_all, n_all))
+    branches = []
+    for element, stretch in acting:
+        k, c, relaxing = element.causal()
+        square = np.outer(stretch, stretch)
+        stiffness += k * square
+        damping += c * square
+        branches += [Branch(b, rate, stretch[:n], -stretch[n:]) for rate, b in relaxing.items()]
+    return LinearSystem(
+        mass=np.diag(masses),
+        damping=damping[:n, :n],
+        stiffness=stiffness[:n, :n],
+        input_damping=-damping[:n, n:],
+        input_stiffness=-stiffness[:n, n:],
+        sensors=sensors[:, :n],
+        behind_m=behind_m,
+        branches=tuple(branches),
+    )
+
+
+def _behind(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
+    """Return how far the wheelsets run behind the measured one, its bogie's two first, [m]."""
+    shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
+    apart = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
+    own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
+    return (*own, *(apart + distance for distance in own))

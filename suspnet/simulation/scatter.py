@@ -1,0 +1,105 @@
+"""True numbers of a simulated vehicle: scattered about its drawing, as those of real ones are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from suspnet.checks import check_number
+from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED
+from suspnet.types import FloatArray
+
+MAX_DRAWS = 100
+"""Number of draws after which no vehicle is taken to be physical."""
+STREAM = b"scatter"
+"""Sets the stream of these draws apart from those of trips and pay-load with the same seed."""
+HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
+
+
+def scattered(generator: Any, scatter: float, seed: int) -> Any:
+    """Return a generator whose nominal vehicle has true numbers of its own.
+
+    They are drawn from ``LogNormal.prior`` of its parts, the logarithms multiplied by `scatter`,
+    until the vehicle is physical: ratios that ``Vehicle`` accepts, and motion that decays.
+
+    Parameters
+    ----------
+    generator : VerticalVehicle or QuarterCar
+        A quarter car's four springs and dampers are scattered, its masses are not.
+    scatter : float, [-]
+        0 leaves the generator as it is, 1 is as large as the priors.
+    seed : int
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `scatter` is not a number in 0 to 5, if the generator is another, or if none of
+        ``MAX_DRAWS`` vehicles is physical.
+    """
+    check_number("scatter", scatter, low=0, high=5)
+    if scatter == 0:
+        return generator
+    if not isinstance(generator, QuarterCar | VerticalVehicle):
+        raise TypeError(f"`scatter` needs a generator of suspnet, got {type(generator).__name__}")
+    prior = LogNormal.prior(getattr(generator, "parts", ()))
+    rng = np.random.default_rng([seed, *STREAM])
+    for _ in range(MAX_DRAWS):
+        logs = scatter * prior.deviations * rng.standard_normal(len(prior.names))
+        drawn = _with_numbers(generator, prior.names, logs)
+        if drawn is not None and _decays(drawn):
+            return drawn
+    raise ValueError(
+        f"none of {MAX_DRAWS} vehicles drawn with `scatter`={scatter} is physical; lower it"
+    )
+
+
+def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
+    """Return value, unit and ratio to nominal of each number of a generator's vehicle.
+
+    Numbers of parts that the vehicle does not have, the speed and the other bogie's wear are left
+    out. A quarter car's ratios are 1: it is its own drawing.
+    """
+    if isinstance(generator, QuarterCar):
+        nominal, ratios = generator.vehicle.healthy_values()[:4], np.ones(4)
+        names: tuple[str, ...] = HEALTHY
+    else:
+        names, nominal = UNMEASURED, generator.nominal_values()[len(PARAMETERS) :]
+        given = generator.distribution or LogNormal((), (), ())
+        medians = dict(zip(given.names, np.exp(given.mean), strict=True))
+        ratios = np.array([medians.get(name, 1.0) for name in names])
+    parts = getattr(generator, "parts", ())
+    known = {q.name: q for q in QUANTITIES if q.part in parts or (q.unit and not q.part)}
+    return {
+        name: {"value": value * float(ratio), "unit": known[name].unit, "ratio": float(ratio)}
+        for name, value, ratio in zip(names, nominal, ratios, strict=True)
+        if name in known and name != "speed"
+    }
+
+
+def _with_numbers(
+    generator: QuarterCar | VerticalVehicle, names: tuple[str, ...], logs: FloatArray
+) -> QuarterCar | VerticalVehicle | None:
+    """Return the generator with numbers multiplied; None if no vehicle has such ones."""
+    ratios = dict(zip(names, np.exp(logs).tolist(), strict=True))
+    try:
+        vehicle = generator.vehicle.degraded(
+            **{name: ratios[healthy] for name, healthy in zip(PARAMETERS, HEALTHY, strict=False)}
+        )
+    except ValueError:
+        return None
+    if isinstance(generator, QuarterCar):
+        return replace(generator, vehicle=vehicle)
+    # five columns of ratios stand for the median of a distribution
+    certain = ((0.0,) * len(names),) * len(names)
+    return replace(generator, distribution=LogNormal(names, tuple(logs), certain))
+
+
+def _decays(generator: QuarterCar | VerticalVehicle) -> bool:
+    """Return whether all free motion of the healthy vehicle decays."""
+    a, *_ = generator.motion_system(torch.ones(len(PARAMETERS))).state_space()
+    return bool(np.linalg.eigvals(a).real.max() < 0)

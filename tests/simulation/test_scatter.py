@@ -1,0 +1,127 @@
+"""True numbers of simulated vehicles: drawn about nominal with a seed of their own."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from vehicles import AM96
+
+from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import PARTS, UNMEASURED
+from suspnet.simulation import scatter
+from suspnet.simulation.scatter import scattered, true_numbers
+
+FAMILY = VerticalVehicle(AM96, parts=PARTS[:-1], sensor_lateral_m=(1.0, 1.0, 1.0))
+FREQUENCIES = torch.linspace(0.5, 15, 40).double()
+
+
+# reference
+
+
+def test_vehicle_moves_as_its_numbers_say():
+    drawn = scattered(FAMILY, 1.0, seed=3)
+    numbers = true_numbers(drawn)
+    ratios = torch.ones(1, len(PARAMETERS) + len(UNMEASURED), dtype=torch.float64)
+    for name, one in numbers.items():
+        ratios[0, len(PARAMETERS) + UNMEASURED.index(name)] = one["ratio"]
+    ratios[0, 0], five = 0.8, torch.tensor([[0.8, 1.0, 1.0, 1.0, 1.0]]).double()
+    torch.testing.assert_close(
+        drawn.channels(five, FREQUENCIES), FAMILY.channels(ratios, FREQUENCIES)
+    )
+    assert numbers["healthy_k_p"]["value"] == pytest.approx(
+        numbers["healthy_k_p"]["ratio"] * AM96.primary_stiffness_n_per_m
+    )
+    assert numbers["healthy_k_p"]["unit"] == "N/m"
+    assert numbers["bending_frequency"]["value"] == pytest.approx(
+        10.0 * numbers["bending_frequency"]["ratio"]
+    )
+
+
+def test_numbers_are_as_far_off_as_their_priors_say():
+    prior = LogNormal.prior(FAMILY.parts)
+    ratios = [true_numbers(scattered(FAMILY, 1.0, seed)) for seed in range(60)]
+    standard = np.array(
+        [
+            [math.log(one[name]["ratio"]) / deviation for one in ratios]
+            for name, deviation in zip(prior.names, prior.deviations, strict=True)
+        ]
+    )
+    # 60 draws: standard error 0.13 of a mean, 0.09 of a deviation, five times that; a vehicle that
+    # is drawn anew for a loss too large takes a little off
+    assert np.abs(standard.mean(axis=1)).max() < 0.65
+    assert np.abs(standard.std(axis=1) - 1).max() < 0.45
+    correlation = np.corrcoef(standard) - np.eye(len(standard))
+    assert np.abs(correlation).max() < 0.65
+
+
+def test_quarter_car_has_its_springs_and_dampers_scattered():
+    drawn = scattered(QuarterCar(AM96), 1.0, seed=1)
+    assert drawn.vehicle.body_mass_kg == AM96.body_mass_kg
+    assert drawn.vehicle.bogie_mass_kg == AM96.bogie_mass_kg
+    values = drawn.vehicle.healthy_values()
+    assert [one["value"] for one in true_numbers(drawn).values()] == list(values[:4])
+    assert all(a != b for a, b in zip(values[:4], AM96.healthy_values()[:4], strict=True))
+
+
+# limit
+
+
+@pytest.mark.parametrize("generator", [FAMILY, QuarterCar(AM96)])
+def test_no_scatter_leaves_the_generator_as_it_is(generator):
+    assert scattered(generator, 0.0, seed=5) is generator
+    assert {one["ratio"] for one in true_numbers(generator).values()} == {1.0}
+
+
+def test_numbers_of_absent_parts_are_left_out():
+    names = true_numbers(scattered(VerticalVehicle(AM96), 1.0, 0))
+    assert "bending_frequency" not in names
+    assert "speed" not in names
+    assert "body_gyration" in names
+
+
+# property
+
+
+def test_same_seed_draws_the_same_vehicle_and_another_another():
+    first, again, other = (true_numbers(scattered(FAMILY, 1.0, seed)) for seed in (4, 4, 5))
+    assert first == again
+    for name in LogNormal.prior(FAMILY.parts).names:
+        assert first[name]["ratio"] != other[name]["ratio"]
+
+
+def test_scatter_multiplies_the_deviations():
+    one, half = (true_numbers(scattered(FAMILY, scale, 4)) for scale in (1.0, 0.5))
+    for name, number in one.items():
+        assert half[name]["ratio"] == pytest.approx(math.sqrt(number["ratio"]))
+
+
+def test_vehicle_whose_motion_would_grow_is_drawn_anew():
+    large = [scattered(FAMILY, 3.0, seed) for seed in range(20)]
+    for vehicle in large:
+        a, *_ = vehicle.motion_system(torch.ones(5)).state_space()
+        assert np.linalg.eigvals(a).real.max() < 0
+    # about a third of the losses drawn are too large to hold a vehicle up
+    losses = [true_numbers(vehicle)["rubber_loss"]["value"] for vehicle in large]
+    assert max(losses) < 0.41
+
+
+# failure
+
+
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, 5.1])
+def test_scatter_out_of_range_is_rejected(value):
+    with pytest.raises(ValueError, match="`scatter` must be a finite number >= 0 and <= 5, got"):
+        scattered(FAMILY, value, 0)
+
+
+def test_generator_without_numbers_is_rejected():
+    with pytest.raises(TypeError, match="`scatter` needs a generator of suspnet, got object"):
+        scattered(object(), 1.0, 0)
+
+
+def test_draws_have_a_bound(monkeypatch):
+    monkeypatch.setattr(scatter, "_decays", lambda _: False)
+    with pytest.raises(ValueError, match=r"none of 100 vehicles drawn with `scatter`=1.0 is phys"):
+        scattered(FAMILY, 1.0, 0)
