@@ -2,7 +2,7 @@
 
 Each is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
 
-    kappa = k (1 + j eta) + c s + sum_i b_i s / (s + r_i)
+    kappa = k (1 + eta Lambda(s)) + c s + sum_i b_i s / (s + r_i)
 
 A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds one of a
 share of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
@@ -11,10 +11,11 @@ of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 t
 b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
 square of k_1 / (k_1 + k_2).
 
-A loss factor eta that no frequency changes has no causal motion in time. `Element.causal` puts a
-ladder of Maxwell branches in its place (``LOSS_HZ``, ``LOSS_SHARES``): from 0.3 to 20 Hz the
-imaginary part is eta k within 1.3 %; the stiffness rises through k at 2.7 Hz, as causality asks,
-from (1 - 1.5 eta) k at 0.3 Hz to (1 + 1.4 eta) k at 20 Hz.
+A loss factor eta that no frequency changes has no causal motion in time: j eta cannot be. In its
+place Lambda(s) = sum_i l_i (s / (s + r_i) - (their real part at 2.7 Hz)) is a ladder of Maxwell
+branches (``LOSS_HZ``, ``LOSS_SHARES``): from 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
+stiffness rises through k at 2.7 Hz, as causality asks, from (1 - 1.5 eta) k at 0.3 Hz to
+(1 + 1.4 eta) k at 20 Hz.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class Element:
         if self.damping is not None:
             imaginary = imaginary + self.damping * omega
         if self.loss is not None:
-            imaginary = imaginary + self.loss * self.stiffness
+            lossy, ladder = self.loss * self.stiffness, _ladder(omega)
+            real, imaginary = real + lossy * ladder.real, imaginary + lossy * ladder.imag
         for stiffness, rate in self.branches:
             share = stiffness * omega / (omega**2 + rate**2)
             real, imaginary = real + share * omega, imaginary + share * rate
@@ -89,6 +91,15 @@ class Element:
         for one, rate in given:
             branches[rate] = branches.get(rate, 0.0) + float(one)
         return stiffness, damping, branches
+
+
+def _ladder(omega: Tensor) -> Tensor:
+    """Return Lambda at angular frequencies (n_freq,) [rad/s], complex (n_freq,), [-]."""
+    rates = 2 * math.pi * torch.tensor(LOSS_HZ, dtype=omega.dtype, device=omega.device)
+    shares = torch.tensor(LOSS_SHARES, dtype=omega.dtype, device=omega.device)
+    square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+    branches = 1j * omega[:, None] / (1j * omega[:, None] + rates)
+    return ((branches - square / (square + rates**2)) * shares).sum(dim=1)
 
 
 def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:

@@ -9,6 +9,7 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics.elements import LOSS_HZ, LOSS_SHARES
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0]).double()
@@ -43,6 +44,16 @@ def numbers(generator, ratios):
     return {name: value * nominal.get(name, 1.0) for name, value in p.items()}
 
 
+def ladder(s):
+    """Return the loss of rubber per stiffness and loss factor, branch by branch."""
+    total = 0.0
+    for share, hertz in zip(LOSS_SHARES, LOSS_HZ, strict=True):
+        damper = share / (2 * math.pi * hertz)
+        reference = 2j * math.pi * 2.7 * damper
+        total += 1 / (1 / share + 1 / (damper * s)) - (1 / (1 / share + 1 / reference)).real
+    return total
+
+
 def kappas(n, which, parts, s):
     """Return the primary and secondary dynamic stiffness of one bogie's side."""
     k_p, c_p, k_s, c_s = (
@@ -55,7 +66,7 @@ def kappas(n, which, parts, s):
     spring_p = k_p
     if "rubber" in parts:
         branch, rate = n["rubber_share"] * k_p, 2 * math.pi * n["rubber_frequency"]
-        spring_p += 1 / (1 / branch + 1 / (branch / rate * s)) + 1j * n["rubber_loss"] * k_p
+        spring_p += 1 / (1 / branch + 1 / (branch / rate * s)) + n["rubber_loss"] * k_p * ladder(s)
     secondary = k_s + damper_s
     if "air_spring" in parts:
         ratio = n["volume_ratio"]

@@ -27,13 +27,6 @@ def family(parts, trailing=False, **options):
     return VerticalVehicle(AM96, **options)
 
 
-def lossless(ratios):
-    """Return ratios with next to no loss factor, which has no exact motion in time."""
-    ratios = ratios.clone()
-    ratios[:, NAMES.index("rubber_loss")] = 1e-13
-    return ratios
-
-
 def channels_of(system, speed):
     """Return what `channels` does, and the same of the other side: C (j w - A)^-1 B.
 
@@ -66,9 +59,8 @@ def channels_of(system, speed):
 @pytest.mark.parametrize("parts", COMBINATIONS, ids=lambda parts: "+".join(parts) or "none")
 def test_motion_has_the_channels_of_the_generator(parts, trailing):
     generator = family(parts, trailing)
-    ratios = lossless(ALL)
-    expected = generator.channels(ratios, FREQUENCIES).numpy()
-    for row, channels in zip(ratios, expected, strict=True):
+    expected = generator.channels(ALL, FREQUENCIES).numpy()
+    for row, channels in zip(ALL, expected, strict=True):
         found = channels_of(generator.motion_system(row), 52.0 * float(row[len(PARAMETERS)]))
         assert found.shape == (1 + ("roll" in parts), *channels.shape)
         np.testing.assert_allclose(found[0], channels, rtol=1e-9)
@@ -101,19 +93,6 @@ def test_ladder_of_branches_has_the_stated_loss_and_stiffness():
     # causality (Kramers and Kronig): the slope over ln(omega) of a constant loss is 2 / pi of it
     slope = np.polyfit(np.log(np.abs(s)), rise, 1)[0]
     assert slope == pytest.approx(2 / math.pi, rel=0.05)
-
-
-def test_loss_factor_moves_the_channels_as_far_as_its_ladder_is_off():
-    generator = family(("rubber",))
-    for eta in (0.01, 0.03):
-        ratios = ALL.clone()
-        ratios[:, NAMES.index("rubber_loss")] = eta / 0.03
-        expected = generator.channels(ratios, FREQUENCIES).numpy()
-        for row, channels in zip(ratios, expected, strict=True):
-            found = channels_of(generator.motion_system(row), 52.0 * float(row[len(PARAMETERS)]))
-            # the stiffness is off by up to 1.5 eta, which resonance magnifies
-            error = np.abs(found[0] - channels).max() / np.abs(channels).max()
-            assert 1e-4 < error < 5 * 1.5 * eta
 
 
 # limit
@@ -157,7 +136,7 @@ def test_all_free_motion_decays(parts):
 
 @pytest.mark.parametrize("parts", COMBINATIONS, ids=lambda parts: "+".join(parts) or "none")
 def test_matrices_are_symmetric_and_no_element_gives_energy(parts):
-    system = family(parts).motion_system(lossless(ALL)[1])
+    system = family(parts).motion_system((ALL)[1])
     for matrix in (system.mass, system.damping, system.stiffness):
         np.testing.assert_array_equal(matrix, matrix.T)
         assert np.linalg.eigvalsh(matrix).min() >= -1e-9 * np.abs(matrix).max()

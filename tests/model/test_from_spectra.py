@@ -11,6 +11,7 @@ import torch
 from scipy import stats
 from trip_fixtures import OUTPUTS, model_at
 
+from suspnet.data import estimates
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.cross_spectra import CrossSpectra
