@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
+from suspnet.checks import check_number
 from suspnet.cli import naming, program
+from suspnet.commissioning import Commissioned
+from suspnet.commissioning.run import commission_folder
+from suspnet.data.estimates import EstimateSettings
+from suspnet.dynamics import ResponseGenerator
+from suspnet.model.from_recording import TripSettings
 from suspnet.problem import Problem
 from suspnet.runs.scores import Metrics
 from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
@@ -30,7 +37,7 @@ def compose(config: DictConfig) -> None:
     program.join_ranks(config.device)
     folder = program.run_folder()
     if not isinstance(config.speed_m_per_s, ListConfig):
-        _train(config, folder)
+        _train(config, folder, _commissioned(config, folder))
         return
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED)
@@ -45,13 +52,41 @@ def compose(config: DictConfig) -> None:
     if instantiate(bound(ranges[0]).generator).speed_m_per_s is None:
         raise ValueError(NO_SPEED)
     program.save_config(config, folder)
-    train_ranges(ranges, lambda one, where: _train(bound(one), where), folder)
+    vehicle = _commissioned(bound(ranges[0]), folder)
+    train_ranges(ranges, lambda one, where: _train(bound(one), where, vehicle), folder)
 
 
-def _train(config: DictConfig, folder: Path) -> Metrics:
+def _commissioned(config: DictConfig, folder: Path) -> Commissioned | None:
+    """Return the vehicle that healthy trips show, where a folder of them is named."""
+    if config.healthy is None:
+        return None
+    settings = instantiate(config.data)
+    if not isinstance(settings, EstimateSettings):
+        raise ValueError("healthy= is for models that read trips: experiment=trips")
+    check_number("n_healthy", config.n_healthy, low=1, whole=True, optional=True)
+    _, outcome = commission_folder(
+        Path(config.healthy),
+        instantiate(config.generator),
+        settings,
+        TripSettings(),
+        n_first=config.n_healthy,
+        progress=config.progress,
+    )
+    return outcome
+
+
+def _generator(config: DictConfig, commissioned: Commissioned | None) -> ResponseGenerator:
+    """Return the source of training curves: as configured, or as its healthy trips show it."""
+    plain: ResponseGenerator = instantiate(config.generator)
+    if commissioned is None or plain.speed_m_per_s is None:
+        return plain
+    return replace(commissioned.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
+
+
+def _train(config: DictConfig, folder: Path, commissioned: Commissioned | None) -> Metrics:
     """Train what a configuration names and fill a folder."""
     problem = Problem(
-        generator=instantiate(config.generator),
+        generator=_generator(config, commissioned),
         task=instantiate(config.protocol).task(config.group),
         settings=instantiate(config.data),
         seed=config.seed,

@@ -1,0 +1,97 @@
+"""From a folder of healthy trips to the vehicle that they show."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from suspnet.commissioning.fit import Commissioned, commission
+from suspnet.commissioning.healthy import HealthyTrips, read_healthy
+from suspnet.data.estimates import EstimateSettings
+from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import PARTS
+from suspnet.model.from_recording import TripSettings
+
+log = logging.getLogger(__name__)
+ONE_SIDE_M = 1.0
+"""Lateral place of a sensor of which only the side is known."""
+FAMILY = tuple(part for part in PARTS if part != "air_spring")
+"""Parts of the vehicle that is commissioned if none are asked for."""
+
+
+def commission_folder(
+    folder: Path,
+    generator: ResponseGenerator,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    n_first: int | None = None,
+    progress: bool = False,
+) -> tuple[HealthyTrips, Commissioned]:
+    """Return healthy trips of a folder and the vehicle that they show.
+
+    Parameters
+    ----------
+    folder : Path
+    generator : VerticalVehicle
+        The nominal vehicle; if it has no parts all but the air spring are taken, if it has no
+        distribution the prior of its parts.
+    settings : EstimateSettings
+    trips : TripSettings
+    n_first : int, optional
+        Take the first trips by mileage only.
+    progress : bool
+
+    Raises
+    ------
+    FileNotFoundError, TripError
+        If the folder does not hold at least three healthy trips of one suspension of the vehicle.
+    ValueError
+        If the generator cannot be commissioned.
+    """
+    if not isinstance(generator, VerticalVehicle):
+        raise ValueError(
+            f"vehicle {generator.vehicle.name!r} cannot be commissioned as a "
+            f"{type(generator).__name__}: give its geometry, and generator=family"
+        )
+    settings = settings.bound(generator.vehicle)
+    found = read_healthy(
+        folder, generator.vehicle.name, settings, trips, n_first=n_first, progress=progress
+    )
+    outcome = commission(_prior(generator, found), settings, found.groups)
+    log.info("%s", in_words(found, outcome))
+    return found, outcome
+
+
+def in_words(found: HealthyTrips, outcome: Commissioned) -> str:
+    """Return in a sentence how well the vehicle explains its healthy trips."""
+    return (
+        f"commissioned on {len(found.manifests)} healthy trips, {len(found.groups)} stretches at "
+        f"one speed: what is left is {outcome.misfit:.2f} times the noise"
+    )
+
+
+def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
+    """Return the generator with parts, places of sensors and a prior to start from."""
+    lateral_m = _lateral_m(generator.sensor_lateral_m, found)
+    parts = generator.parts or FAMILY
+    if not any(lateral_m):  # nothing is seen of roll
+        parts = tuple(part for part in parts if part != "roll")
+    placed = replace(generator, parts=parts, sensor_lateral_m=lateral_m)
+    if placed.distribution is None:
+        placed = replace(placed, distribution=LogNormal.prior(parts))
+    return placed
+
+
+def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
+    """Return the lateral place of each channel's sensor: 0 for a pair, its own if it has a side."""
+    places = []
+    for lateral_m, is_pair, channel in zip(
+        given, found.paired, found.manifests[0].channels.values(), strict=True
+    ):
+        one_sided = getattr(channel, "side", None) is not None
+        places.append(0.0 if is_pair else lateral_m or ONE_SIDE_M * one_sided)
+    return places[0], places[1], places[2]
