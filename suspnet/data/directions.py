@@ -42,13 +42,15 @@ class Directions:
     generator : ResponseGenerator
     factor : tensor of shape (n_names, n), [-]
         Change of the logarithms of the distribution's numbers for a coordinate of 1.
-    neglected : float, [-]
-        Rms effect of all directions left out, in standard deviations of the noise.
+    neglected, strongest : float, [-]
+        Rms effect of all directions left out, and of the first one, in standard deviations of the
+        noise.
     """
 
     generator: ResponseGenerator
     factor: Tensor
     neglected: float = 0.0
+    strongest: float = 0.0
 
     @property
     def n(self) -> int:
@@ -87,7 +89,8 @@ def directions(observer: Observer) -> Directions:
     effects = values.clamp(min=0).sqrt()
     kept = effects >= LEAST_EFFECT
     factor = (every.factor.to(vectors) @ vectors)[:, kept].flip(1)
-    return Directions(generator, factor, float(effects[~kept].square().sum().sqrt()))
+    neglected = float(effects[~kept].square().sum().sqrt())
+    return Directions(generator, factor, neglected, float(effects[-1]))
 
 
 def _jacobian(observer: Observer, every: Directions, ratios: Tensor, standard: Tensor) -> Tensor:

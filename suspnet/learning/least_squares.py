@@ -56,6 +56,7 @@ def levenberg_marquardt(
     first_damping: float = 1e-3,
     bounds: tuple[Tensor, Tensor] | None = None,
     one_sided: bool = False,
+    cost_tol: float = 0.0,
 ) -> LeastSquaresSolution:
     """Minimise 1/2 |r(theta)|^2 for each row on its own, all rows at once.
 
@@ -78,6 +79,9 @@ def levenberg_marquardt(
         Lower and upper. A parameter that is pressed against one counts as having no effect.
     one_sided : bool
         Half the evaluations, for a Jacobian that is right to 1e-5.
+    cost_tol : float
+        A row has also converged when a step that is hardly damped lowers its cost by no more. With
+        residuals in units of their noise, 0.01 is a seventh of a standard deviation at most.
 
     Returns
     -------
@@ -112,7 +116,8 @@ def levenberg_marquardt(
         factor = torch.where(better, 0.2, 5.0)
         damping[rows] = (damping[rows] * factor).clamp(SMALLEST_DAMPING, LARGEST_DAMPING)
         small = _is_small(trial - here, here, tol) & solved
-        converged[rows] = small & (better | (damping[rows] < 1))
+        flat = better & (_cost(here_values) - _cost(trial_values) < cost_tol)
+        converged[rows] = (small & (better | (damping[rows] < 1))) | (flat & (damping[rows] < 0.1))
         rows = rows[~converged[rows] & (damping[rows] < LARGEST_DAMPING)]
     gradient, hessian = linearised(theta, values, everything)
     step, solved = _damped_step(gradient, hessian, damping)
