@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +14,9 @@ from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.commissioning.words import Number
 from suspnet.runs.plots import SUSPENSIONS
 from suspnet.trips.figures import BAND, LARGEST_BAND, say
-from suspnet.types import FloatArray
+from suspnet.types import ComplexArray, FloatArray
 
-MEASURED, NOMINAL, FITTED = "0.25", "tab:orange", "tab:blue"
+MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21
 """Height of a row of the figure of numbers."""
 
@@ -28,7 +29,6 @@ def residuals(outcome: Commissioned) -> FloatArray:
     array of shape (n_groups, 2, n_freq), [-]
         1 is expected; NaN where a bin tells nothing.
     """
-    # overflow cannot occur: responses are finite, and an infinite deviation gives 0
     left = np.abs(1 - outcome.fitted / outcome.observed) / (np.sqrt(2) * outcome.deviations)
     return np.where(np.isfinite(outcome.deviations), left, np.nan)
 
@@ -45,10 +45,11 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    curves = (
-        (outcome.observed, "measured", {"color": MEASURED, "lw": 0.9}),
-        (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.3, "ls": "--"}),
-        (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.3}),
+    where = f"{shown.name.replace('$', '')} at {3.6 * shown.speed_m_per_s:.0f} km/h"
+    curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
+        (outcome.observed, f"measured on {where}", {"color": MEASURED, "lw": 2.8}),
+        (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
+        (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )
     for link, (title, column) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
         magnitude, phase, below = column
@@ -57,7 +58,8 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
         for values, label, style in curves:
             one = values[group, link]
             magnitude.semilogy(frequencies_hz, np.abs(one), label=label, **style)
-            phase.plot(frequencies_hz, _unwrapped(one, outcome.fitted[group, link]), **style)
+            like = one if values is outcome.nominal else outcome.fitted[group, link]
+            phase.plot(frequencies_hz, _phase(one, like), **style)
         _residuals(below, frequencies_hz, left[:, link])
     for axis in axes.flat:
         axis.margins(x=0)
@@ -66,9 +68,8 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
         axes[:, 0], ("magnitude", "phase [degrees]", "what is left\nover the noise"), strict=True
     ):
         axis.set_ylabel(label)
-    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     figure.align_ylabels(axes)
-    figure.suptitle(f"{_plain(shown.name)} at {3.6 * shown.speed_m_per_s:.0f} km/h", fontsize=9)
     return figure
 
 
@@ -78,10 +79,11 @@ def number_ranges(found: Sequence[Number]) -> Figure:
     figure = Figure(figsize=(9.0, height), layout="constrained")
     axis = figure.subplots()
     places = -np.arange(len(found), dtype=float)
-    for which, label, style in (
+    styles: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("prior", "before", {"color": "0.65", "lw": 5, "solid_capstyle": "butt"}),
         ("posterior", "after the trips", {"color": FITTED, "lw": 2, "marker": "o", "ms": 3}),
-    ):
+    )
+    for which, label, style in styles:
         for place, one in zip(places, found, strict=True):
             median, deviation = getattr(one, which)
             middle = np.log(median / one.nominal) if one.nominal else 0.0
@@ -101,7 +103,7 @@ def number_ranges(found: Sequence[Number]) -> Figure:
 def _band(
     axis: Axes,
     frequencies_hz: FloatArray,
-    response: FloatArray,
+    response: ComplexArray,
     outcome: Commissioned,
     group: int,
     link: int,
@@ -110,12 +112,11 @@ def _band(
     half = np.minimum(BAND * outcome.deviations[group, link], LARGEST_BAND)
     magnitude = np.abs(response)
     low, high = magnitude * np.exp(-half), magnitude * np.exp(half)
-    style = {"color": MEASURED, "alpha": 0.2, "lw": 0, "label": "95 % band"}
-    axis.fill_between(frequencies_hz, low, high, **style)
+    axis.fill_between(frequencies_hz, low, high, color=MEASURED, alpha=0.4, lw=0, label="95 % band")
 
 
-def _unwrapped(response: FloatArray, like: FloatArray) -> FloatArray:
-    """Return a phase [degrees] within half a turn of another response's continuous one."""
+def _phase(response: ComplexArray, like: ComplexArray) -> FloatArray:
+    """Return a phase [degrees] within half a turn of a smooth response's continuous one."""
     base = np.unwrap(np.angle(like))
     return np.asarray(np.degrees(base + np.angle(response / like)))
 
@@ -136,8 +137,3 @@ def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None
     axis.set(xlabel="frequency [Hz]")
     axis.set_ylim(0, max(3.0, 1.1 * float(np.nanmax(rms))))
     axis.legend(fontsize="small", loc="upper right")
-
-
-def _plain(name: str) -> str:
-    """Return a name that matplotlib does not take for mathematics."""
-    return name.replace("$", r"\$")

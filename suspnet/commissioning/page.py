@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from suspnet.storage import write_atomically, write_json
 from suspnet.trips.output import write_table
 from suspnet.trips.report import PNG_DPI, data_uri, render
 
+log = logging.getLogger(__name__)
 NAME = "commissioning"
 """Name of the files."""
 CAPTIONS = {
@@ -69,7 +71,8 @@ def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> N
     write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
     write_json(folder / f"{NAME}.json", as_json(found, outcome))
     page = _page(found, outcome, drawn)
-    write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
+    path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
+    log.info("-> %s", path)
 
 
 def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:

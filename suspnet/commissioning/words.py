@@ -40,12 +40,12 @@ SYMBOLS = {
     **{f"healthy_{name}": name for name in PARAMETERS[:4]},
     "half_wheelbase": "a",
     "half_pivot_distance": "L",
-    "bogie_gyration": "ρ_b",
-    "body_gyration": "ρ_c",
+    "bogie_gyration": "\N{GREEK SMALL LETTER RHO}_b",
+    "body_gyration": "\N{GREEK SMALL LETTER RHO}_c",
     "body_lever": "h_2",
     "bogie_lever": "h_3",
     "bending_at_pivot": "p",
-    "bending_slope": "σ",
+    "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
 }
 """Symbols of the quantities that have one in the equations of the vehicle."""
 
@@ -80,7 +80,7 @@ class Number:
 
     @property
     def uncertainty_left(self) -> float:
-        """Deviation of the posterior over that of the prior, [-]; 1 where the trips tell nothing."""
+        """Deviation of the posterior over the prior's, [-]; 1 where the trips tell nothing."""
         return self.posterior[1] / self.prior[1]
 
     @property
@@ -231,11 +231,16 @@ def _unit(one: Number) -> tuple[float, str]:
 def _value(median: float, deviation: float, scale: float) -> str:
     """Return a median and its standard deviation, or where that is large its range."""
     value = median / scale
-    if deviation > NARROW:
-        low, high = value * math.exp(-deviation), value * math.exp(deviation)
-        return f"{value:.3g} ({low:.2g} to {high:.2g})"
     half = abs(value) * deviation
     if not half:
         return f"{value:g}"
-    digits = min(max(1 - math.floor(math.log10(half)), 0), 6)
-    return f"{value:.{digits}f} ± {half:.{digits}f}"
+    if deviation > NARROW:
+        ends = value * math.exp(-deviation), value * math.exp(deviation)
+        return f"{_rounded(value, value)} ({' to '.join(_rounded(one, one) for one in ends)})"
+    return f"{_rounded(value, half)} ± {_rounded(half, half)}"
+
+
+def _rounded(value: float, least: float) -> str:
+    """Return a number with the decimals that show two digits of another one."""
+    digits = 1 - math.floor(math.log10(abs(least)))
+    return f"{round(value, digits):.{max(digits, 0)}f}"
