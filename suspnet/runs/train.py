@@ -47,6 +47,7 @@ def train(
     config: Mapping[str, Any] | None = None,
     varied: Mapping[str, Any] | None = None,
     draw_vehicle: bool = True,
+    notes: Mapping[str, Any] | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
@@ -71,6 +72,8 @@ def train(
         What a multirun varies, by its key in the configuration: TensorBoard's first columns.
     draw_vehicle : bool
         Whether figures of the vehicle are among the run's; once is enough in a multirun.
+    notes : mapping, optional
+        Further entries of the model's `training`: "commissioned" says which trips are healthy.
 
     Returns
     -------
@@ -90,7 +93,7 @@ def train(
             found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
         model = calibrated(problem, replace(fit(problem, estimator, run_log), refined=refine))
-        training = model.training
+        training = model.training | dict(notes or {})
         outcome = predict_stream(problem, model, TEST)
         metrics = {
             **headline(problem, model),
