@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from suspnet.data.observation import Observation
+from suspnet.data.observation import Observation, Observer
 from suspnet.data.protocols import Task
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.learning import Scaling
@@ -71,6 +72,11 @@ class FittedMethod:
     def vehicle(self) -> Vehicle:
         """The healthy vehicle."""
         return self.generator.vehicle
+
+    @cached_property
+    def observer(self) -> Observer:
+        """Makes curves like those of the training, on the CPU."""
+        return self.settings.observer(self.generator.on("cpu"))
 
     @property
     def log(self) -> bool:
