@@ -45,9 +45,10 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    where = f"{shown.name.replace('$', '')} at {3.6 * shown.speed_m_per_s:.0f} km/h"
+    km = f"{found.manifests[shown.trip].mileage_km:,.0f}".replace(",", " ")
+    where = f"{km} km, {3.6 * shown.speed_m_per_s:.0f} km/h"
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
-        (outcome.observed, f"measured on {where}", {"color": MEASURED, "lw": 2.8}),
+        (outcome.observed, f"measured at {where}", {"color": MEASURED, "lw": 2.8}),
         (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
         (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )

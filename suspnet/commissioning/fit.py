@@ -71,8 +71,8 @@ class Commissioned:
         G_p and G_s as measured, of the nominal and of the commissioned vehicle.
     deviations : array of shape (n_groups, 2, n_freq), [-]
         Of the measured log-magnitudes; infinite where a bin tells nothing.
-    n_agree : int
-        Starts, of ``N_STARTS``, that found this vehicle.
+    n_agree, n_starts : int
+        Starts that found this vehicle, of how many.
     converged : bool
     """
 
@@ -88,6 +88,7 @@ class Commissioned:
     fitted: ComplexArray
     deviations: FloatArray
     n_agree: int
+    n_starts: int
     converged: bool
 
 
@@ -142,6 +143,7 @@ def commission(
         fitted=fitted,
         deviations=deviations,
         n_agree=1 + sum(agree),
+        n_starts=n_starts,
         converged=bool(best.status > 0),
     )
 

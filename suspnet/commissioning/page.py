@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from suspnet._version import __version__
 from suspnet.commissioning import figures, words
-from suspnet.commissioning.fit import N_STARTS, Commissioned
+from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.recordings.manifest import CHANNELS, Place
 from suspnet.storage import write_atomically, write_json
@@ -98,7 +98,7 @@ def as_json(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
         "verdict": [words.verdict(found, outcome), *words.doubts(outcome)],
         "threshold": words.INCOMPLETE,
         "converged": outcome.converged,
-        "n_starts": N_STARTS,
+        "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
         **training_notes(found, outcome),
         "trips": _trips(found, outcome),
@@ -199,8 +199,9 @@ def _curves(found: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
     tables = []
     for i, group in enumerate(found.groups):
         n_bins = len(outcome.frequencies_hz)
+        name = group.name.encode("utf-8", errors="replace").decode()  # as a file's may be
         columns: dict[str, Any] = {
-            "trip": [group.name] * n_bins,
+            "trip": [name] * n_bins,
             "speed_m_per_s": np.full(n_bins, group.speed_m_per_s),
             "frequency_hz": outcome.frequencies_hz,
         }

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from suspnet.commissioning.fit import N_STARTS, Commissioned
+from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
@@ -142,7 +142,7 @@ def doubts(outcome: Commissioned) -> list[str]:
         )
     if outcome.n_agree < LEAST_AGREEING:
         found.append(
-            f"Of {N_STARTS} starts of the search no other one found this vehicle: a better "
+            f"Of {outcome.n_starts} starts of the search no other one found this vehicle: a better "
             "one may exist. Commission on more or longer trips."
         )
     return found
@@ -161,7 +161,7 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
 
 def agreement(outcome: Commissioned) -> str:
     """Return in a sentence how many starts of the search found the same vehicle."""
-    return f"{outcome.n_agree} of {N_STARTS} starts of the search found this vehicle."
+    return f"{outcome.n_agree} of {outcome.n_starts} starts of the search found this vehicle."
 
 
 def reference(outcome: Commissioned) -> str:
