@@ -106,6 +106,7 @@ def _train(config: DictConfig, folder: Path, commissioned: Commissioned | None) 
         config=resolved,
         varied=naming.varied(config),
         draw_vehicle=naming.is_first_of_its_vehicle(),
+        residual=commissioned.residual if commissioned else None,
     )
 
 
