@@ -18,7 +18,7 @@ from suspnet.types import FloatArray
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals, residuals
 from suspnet.uncertainty.ood import OODDetector
-from suspnet.uncertainty.physics import Residual, Unexplained
+from suspnet.uncertainty.physics import WORN, Residual, Unexplained
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 256
 """Refined calibration curves from which the usual misfit is learnt; the second where uncertain
@@ -102,7 +102,7 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
             "no curve keeps its features when it is off by what the healthy trips leave "
             "unexplained: the vehicle file, the sensors' places or the band are wrong"
         )
-    return replace(model, unexplained=Unexplained(residual.misfit, _rms(known)))
+    return replace(model, unexplained=Unexplained(residual.misfit, WORN * _rms(known)))
 
 
 def _rms(values: FloatArray) -> FloatArray:
