@@ -28,6 +28,7 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.types import ComplexArray, FloatArray
+from suspnet.uncertainty.physics import Residual
 
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior of the logarithm of the car-body mass over nominal on a trip."""
@@ -90,6 +91,11 @@ class Commissioned:
     n_agree: int
     n_starts: int
     converged: bool
+
+    @property
+    def residual(self) -> Residual:
+        """What the vehicle leaves unexplained, averaged over the groups."""
+        return Residual.of(self.misfit, self.observed, self.fitted, self.deviations)
 
 
 def commission(

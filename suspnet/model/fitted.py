@@ -14,9 +14,11 @@ from suspnet.data.observation import Observation, Observer
 from suspnet.data.protocols import Task
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.learning import Scaling
+from suspnet.model.healthy import HealthyValues
 from suspnet.types import FloatArray
 from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import OODDetector
+from suspnet.uncertainty.physics import Unexplained
 
 
 class ModelFileError(ValueError):
@@ -50,6 +52,8 @@ class FittedMethod:
     intervals : Intervals or None
     ood : OODDetector or None
         None, both, where the model was not calibrated.
+    unexplained : Unexplained or None
+        What the healthy trips of a commissioned vehicle leave unexplained; None of a nominal one.
     training : dict
         How the training went.
     """
@@ -66,6 +70,7 @@ class FittedMethod:
     refined: bool = False
     intervals: Intervals | None = None
     ood: OODDetector | None = None
+    unexplained: Unexplained | None = None
     training: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -82,6 +87,11 @@ class FittedMethod:
     def log(self) -> bool:
         """Whether residuals are those of logarithms."""
         return self.output_scaling is None or self.output_scaling.log
+
+    @cached_property
+    def healthy(self) -> HealthyValues:
+        """Values of the healthy vehicle in SI units, which estimates are relative to."""
+        return HealthyValues.of(self.generator, self.task.outputs)
 
     def relative_features(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
         """Return the features of measured curves, relative to the healthy vehicle's.

@@ -213,7 +213,7 @@ def test_metrics_and_figures(done, broken, alone):
     assert details["model"] == "msvr, trained on 2000 curves of VerticalVehicle"
     assert details["speeds"] == "64.4 to 75.6 m/s"
     assert details["transfer functions"] == "IV, hann windows of 20 s"
-    assert details["healthy is"] == "the vehicle's parameters"
+    assert details["healthy is"] == "the vehicle file's drawing"
     assert {path.stem for path in (folder / "figures").glob("*.png")} == FIGURES
 
 

@@ -279,7 +279,7 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
 
     def marked(one, *arguments):
         words = given[one.generator.speed_m_per_s]
-        flags = Flags(np.array([[bool(words), False, False, False]]), (words,))
+        flags = Flags(np.array([[bool(words), False, False, False, False]]), (words,))
         estimate, noise_share = estimate_with_noise(one, *arguments)
         return replace(estimate, flags=flags), noise_share
 
