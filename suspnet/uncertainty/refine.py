@@ -47,6 +47,9 @@ TEMPERATURES = (100.0, 10.0)
 """Factors on the noise of the searches before the last one."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of these searches."""
+LEAST_DECREASE = 0.01
+"""Decrease of half the sum of squares at which a search with uncertain numbers ends: these make
+narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations."""
 UNCERTAIN_DAMPING = 1e-2
 """First damping where uncertain numbers are fitted, from whose median the search starts."""
 UNEXPLAINED = 1.3
@@ -252,7 +255,8 @@ class _Search:
             tol=TOL if last else ROUGH_TOL,
             first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
             bounds=self._bounds,
-            one_sided=bool(self.n_directions),
+            one_sided=bool(self.n_directions) and not last,
+            least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:
