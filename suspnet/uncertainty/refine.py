@@ -50,9 +50,9 @@ WIDE = 200.0
 far off; that of a commissioned vehicle is about 60."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of these searches."""
-FLAT = 1e-2
-"""Decrease of half the sum of squares that ends a search with uncertain numbers, which may lie in a
-long valley: a seventh of a deviation at most."""
+LEAST_DECREASE = 0.01
+"""Decrease of half the sum of squares at which a search with uncertain numbers ends: these make
+narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations."""
 UNCERTAIN_DAMPING = 1e-2
 """First damping where uncertain numbers are fitted, from whose median the search starts."""
 UNEXPLAINED = 1.3
@@ -257,8 +257,8 @@ class _Search:
             tol=TOL if last else ROUGH_TOL,
             first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
             bounds=self._bounds,
-            one_sided=bool(self.n_directions),
-            cost_tol=FLAT if self.n_directions else 0.0,
+            one_sided=bool(self.n_directions) and not last,
+            least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:
