@@ -132,7 +132,7 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
         ],
         groups=groups,
         untold=words.untold(numbers),
-        scale=words.scale(vehicle.bogie_mass_kg),
+        scale=words.force_scale(vehicle.bogie_mass_kg),
         trips=_trips(found, outcome),
         left_out=found.left_out,
         threshold=words.INCOMPLETE,

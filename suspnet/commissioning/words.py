@@ -130,10 +130,9 @@ def doubts(outcome: Commissioned) -> list[str]:
     found = []
     if not is_explained(outcome):
         found.append(
-            f"The vehicle does not explain its healthy trips: the misfit is {outcome.misfit:.2f} "
-            f"times the noise, and above {INCOMPLETE:g} the physics of the model is taken to be "
-            "incomplete, or a sensor to be wrong. The figure shows at which frequencies; estimates "
-            "of other trips can be wrong by more than the noise explains."
+            f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete or a "
+            "sensor is wrong. The figure shows at which frequencies; estimates of other trips can "
+            "be wrong by more than the noise explains."
         )
     if not outcome.converged:
         found.append(
@@ -152,10 +151,10 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
     """Return in a sentence on how many trips a vehicle was commissioned and how well they agree."""
     n_trips, n_groups = len(found.manifests), len(found.groups)
     stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
-    told = "The vehicle explains its healthy trips" if is_explained(outcome) else "Commissioned"
+    explains = "explains" if is_explained(outcome) else "does not explain"
     return (
-        f"{told} ({n_trips} trips{stretches}): the misfit is {outcome.misfit:.2f} times the "
-        "noise, 1 is noise alone."
+        f"The vehicle {explains} its healthy trips ({n_trips} trips{stretches}): the misfit is "
+        f"{outcome.misfit:.2f} times the noise, 1 is noise alone."
     )
 
 
@@ -187,7 +186,7 @@ def untold(found: Sequence[Number]) -> str:
     )
 
 
-def scale(bogie_mass_kg: float) -> str:
+def force_scale(bogie_mass_kg: float) -> str:
     """Return a sentence on what trips cannot tell: the scale of all forces."""
     return (
         "Accelerations tell ratios of forces only: all stiffnesses, dampings and masses rest on "
