@@ -105,7 +105,11 @@ def test_estimate_reads_aloud_and_goes_into_json(trained):
     assert first["parameters"]["k_p"]["value"] == found.values[0, 0]
     assert first["parameters"]["c_p"]["high"] == found.high[0, 1]
     assert lines[1].startswith("k_p no estimate, c_p no estimate; flagged: missing: ")
-    assert second["parameters"]["k_p"] == {"value": None, "low": None, "high": None}
+    nothing = {"value": None, "low": None, "high": None}
+    assert second["parameters"]["k_p"] == nothing | {"si": nothing | {"unit": "N/m"}}
+    si = first["parameters"]["c_p"]["si"]
+    assert si["unit"] == "N s/m"
+    assert si["high"] == pytest.approx(found.high[0, 1] * model.vehicle.healthy_values()[1])
     assert second["flags"] == found.flags.reasons[1] != ""
 
 

@@ -22,6 +22,7 @@ from suspnet.problem import Problem
 from suspnet.runs.scores import Metrics
 from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
 from suspnet.runs.train import train
+from suspnet.uncertainty.physics import Residual
 
 NO_SPEED = (
     "a range of speeds is for models that read trips and depend on the speed: experiment=trips "
@@ -64,6 +65,7 @@ class _Healthy:
 
     generator: VerticalVehicle
     notes: dict[str, Any]
+    residual: Residual
 
 
 def _commissioned(config: DictConfig, folder: Path) -> _Healthy | None:
@@ -83,7 +85,7 @@ def _commissioned(config: DictConfig, folder: Path) -> _Healthy | None:
         progress=config.progress,
     )
     write_outcome(folder, found, outcome)
-    return _Healthy(outcome.generator, training_notes(found, outcome))
+    return _Healthy(outcome.generator, training_notes(found, outcome), outcome.residual)
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
@@ -118,6 +120,7 @@ def _train(config: DictConfig, folder: Path, healthy: _Healthy | None) -> Metric
         varied=naming.varied(config),
         draw_vehicle=naming.is_first_of_its_vehicle(),
         notes={"commissioned": healthy.notes} if healthy else None,
+        residual=healthy.residual if healthy else None,
     )
 
 

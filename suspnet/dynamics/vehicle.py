@@ -10,6 +10,9 @@ from suspnet.checks import check_number
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
 
+UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+"""SI unit of each parameter."""
+
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 
 FREQUENCY_RANGE_HZ = (0.2, 50.0)

@@ -29,10 +29,11 @@ from suspnet.storage import (
 from suspnet.types import FloatArray
 from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import OODDetector
+from suspnet.uncertainty.physics import Unexplained
 
-SCHEMA_VERSION = 5
-FEATURES, INTERVALS, OOD = "features.", "intervals.", "ood."
-"""Prefixes of the names of the arrays of the feature set, the intervals and the OOD detector."""
+SCHEMA_VERSION = 6
+FEATURES, INTERVALS, OOD, PHYSICS = "features.", "intervals.", "ood.", "physics."
+"""Prefixes of the names of the arrays of the feature set and of the calibrated parts."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -76,9 +77,9 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     write_json(folder / "model.json", description)
 
 
-def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector]]:
+def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:
     """Return the calibrated parts that a model has, with the prefixes of their arrays."""
-    pairs = ((INTERVALS, model.intervals), (OOD, model.ood))
+    pairs = ((INTERVALS, model.intervals), (OOD, model.ood), (PHYSICS, model.unexplained))
     return [(prefix, part) for prefix, part in pairs if part is not None]
 
 
@@ -137,7 +138,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     if "device" in arguments:
         arguments["device"] = device
     estimator = estimator_type(**arguments)
-    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, OOD)}
+    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, OOD, PHYSICS)}
     learnt = parts[FEATURES]
     task = _with_tuples(content["task"])
     extractor = _with_tuples(task["extractor"])
@@ -149,6 +150,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
             feature_set = feature_set.restored(learnt)
         intervals = Intervals.restored(parts[INTERVALS]) if parts[INTERVALS] else None
         ood = OODDetector.restored(parts[OOD]) if parts[OOD] else None
+        unexplained = Unexplained.restored(parts[PHYSICS]) if parts[PHYSICS] else None
     except ValueError as error:
         raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
     generator = dict(content["generator"])
@@ -166,6 +168,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         refined=content["refined"],
         intervals=intervals,
         ood=ood,
+        unexplained=unexplained,
         training=content["training"],
     )
 

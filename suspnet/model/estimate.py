@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.model.healthy import HealthyValues
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 
+ENDS = ("value", "low", "high")
 SHOWN = 10
 """Number of rows that the readable form shows."""
 
@@ -30,6 +32,8 @@ class Estimate:
         Probability with which an interval holds the truth.
     flags : Flags
         Reasons not to trust a row; none, if the model was not calibrated.
+    healthy : HealthyValues or None
+        What 1 means in SI units.
 
     Examples
     --------
@@ -44,12 +48,25 @@ class Estimate:
     high: FloatArray
     level: float
     flags: Flags
+    healthy: HealthyValues | None = None
 
     @property
     def half_widths(self) -> FloatArray:
         """Half the width of each interval in logarithms, shape (n, n_outputs), [-]."""
-        with np.errstate(divide="ignore"):  # nothing is known: from 0 to infinity
+        with np.errstate(divide="ignore", invalid="ignore"):  # from 0 or below: nothing is known
             return np.asarray((np.log(self.high) - np.log(self.low)) / 2)
+
+    def si(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return values and ends of intervals in SI units, each (n, n_outputs).
+
+        Raises
+        ------
+        ValueError
+            If the healthy values are not known.
+        """
+        if self.healthy is None:
+            raise ValueError("the estimate does not know its healthy values: give `healthy`")
+        return self.healthy.si(self.values, self.half_widths, self.level)
 
     def __len__(self) -> int:
         return len(self.values)
@@ -61,7 +78,11 @@ class Estimate:
         return "\n".join(lines) or "no curves"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the same as values that JSON can hold; None where there is no number."""
+        """Return the same as values that JSON can hold; None where there is no number.
+
+        In SI units too, with their `unit`, where the healthy values are known.
+        """
+        si = None if self.healthy is None else self.si()
         return {
             "level": self.level,
             "estimates": [
@@ -72,6 +93,7 @@ class Estimate:
                             "low": _number(self.low[row, j]),
                             "high": _number(self.high[row, j]),
                         }
+                        | ({} if si is None else self._si(si, row, j))
                         for j, name in enumerate(self.names)
                     },
                     "flags": self.flags.reasons[row],
@@ -79,6 +101,12 @@ class Estimate:
                 for row in range(len(self))
             ],
         }
+
+    def _si(self, si: tuple[FloatArray, ...], row: int, j: int) -> dict[str, Any]:
+        """Return one parameter of one row in SI units."""
+        assert self.healthy is not None
+        ends = {key: _number(part[row, j]) for key, part in zip(ENDS, si, strict=True)}
+        return {"si": ends | {"unit": self.healthy.units[j]}}
 
     def _line(self, row: int) -> str:
         """Return one row in words: values, intervals and flags."""

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from suspnet.data.observation import Observation
+from suspnet.data.observation import Observation, Observer
 from suspnet.data.protocols import Task
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.learning import Scaling
+from suspnet.model.healthy import HealthyValues
 from suspnet.types import FloatArray
 from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import OODDetector
+from suspnet.uncertainty.physics import Unexplained
 
 
 class ModelFileError(ValueError):
@@ -49,6 +52,8 @@ class FittedMethod:
     intervals : Intervals or None
     ood : OODDetector or None
         None, both, where the model was not calibrated.
+    unexplained : Unexplained or None
+        What the healthy trips of a commissioned vehicle leave unexplained; None of a nominal one.
     training : dict
         How the training went.
     """
@@ -65,6 +70,7 @@ class FittedMethod:
     refined: bool = False
     intervals: Intervals | None = None
     ood: OODDetector | None = None
+    unexplained: Unexplained | None = None
     training: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -72,10 +78,20 @@ class FittedMethod:
         """The healthy vehicle."""
         return self.generator.vehicle
 
+    @cached_property
+    def observer(self) -> Observer:
+        """Makes curves like those of the training, on the CPU."""
+        return self.settings.observer(self.generator.on("cpu"))
+
     @property
     def log(self) -> bool:
         """Whether residuals are those of logarithms."""
         return self.output_scaling is None or self.output_scaling.log
+
+    @cached_property
+    def healthy(self) -> HealthyValues:
+        """Values of the healthy vehicle in SI units, which estimates are relative to."""
+        return HealthyValues.of(self.generator, self.task.outputs)
 
     def relative_features(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
         """Return the features of measured curves, relative to the healthy vehicle's.

@@ -20,6 +20,8 @@ from suspnet.uncertainty.ood import Flags
 from suspnet.uncertainty.refine import Refined, complete_ratios, refine
 
 MASS = PARAMETERS.index("M_s")
+ONE_SIGMA = 0.6827
+"""Level of an interval whose half width is one standard deviation of a normal error."""
 ROWS = 256
 """Number of curves made at once to correct estimates."""
 
@@ -69,12 +71,23 @@ def estimate_curves(
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)
-        low, high = method.intervals.ends(values, scales, level)
+        low, high = method.intervals.ends(values, _widened(method, values, scales), level)
     flags = Flags.none(len(values))
     if method.ood is not None and refined is not None:
         missing = missing_words(task.extractor, table.reasons.cpu().numpy())
         flags = method.ood.flags(task, missing, method.scaled(inputs), refined)
-    return Estimate(task.outputs, values, low, high, level, flags)
+    if method.unexplained is not None:
+        flags = method.unexplained.flagged(flags)
+    return Estimate(task.outputs, values, low, high, level, flags, method.healthy)
+
+
+def _widened(method: FittedMethod, values: FloatArray, scales: FloatArray) -> FloatArray:
+    """Return residual scales with the cost of what is unexplained as one more deviation."""
+    if method.unexplained is None or method.intervals is None:
+        return scales
+    usual = method.intervals.conformal.factors(ONE_SIGMA)
+    costs = method.unexplained.costs / usual
+    return np.hypot(scales, costs if method.intervals.log else costs * values)
 
 
 def regress(

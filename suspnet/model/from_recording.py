@@ -227,9 +227,8 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
     values = np.exp(np.sum(weights * np.log([b.estimate.values[0] for b in bins]), axis=0))
     ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
     first = bins[0].estimate
-    return Estimate(
-        first.names, values[None], ends[0][None], ends[1][None], first.level, _flags(bins)
-    )
+    rows = values[None], ends[0][None], ends[1][None]
+    return Estimate(first.names, *rows, first.level, _flags(bins), first.healthy)
 
 
 def _flags(bins: Sequence[SpeedBin]) -> Flags:

@@ -4,12 +4,14 @@ Intervals are calibrated on curves with the averages and the noise that a model 
 and a trip has its own. So the noise part of the residual scale in training is replaced by that of
 the trip::
 
-    s^2 = max(s_0^2 - n_0^2, 0) + n^2,   half width = s q(level) / q(ONE_SIGMA)
+    s^2 = max(s_0^2 - n_0^2, 0) + n^2 + b^2,   half width = s q(level) / q(ONE_SIGMA)
 
 with s_0 the standard deviation that the calibration gives and q its quantiles, n_0 the noise part
 expected of such a vehicle in training, n that of the trip. s_0^2 - n_0^2 is the variance of the
-regression's own error and of the generator's uncertain quantities. Of refined estimates n_0 and n
-are the deviations of Gauss-Newton; of others the spread of estimates from drawn spectra.
+regression's own error and of the generator's uncertain quantities; b is the cost of what the
+healthy trips of a commissioned vehicle left unexplained (`suspnet.uncertainty.physics`). Of refined
+estimates n_0 and n are the deviations of Gauss-Newton; of others the spread of estimates from drawn
+spectra.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from suspnet.data.estimates import EstimateObserver, EstimateSettings, Speeds
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod, ModelFileError
-from suspnet.model.from_curves import corrected
+from suspnet.model.from_curves import ONE_SIGMA, corrected
 from suspnet.theory.information import output_bounds
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
@@ -40,7 +42,6 @@ from the same random numbers and err alike: at a quarter of the averages half wi
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; measured, a fourth changes nothing where the
 speed is within a tenth of that trained for."""
-ONE_SIGMA = 0.6827
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""
 
@@ -80,8 +81,7 @@ def estimate_with_noise(
     noise_share : array of shape (n_outputs,), [-]
         n^2 / s^2; 1 without an interval.
     """
-    settings = trip_settings(method)
-    observer = settings.observer(method.generator.on("cpu"))  # as the spectra are
+    observer = trip_observer(method)
     if speeds is not None:
         observer = observer.at(speeds)
     inputs = _inputs(method, spectra, observer)
@@ -109,6 +109,8 @@ def estimate_with_noise(
         noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
         scale = _residual_scale(method, inputs, predicted)
     lasting = _lasting(usual * scale, noise_0)
+    if method.unexplained is not None:
+        lasting = lasting + method.unexplained.costs**2
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
@@ -128,6 +130,14 @@ def trip_settings(method: FittedMethod) -> EstimateSettings:
             "III-B; trips need one of: python train.py experiment=trips"
         )
     return method.settings
+
+
+def trip_observer(method: FittedMethod) -> EstimateObserver:
+    """Return what observes trips as a method's training did; raises as `trip_settings`."""
+    trip_settings(method)
+    observer = method.observer
+    assert isinstance(observer, EstimateObserver)
+    return observer
 
 
 def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:
@@ -152,9 +162,11 @@ def _estimate(
     half = np.full(len(values), np.nan) if half_widths is None else half_widths
     with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
         low, high = values * np.exp(-half), values * np.exp(half)
-    return Estimate(
-        method.task.outputs, values[None], low[None], high[None], level, flags or Flags.none(1)
-    )
+    flags = flags or Flags.none(1)
+    if method.unexplained is not None:
+        flags = method.unexplained.flagged(flags)
+    rows = values[None], low[None], high[None]
+    return Estimate(method.task.outputs, *rows, level, flags, method.healthy)
 
 
 def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:

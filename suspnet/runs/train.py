@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import subprocess
@@ -16,9 +17,9 @@ import torch
 
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch
-from suspnet.model import save_model
+from suspnet.model import FittedMethod, save_model
 from suspnet.problem import TEST, Problem
-from suspnet.runs.calibrate import calibrated
+from suspnet.runs.calibrate import calibrated, with_unexplained
 from suspnet.runs.drawing import draw_run
 from suspnet.runs.fit import fit, method_name, tune
 from suspnet.runs.predict import predict_stream
@@ -32,7 +33,9 @@ from suspnet.runs.scores import (
 )
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_json
+from suspnet.uncertainty.physics import Residual
 
+log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
 
 
@@ -48,6 +51,7 @@ def train(
     varied: Mapping[str, Any] | None = None,
     draw_vehicle: bool = True,
     notes: Mapping[str, Any] | None = None,
+    residual: Residual | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
@@ -74,6 +78,8 @@ def train(
         Whether figures of the vehicle are among the run's; once is enough in a multirun.
     notes : mapping, optional
         Further entries of the model's `training`: "commissioned" says which trips are healthy.
+    residual : Residual, optional
+        What the healthy trips of a commissioned vehicle leave unexplained.
 
     Returns
     -------
@@ -93,6 +99,9 @@ def train(
             found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
         model = calibrated(problem, replace(fit(problem, estimator, run_log), refined=refine))
+        if residual is not None:
+            model = with_unexplained(problem, model, residual)
+            _tell(model)
         training = model.training | dict(notes or {})
         outcome = predict_stream(problem, model, TEST)
         metrics = {
@@ -106,6 +115,11 @@ def train(
         if config and config.get("ablation_name"):
             metrics["ablation"] = config["ablation_name"]
         metrics["rms_percent"] = rms_percent(problem.task, outcome)
+        if model.unexplained is not None:
+            metrics["unexplained"] = {
+                "misfit": model.unexplained.misfit,
+                "cost_percent": _cost_percent(model),
+            }
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         save_model(folder, replace(model, training=training | accuracy))
         log_hyperparameters(run_log, metrics, training["parameters"], varied)
@@ -115,6 +129,26 @@ def train(
     write_json(folder / "metrics.json", metrics)
     report(metrics, folder)
     return metrics
+
+
+def _tell(model: FittedMethod) -> None:
+    """Warn if the healthy trips say that the model lacks physics."""
+    if model.unexplained is None or not model.unexplained.is_incomplete:
+        return
+    costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
+    log.warning(
+        "the physics is incomplete: %s. Every estimate is flagged, and its interval is wider by a "
+        "standard deviation of %s",
+        model.unexplained.words,
+        costs,
+    )
+
+
+def _cost_percent(model: FittedMethod) -> dict[str, float]:
+    """Return what is unexplained of the healthy trips costs each output, [%]."""
+    assert model.unexplained is not None
+    costs = 100 * model.unexplained.costs
+    return dict(zip(model.task.outputs, costs.tolist(), strict=True))
 
 
 def environment() -> dict[str, Any]:

@@ -294,7 +294,7 @@ def _details(
     """Return what the report says of model, settings and version."""
     first = models[0]
     trained = trip_settings(first)
-    reference = "the vehicle's parameters"
+    reference = healthy_words(first)
     if settings.reference == "first_trips":
         reference = f"the median of the first {settings.n_reference} trips (k and c)"
         flagged = sum(bool(r.flags) for r in first_trips(results, settings.n_reference))
@@ -314,6 +314,16 @@ def _details(
         "intervals": _interval_words(first, settings.trips.level),
         "limits": "; ".join(f"{name}: {one}" for name, one in settings.limits.items()) or "none",
     }
+
+
+def healthy_words(model: TrainedModel) -> str:
+    """Return in words what a model's estimates are relative to."""
+    found = model.training.get("commissioned")
+    if not found:
+        return "the vehicle file's drawing"
+    first, last = (f"{km:,.0f}".replace(",", " ") for km in found["mileage_km"])
+    span = f"at {first} km" if first == last else f"from {first} to {last} km"
+    return f"what {found['n_trips']} trips {span} showed"
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:

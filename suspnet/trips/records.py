@@ -10,6 +10,14 @@ import numpy as np
 from suspnet.types import ComplexArray, FloatArray
 
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
+SI_COLUMNS = {
+    "k_p": "k_p_n_per_m",
+    "c_p": "c_p_ns_per_m",
+    "k_s": "k_s_n_per_m",
+    "c_s": "c_s_ns_per_m",
+    "M_s": "M_s_kg",
+}
+"""Columns of the parameters in SI units."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +112,10 @@ class TripResult:
     half_widths : dict of float, [-]
         The interval of an estimate reaches from estimate * exp(-half width) to
         estimate * exp(half width); NaN where the model has no intervals.
+    healthy_si : dict of float, [N/m, N s/m, kg]
+        What a ratio of 1 in `raw` means.
+    healthy_half_widths : dict of float, [-]
+        Half widths of their intervals, in logarithms.
     flags : str
         The flags of the estimate in words; empty if there are none.
     sides : str
@@ -129,6 +141,8 @@ class TripResult:
     raw: dict[str, float] = field(default_factory=dict)
     truth: dict[str, float] = field(default_factory=dict)
     half_widths: dict[str, float] = field(default_factory=dict)
+    healthy_si: dict[str, float] = field(default_factory=dict)
+    healthy_half_widths: dict[str, float] = field(default_factory=dict)
     flags: str = ""
     sides: str = ""
     quality: Quality = field(default_factory=Quality)
@@ -141,6 +155,18 @@ class TripResult:
         with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
             return float(value * np.exp(-half)), float(value * np.exp(half))
 
+    def si(self, name: str) -> tuple[float, float, float]:
+        """Return a parameter and the ends of its interval in SI units; NaN where there is none.
+
+        The interval holds the uncertainty of the healthy value too, as independent.
+        """
+        value = self.raw.get(name, np.nan) * self.healthy_si.get(name, np.nan)
+        half = np.hypot(
+            self.half_widths.get(name, np.nan), self.healthy_half_widths.get(name, np.nan)
+        )
+        with np.errstate(over="ignore"):
+            return float(value), float(value * np.exp(-half)), float(value * np.exp(half))
+
     def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
         """Return the trip as one flat row of a table; the same columns for every trip."""
         head = {
@@ -152,6 +178,11 @@ class TripResult:
             numbers[f"{name}_low"], numbers[f"{name}_high"] = self.interval(name)
         numbers |= {f"{name}_raw": self.raw.get(name, np.nan) for name in outputs}
         numbers |= {f"{name}_truth": self.truth.get(name, np.nan) for name in outputs}
+        for name in outputs:
+            column = SI_COLUMNS[name]
+            ends = (column, f"{column}_low", f"{column}_high")
+            numbers |= dict(zip(ends, self.si(name), strict=True))
+            numbers[f"{column}_healthy"] = self.healthy_si.get(name, np.nan)
         return (
             head
             | numbers

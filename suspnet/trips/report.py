@@ -18,6 +18,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from suspnet.dynamics.vehicle import UNITS
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
@@ -79,6 +80,9 @@ SEVERITIES = {
     Severity.NONE: ("good", "No alarm"),
 }
 """Tone and label of each severity; style.css has the colours of each tone."""
+KILO = 1e3
+KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
+"""Unit of a thousand of each SI unit."""
 SVG_LIMIT = 400_000
 """Size of an SVG [bytes] above which a figure is embedded as PNG."""
 PNG_DPI = 130
@@ -152,6 +156,7 @@ def write_report(
         limits=limits or {},
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
+        healthy=_healthy(trips),
         halves=halves,
         digits={name: _digits(column) for name, column in halves.items()},
         level=f"{100 * level:g}" if known else "",
@@ -179,6 +184,7 @@ def render(template: str, package: str = "suspnet.trips", **values: Any) -> str:
         "thousands": _thousands,
         "symbol": _symbol,
         "range": _range,
+        "si": _si,
         "unbroken": _unbroken,
     }
     labels = {str(severity): label for severity, label in SEVERITIES.items()}
@@ -293,6 +299,33 @@ def _plus_minus(half_width: float, digits: int) -> Markup:
     if not math.isfinite(half_width):
         return Markup()
     return Markup("<small> ± {}</small>").format(_number(half_width, digits))
+
+
+def _si(value: float, name: str) -> Markup:
+    """Return a parameter's value with its unit in small print; nothing if there is none."""
+    if not math.isfinite(value):
+        return Markup()
+    return Markup("<small>{}</small>").format(_with_unit(f"{value / KILO:.4g}", name))
+
+
+def _with_unit(number: str, name: str) -> str:
+    """Return a number of thousands of a parameter's SI unit with that unit."""
+    unit = KILO_UNITS[UNITS[name]].replace(" ", "\N{NO-BREAK SPACE}")
+    return f"{number}\N{NO-BREAK SPACE}{unit}"
+
+
+def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
+    """Return what 100 % of each parameter is on the last trip that has an estimate."""
+    known = [r for r in trips if r.healthy_si]
+    if not known:
+        return {}
+    found = {}
+    for name, value in known[-1].healthy_si.items():
+        half = 100 * known[-1].healthy_half_widths.get(name, 0.0)
+        found[name] = _with_unit(f"{value / KILO:.4g}", name)
+        if half > 0:
+            found[name] += f" ± {half:.2g}\N{NO-BREAK SPACE}%"
+    return found
 
 
 def _thousands(value: float) -> str:

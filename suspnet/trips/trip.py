@@ -145,12 +145,17 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
     best = bins[int(np.argmax(weights))]
+    healthy = best.method.healthy
     return replace(
         result,
         status=OK,
         estimates=estimates,
         raw=dict(estimates),
         half_widths=dict(zip(outputs, estimate.half_widths[0].tolist(), strict=True)),
+        healthy_si=dict(zip(outputs, healthy.values.tolist(), strict=True)),
+        healthy_half_widths=dict(
+            zip(outputs, healthy.half_widths(estimate.level).tolist(), strict=True)
+        ),
         flags=estimate.flags.reasons[0],
         sides=spoken_sides(weaker_sides(best, recording, list(estimates.values()))),
         quality=quality,

@@ -1,8 +1,9 @@
 """Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
-Four kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
+Five kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
 cloud of the training curves; a parameter lies outside the range of the training curves; the
-generator, with whatever parameters, does not explain the curve.
+generator, with whatever parameters, does not explain the curve; or it did not explain the healthy
+trips that it was commissioned on (`suspnet.uncertainty.physics`, which sets that flag).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from suspnet.data.protocols import Task
 from suspnet.types import BoolArray, FloatArray
 from suspnet.uncertainty.refine import Refined
 
-KINDS = ("missing", "cloud", "range", "misfit")
+KINDS = ("missing", "cloud", "range", "misfit", "physics")
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector keeps, and of the nearest neighbours whose mean
 distance is compared with the threshold."""
@@ -40,7 +41,7 @@ class Flags:
 
     Attributes
     ----------
-    found : bool array of shape (n_curves, 4)
+    found : bool array of shape (n_curves, 5)
         Columns as ``KINDS``.
     reasons : tuple of str
         For each curve; empty where nothing was found.
@@ -137,6 +138,7 @@ class OODDetector:
                 distances > self.distance_threshold,
                 outside.any(axis=1),
                 odd,
+                np.zeros(len(inputs), dtype=bool),
             ],
             axis=1,
         )

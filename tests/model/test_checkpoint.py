@@ -17,6 +17,7 @@ from suspnet.storage import content_hash, dump_arrays, read_arrays
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals, ResidualScale
 from suspnet.uncertainty.ood import OODDetector
+from suspnet.uncertainty.physics import Unexplained
 
 FITTED = [
     MSVR(n_components=64),
@@ -59,6 +60,7 @@ def calibrated(learnt=True):
         refined=True,
         intervals=Intervals(Conformal.of(wrong, sizes), True, residual_scale),
         ood=OODDetector.learnt(known[:, :3], known[:40, :3], 1 + 0.1 * random.random(30)),
+        unexplained=Unexplained(1.7, np.array([0.012, 0.034])),
     )
 
 
@@ -107,6 +109,8 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
     np.testing.assert_array_equal(distances[0], distances[1])
     assert loaded.ood.distance_threshold == model.ood.distance_threshold
     assert loaded.ood.misfit_threshold == model.ood.misfit_threshold
+    assert loaded.unexplained.misfit == model.unexplained.misfit
+    np.testing.assert_array_equal(loaded.unexplained.costs, model.unexplained.costs)
 
 
 def test_model_without_calibration_is_loaded_without(saved):
@@ -168,7 +172,7 @@ def test_altered_description_is_rejected(saved):
         ("[]", "not a suspnet model"),
         ('{"a": 1}', "not a suspnet model"),
         ('{"schema_version": 99}', "schema version 99"),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 5; train again"),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 6; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):

@@ -248,7 +248,7 @@ def test_trips_have_intervals_and_flags_too():
     truth = outcome.data.outputs
     # 48 trips of five outputs, 128 to calibrate: at least 4.3 % and 2.7 %; three of their root sum
     assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(LEVEL, abs=0.15)
-    assert outcome.flags.found.shape == (48, 4)
+    assert outcome.flags.found.shape == (48, 5)
     assert outcome.flags.flagged.mean() < 0.1
     regression = fitted.predict(outcome.data.inputs)
     for j in range(5):

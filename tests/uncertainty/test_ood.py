@@ -246,8 +246,8 @@ def test_all_that_speaks_against_a_curve_is_said_in_order(detector, problem):
 
 
 def test_flagged_is_any_of_the_kinds():
-    found = np.eye(5, 4, dtype=bool)
-    assert Flags(found, ("",) * 5).flagged.tolist() == [True] * 4 + [False]
+    found = np.eye(6, 5, dtype=bool)
+    assert Flags(found, ("",) * 6).flagged.tolist() == [True] * 5 + [False]
 
 
 def test_few_curves_like_the_training_curves_are_flagged(problem):
