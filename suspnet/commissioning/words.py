@@ -11,13 +11,8 @@ from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
+from suspnet.uncertainty.physics import INCOMPLETE
 
-INCOMPLETE = 1.15
-"""Misfit above which the physics of the vehicle is taken to be incomplete.
-
-Trips of vehicles that the family holds gave 0.94 to 1.06, those of one with axle guidance read
-without it 1.2, those of one with a second bending mode 5.8 and more (tests/rich_train.py).
-"""
 LEAST_AGREEING = 2
 """Starts that must find the same vehicle: one alone may have ended in another valley."""
 TOLD = 0.8
@@ -131,8 +126,8 @@ def doubts(outcome: Commissioned) -> list[str]:
     if not is_explained(outcome):
         found.append(
             f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete or a "
-            "sensor is wrong. The figure shows at which frequencies; estimates of other trips can "
-            "be wrong by more than the noise explains."
+            "sensor is wrong; the figure shows at which frequencies. Every estimate of a model "
+            "trained on this vehicle is flagged, and its interval is wider by what this could cost."
         )
     if not outcome.converged:
         found.append(

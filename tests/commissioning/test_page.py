@@ -15,6 +15,7 @@ from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
 from suspnet.commissioning import figures, words
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.commissioning.page import training_notes, write_outcome
+from suspnet.uncertainty.physics import INCOMPLETE
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
 
@@ -160,7 +161,7 @@ def test_notes_for_the_model_file_name_the_trips(commissioned):
 def test_doubts_are_said(commissioned):
     found, outcome = commissioned
     assert words.doubts(outcome) == []
-    spoilt = replace(outcome, misfit=words.INCOMPLETE + 0.01, converged=False, n_agree=1)
+    spoilt = replace(outcome, misfit=INCOMPLETE + 0.01, converged=False, n_agree=1)
     said = " ".join(words.doubts(spoilt))
     assert "A misfit above 1.15 says that the physics of the model is incomplete" in said
     assert "did not converge" in said
@@ -168,7 +169,7 @@ def test_doubts_are_said(commissioned):
     first = "The vehicle does not explain its healthy trips (3 trips): the misfit is 1.16 times the"
     assert words.verdict(found, spoilt).startswith(first)
     assert not training_notes(found, spoilt)["explained"]
-    assert words.doubts(replace(outcome, misfit=words.INCOMPLETE)) == []
+    assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
 
 
 @pytest.mark.parametrize(
