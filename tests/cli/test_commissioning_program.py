@@ -14,7 +14,7 @@ from suspnet.cli import train
 from suspnet.commissioning import run
 from suspnet.model import load_model
 
-TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "model=linear"]
+TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 
 
 @pytest.fixture(scope="module")
