@@ -1,5 +1,6 @@
 """One trip at a time: estimates near the truth, bins of speed, what is left out, every refusal."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
