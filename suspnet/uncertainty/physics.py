@@ -7,9 +7,9 @@ commissioned vehicle gives there, and s_gf the standard deviation of its real an
     e = max(0, 1 - 1 / mean_f |d_f|^2 / (2 v_f))
 
 e is the share of |d|^2 that noise does not make, for each of both responses, and sqrt(e) d the
-systematic error of the model's curves, with either sign. The cost of an output is ``WORN`` times the
-rms change of its logarithm when curves like the training curves are multiplied by exp(+-sqrt(e) d).
-It counts as one more standard deviation of the estimate.
+systematic error of the model's curves, with either sign. The cost of an output is ``WORN`` times
+the rms change of its logarithm when curves like the training curves are multiplied by
+exp(+-sqrt(e) d). It counts as one more standard deviation of the estimate.
 """
 
 from __future__ import annotations
