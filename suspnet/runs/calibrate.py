@@ -30,7 +30,7 @@ N_TRIED = 1024
 """Calibration curves that show whether correcting the estimates lowers their error."""
 N_COST, N_UNCERTAIN_COST = 256, 16
 """Curves from which the cost of what is unexplained is learnt; the second of a refined model where
-uncertain numbers are fitted too, which takes about a second a curve where these do not explain it."""
+uncertain numbers are fitted too, which takes about a second a curve if they do not explain it."""
 Model = TypeVar("Model", bound=FittedMethod)
 
 
