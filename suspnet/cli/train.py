@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.utils import instantiate
@@ -11,15 +12,17 @@ from omegaconf import DictConfig, ListConfig
 
 from suspnet.checks import check_number
 from suspnet.cli import naming, program
-from suspnet.commissioning import Commissioned
+from suspnet.commissioning.healthy import LEAST_TRIPS
+from suspnet.commissioning.page import training_notes, write_outcome
 from suspnet.commissioning.run import commission_folder
 from suspnet.data.estimates import EstimateSettings
-from suspnet.dynamics import ResponseGenerator
+from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.model.from_recording import TripSettings
 from suspnet.problem import Problem
 from suspnet.runs.scores import Metrics
 from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
 from suspnet.runs.train import train
+from suspnet.uncertainty.physics import Residual
 
 NO_SPEED = (
     "a range of speeds is for models that read trips and depend on the speed: experiment=trips "
@@ -51,20 +54,29 @@ def compose(config: DictConfig) -> None:
 
     if instantiate(bound(ranges[0]).generator).speed_m_per_s is None:
         raise ValueError(NO_SPEED)
+    healthy = _commissioned(bound(ranges[0]), folder)
     program.save_config(config, folder)
-    vehicle = _commissioned(bound(ranges[0]), folder)
-    train_ranges(ranges, lambda one, where: _train(bound(one), where, vehicle), folder)
+    train_ranges(ranges, lambda one, where: _train(bound(one), where, healthy), folder)
 
 
-def _commissioned(config: DictConfig, folder: Path) -> Commissioned | None:
+@dataclass(frozen=True)
+class _Healthy:
+    """The vehicle that healthy trips show, and what a model's file says of them."""
+
+    generator: VerticalVehicle
+    notes: dict[str, Any]
+    residual: Residual
+
+
+def _commissioned(config: DictConfig, folder: Path) -> _Healthy | None:
     """Return the vehicle that healthy trips show, where a folder of them is named."""
     if config.healthy is None:
         return None
     settings = instantiate(config.data)
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
-    check_number("n_healthy", config.n_healthy, low=1, whole=True, optional=True)
-    _, outcome = commission_folder(
+    check_number("n_healthy", config.n_healthy, low=LEAST_TRIPS, whole=True, optional=True)
+    found, outcome = commission_folder(
         Path(config.healthy),
         instantiate(config.generator),
         settings,
@@ -72,21 +84,22 @@ def _commissioned(config: DictConfig, folder: Path) -> Commissioned | None:
         n_first=config.n_healthy,
         progress=config.progress,
     )
-    return outcome
+    write_outcome(folder, found, outcome)
+    return _Healthy(outcome.generator, training_notes(found, outcome), outcome.residual)
 
 
-def _generator(config: DictConfig, commissioned: Commissioned | None) -> ResponseGenerator:
+def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
     """Return the source of training curves: as configured, or as its healthy trips show it."""
     plain: ResponseGenerator = instantiate(config.generator)
-    if commissioned is None or plain.speed_m_per_s is None:
+    if healthy is None or plain.speed_m_per_s is None:
         return plain
-    return replace(commissioned.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
+    return replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
 
 
-def _train(config: DictConfig, folder: Path, commissioned: Commissioned | None) -> Metrics:
+def _train(config: DictConfig, folder: Path, healthy: _Healthy | None) -> Metrics:
     """Train what a configuration names and fill a folder."""
     problem = Problem(
-        generator=_generator(config, commissioned),
+        generator=_generator(config, healthy),
         task=instantiate(config.protocol).task(config.group),
         settings=instantiate(config.data),
         seed=config.seed,
@@ -106,7 +119,8 @@ def _train(config: DictConfig, folder: Path, commissioned: Commissioned | None) 
         config=resolved,
         varied=naming.varied(config),
         draw_vehicle=naming.is_first_of_its_vehicle(),
-        residual=commissioned.residual if commissioned else None,
+        notes={"commissioned": healthy.notes} if healthy else None,
+        residual=healthy.residual if healthy else None,
     )
 
 

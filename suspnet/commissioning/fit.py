@@ -34,12 +34,13 @@ MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior of the logarithm of the car-body mass over nominal on a trip."""
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
 """Rms errors of the model allowed for beside the noise, one search after the other."""
-FEW, MANY = 12, 40
-"""Evaluations of each of these searches, and of the last one."""
+FEW, MANY = 12, 100
+"""Evaluations of each of these searches, and of the last one, which may follow a curved valley:
+a damper and its bushing can stand in for each other."""
 ROUGH_TOL, TOL = 1e-3, 1e-6
 """Relative change of the sum of squares at which they end."""
-STEP = 1e-4
-"""Step of central differences, in standard deviations of the prior."""
+STEP = 1e-5
+"""Step of differences, in standard deviations of the prior."""
 OFF = {"healthy_k_p": 0.2, "healthy_c_p": 0.4, "healthy_k_s": 0.2, "healthy_c_s": 0.4}
 """Shares by which further starts lie off the prior's median."""
 N_STARTS = 4
@@ -71,8 +72,8 @@ class Commissioned:
         G_p and G_s as measured, of the nominal and of the commissioned vehicle.
     deviations : array of shape (n_groups, 2, n_freq), [-]
         Of the measured log-magnitudes; infinite where a bin tells nothing.
-    n_agree : int
-        Starts, of ``N_STARTS``, that found this vehicle.
+    n_agree, n_starts : int
+        Starts that found this vehicle, of how many.
     converged : bool
     """
 
@@ -88,6 +89,7 @@ class Commissioned:
     fitted: ComplexArray
     deviations: FloatArray
     n_agree: int
+    n_starts: int
     converged: bool
 
     @property
@@ -147,6 +149,7 @@ def commission(
         fitted=fitted,
         deviations=deviations,
         n_agree=1 + sum(agree),
+        n_starts=n_starts,
         converged=bool(best.status > 0),
     )
 
@@ -181,15 +184,17 @@ class _Target:
         numbers = (self._mean + theta[:, :n] @ self._factor.T).exp()
         return self._generator.with_uncertain(healthy, numbers)
 
+    def part(self, theta: Tensor, group: int, spread: float) -> Tensor:
+        """Return the residuals of one group, (n_rows, n_points)."""
+        misfit = self._groups[group]
+        expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
+        # logarithms lead from far off, but have the tails of a ratio of noise
+        u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
+        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spread)
+
     def parts(self, theta: Tensor, spread: float) -> list[Tensor]:
         """Return the residuals of each group, (n_rows, n_points)."""
-        found = []
-        for misfit, trip in zip(self._groups, self._trips, strict=True):
-            rows = torch.zeros(len(theta), dtype=torch.int64)
-            ratio = misfit.observed / misfit.observer.noise_free(self.ratios(theta, trip))
-            # logarithms lead from far off, but have the tails of a ratio of noise
-            found.append(misfit.whitened(ratio.log() if spread else 1 - 1 / ratio, rows, spread))
-        return found
+        return [self.part(theta, i, spread) for i in range(len(self._groups))]
 
     def residuals(self, theta: Tensor, spread: float) -> Tensor:
         """Return all residuals with those of the priors, (n_rows, n_points)."""
@@ -221,7 +226,7 @@ class _Target:
             found = least_squares(
                 lambda x, spread=spread: self.residuals(_row(x), spread)[0].numpy(),
                 np.clip(found.x, -0.99 * Z_BOUND, 0.99 * Z_BOUND),
-                jac=lambda x, spread=spread: self._jacobian(x, spread),
+                jac=lambda x, spread=spread: self.jacobian(x, spread),
                 bounds=(-Z_BOUND, Z_BOUND),
                 ftol=TOL if last else ROUGH_TOL,
                 xtol=TOL,
@@ -230,12 +235,23 @@ class _Target:
             )
         return found
 
-    def _jacobian(self, x: FloatArray, spread: float) -> FloatArray:
-        """Return the derivative of the residuals, (n_points, n_coordinates)."""
-        steps = STEP * torch.eye(len(x), dtype=torch.float64)
-        moved = self.residuals(torch.cat([_row(x) + steps, _row(x) - steps]), spread)
-        above, below = moved.split(len(x))
-        return np.asarray(((above - below) / (2 * STEP)).T.numpy())
+    def jacobian(self, x: FloatArray, spread: float) -> FloatArray:
+        """Return the derivative of all residuals, (n_points, n_coordinates), by differences."""
+        n, found = len(self.prior.names), []
+        for group, trip in enumerate(self._trips):
+            # the masses of other trips move nothing
+            columns = [*range(n), n + trip]
+            steps = STEP * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
+            steps[0] = 0.0
+            rows = self.part(_row(x) + steps, group, spread)
+            own = np.zeros((rows.shape[1], len(x)))
+            own[:, columns] = ((rows[1:] - rows[:1]) / STEP).T.numpy()
+            found.append(own)
+        return np.concatenate([*found, np.diag(1 / self._prior_deviations())])
+
+    def _prior_deviations(self) -> FloatArray:
+        """Return the standard deviations of theta before any trip, (n_coordinates,)."""
+        return np.array([1.0] * len(self.prior.names) + [MASS_DEVIATION] * self.n_trips)
 
     def misfits(self, theta: Tensor) -> list[float]:
         """Return the rms residual of each group over that of the noise."""
@@ -249,8 +265,8 @@ class _Target:
         n = len(self.prior.names)
         residuals = torch.cat(self.parts(_row(found.x), 0.0), dim=1)[0]
         mean_square = _mean_square(residuals) / self._groups[0].expected
-        prior = np.diag([1.0] * n + [MASS_DEVIATION**-2] * self.n_trips)
-        told = self._jacobian(found.x, 0.0)[: len(residuals)]
+        told = self.jacobian(found.x, 0.0)[: len(residuals)]
+        prior = np.diag(self._prior_deviations() ** -2)
         information = told.T @ told / max(mean_square, 1.0) + prior
         spread = np.linalg.inv(information)[:n, :n]
         factor = self._factor.numpy()

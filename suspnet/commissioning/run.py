@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from suspnet.commissioning import words
 from suspnet.commissioning.fit import Commissioned, commission
 from suspnet.commissioning.healthy import HealthyTrips, read_healthy
 from suspnet.data.estimates import EstimateSettings
@@ -62,16 +63,10 @@ def commission_folder(
         folder, generator.vehicle.name, settings, trips, n_first=n_first, progress=progress
     )
     outcome = commission(_prior(generator, found), settings, found.groups)
-    log.info("%s", in_words(found, outcome))
+    log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
+    for doubt in words.doubts(outcome):
+        log.warning("%s", doubt)
     return found, outcome
-
-
-def in_words(found: HealthyTrips, outcome: Commissioned) -> str:
-    """Return in a sentence how well the vehicle explains its healthy trips."""
-    return (
-        f"commissioned on {len(found.manifests)} healthy trips, {len(found.groups)} stretches at "
-        f"one speed: what is left is {outcome.misfit:.2f} times the noise"
-    )
 
 
 def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:

@@ -42,13 +42,15 @@ class Directions:
     generator : ResponseGenerator
     factor : tensor of shape (n_names, n), [-]
         Change of the logarithms of the distribution's numbers for a coordinate of 1.
-    neglected : float, [-]
-        Rms effect of all directions left out, in standard deviations of the noise.
+    neglected, strongest : float, [-]
+        Rms effect of all directions left out, and of the first one, in standard deviations of the
+        noise.
     """
 
     generator: ResponseGenerator
     factor: Tensor
     neglected: float = 0.0
+    strongest: float = 0.0
 
     @property
     def n(self) -> int:
@@ -72,13 +74,19 @@ class Directions:
         return self.generator.with_uncertain(ratios, numbers)
 
 
-def directions(observer: Observer) -> Directions:
-    """Return the directions of the uncertain numbers that matter to an observer's curves."""
-    generator = observer.generator
+def every_direction(generator: ResponseGenerator) -> Directions:
+    """Return coordinates of all uncertain numbers of a generator."""
     distribution = generator.distribution
     if distribution is None or not distribution.names:
         return Directions(generator, torch.zeros(0, 0, dtype=torch.float64))
-    every = Directions(generator, torch.as_tensor(distribution.factor.copy()))
+    return Directions(generator, torch.as_tensor(distribution.factor.copy()))
+
+
+def directions(observer: Observer) -> Directions:
+    """Return the directions of the uncertain numbers that matter to an observer's curves."""
+    every = every_direction(observer.generator)
+    if not every.n:
+        return every
     points = torch.quasirandom.SobolEngine(len(PARAMETERS)).draw(N_VEHICLES, dtype=torch.float64)
     ratios = torch.exp(math.log(FURTHEST) * (2 * points - 1))
     standard = np.random.default_rng(0).standard_normal((N_VEHICLES, every.n))
@@ -87,7 +95,8 @@ def directions(observer: Observer) -> Directions:
     effects = values.clamp(min=0).sqrt()
     kept = effects >= LEAST_EFFECT
     factor = (every.factor.to(vectors) @ vectors)[:, kept].flip(1)
-    return Directions(generator, factor, float(effects[~kept].square().sum().sqrt()))
+    neglected = float(effects[~kept].square().sum().sqrt())
+    return Directions(every.generator, factor, neglected, float(effects[-1]))
 
 
 def _jacobian(observer: Observer, every: Directions, ratios: Tensor, standard: Tensor) -> Tensor:

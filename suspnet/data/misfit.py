@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from torch import Tensor, stack
 
@@ -97,7 +98,7 @@ class EstimateMisfit:
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
         return stack(parts, dim=1).flatten(1) * math.sqrt(2 / self._correlated)
 
-    @property
+    @cached_property
     def _correlated(self) -> float:
         """Return r, the number of neighbouring bins with the information of one."""
         correlated: float = self.observer.settings.welch.correlated_bins

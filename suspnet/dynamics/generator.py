@@ -90,8 +90,8 @@ class ResponseGenerator(Protocol):
         """Return abs(G_p) and abs(G_s) as one real tensor of shape (n_vehicles, 2, n_freq)."""
         ...
 
-    def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return responses from the axle box to ``further_places``, (n_vehicles, n, n_freq)."""
+    def further_channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return ``further_places`` for each input, (n_vehicles, n_inputs, n_places, n_freq)."""
         ...
 
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:

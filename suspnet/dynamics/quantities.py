@@ -56,32 +56,92 @@ QUANTITIES = (
     Quantity("healthy_c_s", 0.3, "N s/m", "healthy secondary damping"),
     Quantity("primary_bushing", 1.0, "N/m", "bushing of the primary damper", "bushings", 2e6),
     Quantity("secondary_bushing", 1.0, "N/m", "bushing of the secondary damper", "bushings", 1e7),
-    Quantity("rubber_share", 1.0, "", "Maxwell branch of the rubber over k_p", "rubber", 0.05),
-    Quantity("rubber_frequency", 0.3, "Hz", "relaxation of that branch", "rubber", 5.0),
+    Quantity(
+        "rubber_share", 1.0, "", "stiffness of the rubber's Maxwell branch over k_p", "rubber", 0.05
+    ),
+    Quantity(
+        "rubber_frequency",
+        0.3,
+        "Hz",
+        "relaxation frequency of the rubber's Maxwell branch",
+        "rubber",
+        5.0,
+    ),
     Quantity("rubber_loss", 1.0, "", "loss factor of the rubber", "rubber", 0.03),
-    Quantity("guidance_stiffness", 1.5, "", "of the axle guidance over k_p a^2", "guidance", 0.1),
-    Quantity("guidance_damping", 1.5, "", "of the axle guidance over c_p a^2", "guidance", 0.1),
     Quantity(
-        "longitudinal_stiffness", 1.0, "N/m", "between body and bogie, a side", "longitudinal", 1e5
+        "guidance_stiffness",
+        1.5,
+        "",
+        "pitch stiffness of the axle guidance over k_p a²",
+        "guidance",
+        0.1,
     ),
     Quantity(
-        "longitudinal_damping", 1.0, "N s/m", "between body and bogie, a side", "longitudinal", 1e4
+        "guidance_damping",
+        1.5,
+        "",
+        "pitch damping of the axle guidance over c_p a²",
+        "guidance",
+        0.1,
     ),
     Quantity(
-        "body_lever", 0.3, "m", "of the longitudinal links below the body", "longitudinal", 0.75
+        "longitudinal_stiffness",
+        1.0,
+        "N/m",
+        "stiffness of the longitudinal links, a side",
+        "longitudinal",
+        1e5,
     ),
-    Quantity("bogie_lever", 0.3, "m", "of these links above the bogie", "longitudinal", 0.42),
-    Quantity("bending_frequency", 0.25, "Hz", "first bending of the body", "bending", 10.0),
-    Quantity("bending_damping", 0.5, "", "damping ratio of the first bending", "bending", 0.015),
-    Quantity("bending_at_pivot", 0.5, "", "its shape at the pivots", "bending", 0.45),
-    Quantity("bending_at_sensor", 0.5, "", "its shape at the sensor", "bending", 0.45),
     Quantity(
-        "bending_slope", 0.5, "", "slope at the pivots times half their distance", "bending", 2.25
+        "longitudinal_damping",
+        1.0,
+        "N s/m",
+        "damping of the longitudinal links, a side",
+        "longitudinal",
+        1e4,
+    ),
+    Quantity(
+        "body_lever",
+        0.3,
+        "m",
+        "lever of the longitudinal links below the body's centre",
+        "longitudinal",
+        0.75,
+    ),
+    Quantity(
+        "bogie_lever",
+        0.3,
+        "m",
+        "lever of the longitudinal links above the bogie's centre",
+        "longitudinal",
+        0.42,
+    ),
+    Quantity(
+        "bending_frequency", 0.25, "Hz", "frequency of the body's first bending", "bending", 10.0
+    ),
+    Quantity(
+        "bending_damping", 0.5, "", "damping ratio of the body's first bending", "bending", 0.015
+    ),
+    Quantity(
+        "bending_at_pivot", 0.5, "", "shape of the first bending at the pivots", "bending", 0.45
+    ),
+    Quantity(
+        "bending_at_sensor", 0.5, "", "shape of the first bending at the sensor", "bending", 0.45
+    ),
+    Quantity(
+        "bending_slope",
+        0.5,
+        "",
+        "slope of the first bending at the pivots times half their distance",
+        "bending",
+        2.25,
     ),
     Quantity(
         "body_roll_gyration", 0.25, "m", "radius of gyration of the body in roll", "roll", 1.3
     ),
-    Quantity("bogie_roll_gyration", 0.25, "m", "the same of the bogie", "roll", 0.8),
+    Quantity(
+        "bogie_roll_gyration", 0.25, "m", "radius of gyration of the bogie in roll", "roll", 0.8
+    ),
     Quantity("primary_lateral", 0.2, "m", "half distance of the primary springs", "roll", 1.0),
     Quantity("secondary_lateral", 0.2, "m", "half distance of the secondary springs", "roll", 1.0),
     Quantity("anti_roll_bar", 1.0, "N m/rad", "stiffness of a bogie's anti-roll bar", "roll", 1e6),

@@ -156,9 +156,9 @@ class QuarterCar:
         # torch's rsqrt takes half the time of its sqrt
         return torch.stack([den_p.div_(num_p), den_s.div_(num_s)], dim=1).rsqrt_()
 
-    def further_responses(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return an empty tensor of shape (n_vehicles, 0, n_freq): there are no further places."""
-        shape = (len(ratios), 0, len(frequencies_hz))
+    def further_channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return an empty tensor (n_vehicles, 1, 0, n_freq): there are no further places."""
+        shape = (len(ratios), 1, 0, len(frequencies_hz))
         return torch.empty(shape, dtype=torch.complex128, device=self.device)
 
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:

@@ -248,21 +248,17 @@ class VerticalVehicle:
         bogie = "other" if elsewhere.body_sensor_m else "measured"
         return frame, f"body above the {bogie} bogie", "second axle box"
 
-    def further_responses(
+    def further_channels(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return the responses from the axle box to ``further_places``, (n_vehicles, 3, n_freq).
+        """Return ``further_places`` for each input, (n_vehicles, n_inputs, n_places, n_freq).
 
         The track reaches the second axle box a wheelbase later, or earlier if it leads.
         """
-        frame, to_body = self._elsewhere.responses(ratios, frequencies_hz)
-        half_wheelbase_m = self.vehicle.half_wheelbase_m
-        assert half_wheelbase_m is not None
-        delay_s = 2 * half_wheelbase_m / self.speed_m_per_s
-        behind = 1.0 if self.axle == "leading" else -1.0
-        bins = as_tensor(frequencies_hz).to(frame.device)
-        delay = torch.exp(-2j * math.pi * behind * delay_s * bins)
-        return torch.stack([frame, frame * to_body, delay.expand_as(frame)], dim=1)
+        channels = self._elsewhere.channels(ratios, frequencies_hz)
+        both = self._wheels(*self._prepared(ratios, frequencies_hz))[:2]
+        second = both[1 if self.axle == "leading" else 0][:, None, None]
+        return torch.cat([channels[:, :, 1:], second * channels[:, :, :1]], dim=2)
 
     @property
     def _elsewhere(self) -> VerticalVehicle:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from suspnet.data.observation import Observation
+from suspnet.data.observation import Observation, Observer
 from suspnet.data.protocols import Task
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.learning import Scaling
@@ -77,6 +77,11 @@ class FittedMethod:
     def vehicle(self) -> Vehicle:
         """The healthy vehicle."""
         return self.generator.vehicle
+
+    @cached_property
+    def observer(self) -> Observer:
+        """Makes curves like those of the training, on the CPU."""
+        return self.settings.observer(self.generator.on("cpu"))
 
     @property
     def log(self) -> bool:

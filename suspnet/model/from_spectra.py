@@ -81,8 +81,7 @@ def estimate_with_noise(
     noise_share : array of shape (n_outputs,), [-]
         n^2 / s^2; 1 without an interval.
     """
-    settings = trip_settings(method)
-    observer = settings.observer(method.generator.on("cpu"))  # as the spectra are
+    observer = trip_observer(method)
     if speeds is not None:
         observer = observer.at(speeds)
     inputs = _inputs(method, spectra, observer)
@@ -131,6 +130,14 @@ def trip_settings(method: FittedMethod) -> EstimateSettings:
             "III-B; trips need one of: python train.py experiment=trips"
         )
     return method.settings
+
+
+def trip_observer(method: FittedMethod) -> EstimateObserver:
+    """Return what observes trips as a method's training did; raises as `trip_settings`."""
+    trip_settings(method)
+    observer = method.observer
+    assert isinstance(observer, EstimateObserver)
+    return observer
 
 
 def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:

@@ -50,6 +50,7 @@ def train(
     config: Mapping[str, Any] | None = None,
     varied: Mapping[str, Any] | None = None,
     draw_vehicle: bool = True,
+    notes: Mapping[str, Any] | None = None,
     residual: Residual | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
@@ -75,6 +76,8 @@ def train(
         What a multirun varies, by its key in the configuration: TensorBoard's first columns.
     draw_vehicle : bool
         Whether figures of the vehicle are among the run's; once is enough in a multirun.
+    notes : mapping, optional
+        Further entries of the model's `training`: "commissioned" says which trips are healthy.
     residual : Residual, optional
         What the healthy trips of a commissioned vehicle leave unexplained.
 
@@ -99,7 +102,7 @@ def train(
         if residual is not None:
             model = with_unexplained(problem, model, residual)
             _tell(model)
-        training = model.training
+        training = model.training | dict(notes or {})
         outcome = predict_stream(problem, model, TEST)
         metrics = {
             **headline(problem, model),

@@ -39,19 +39,15 @@ def fisher_information(
 ) -> FloatArray:
     """Return the information of noisy curves on some parameters, the others being known.
 
-    A generator's uncertain numbers are neither: with z their standard normal coordinates
-    (`suspnet.data.directions`), what is not known of them counts against the parameters (van
-    Trees, Detection, estimation and modulation theory, 1968)::
-
-        I = I_tt - I_tz (I_zz + 1)^-1 I_zt,   at the median of their distribution
-
-
     I = J^T J, J the derivative of the observer's misfit by forward-mode differentiation. Of
     magnitudes with white noise that is sum over curves of J^T J / rms^2, J the derivative of the
     curves. Of transfer functions estimated from a trip, with J the derivative of
     (log G_p, log G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
 
         I = 2 / r sum over bins of Re(J^H Sigma^-1 J)
+
+    Bins where the estimate is weak count for nothing. A generator's uncertain numbers are unknown
+    too, at the median of their distribution: see `without_uncertain`.
 
     Parameters
     ----------
@@ -65,6 +61,32 @@ def fisher_information(
     array of shape (n_vehicles, n_parameters, n_parameters)
         With respect to ratios to healthy.
     """
+    every = joint_information(observer, ratios, parameters, responses)
+    return without_uncertain(every, len(parameters))
+
+
+def joint_information(
+    observer: Observer,
+    ratios: FloatArray,
+    parameters: Sequence[str],
+    responses: Sequence[str] = RESPONSES,
+    directions: Directions | None = None,
+) -> FloatArray:
+    """Return the information of curves on parameters and uncertain numbers together.
+
+    That of independent curves adds up; `without_uncertain` counts the prior once.
+
+    Parameters
+    ----------
+    observer, ratios, parameters, responses : as of `fisher_information`
+    directions : Directions, optional
+        Coordinates of the uncertain numbers; None is the observer's own.
+
+    Returns
+    -------
+    array of shape (n_vehicles, n_parameters + n_z, n_parameters + n_z)
+    """
+    directions = observer.directions if directions is None else directions
     columns = [PARAMETERS.index(name) for name in parameters]
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
@@ -78,14 +100,34 @@ def fisher_information(
             pair = torch.func.jvp(functools.partial(misfit, rows=every), (rows,), (tangent,))
             derivatives.append(pair[1])
         jacobian = torch.stack(derivatives, dim=1)
-        information = jacobian @ jacobian.transpose(1, 2)
-        if observer.directions.n:
-            nuisance = _nuisance(observer.directions, misfit, rows.to(jacobian))
-            both = jacobian @ nuisance.mT
-            prior = torch.eye(observer.directions.n).to(both)
-            information -= both @ torch.linalg.solve(nuisance @ nuisance.mT + prior, both.mT)
-        blocks.append(information.cpu().numpy())
+        if directions.n:
+            nuisance = _nuisance(directions, misfit, rows.to(jacobian))
+            jacobian = torch.cat([jacobian, nuisance], dim=1)
+        blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
     return np.concatenate(blocks)
+
+
+def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
+    """Return the information on parameters where uncertain numbers are unknown but for a prior.
+
+    With z their standard normal coordinates (`suspnet.data.directions`), what is not known of them
+    counts against the parameters (van Trees, Detection, estimation and modulation theory, 1968)::
+
+        I = I_tt - I_tz (I_zz + 1)^-1 I_zt
+
+    Parameters
+    ----------
+    information : array of shape (..., n_parameters + n_z, n_parameters + n_z)
+    n_parameters : int
+    """
+    n = n_parameters
+    found = information[..., :n, :n]
+    if information.shape[-1] == n:
+        return found
+    both = information[..., :n, n:]
+    prior = np.eye(information.shape[-1] - n)
+    solved = np.linalg.solve(information[..., n:, n:] + prior, np.swapaxes(both, -1, -2))
+    return np.asarray(found - both @ solved)
 
 
 def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:

@@ -13,13 +13,22 @@ from suspnet.data.curves import CurveObserver, CurveSettings
 from suspnet.data.estimates import EstimateObserver, EstimateSettings
 from suspnet.data.observation import Observer
 from suspnet.data.protocols import RESPONSES, Task
-from suspnet.dynamics import PARAMETERS
-from suspnet.theory.information import cramer_rao, fisher_information
+from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.theory.information import (
+    cramer_rao,
+    fisher_information,
+    joint_information,
+    without_uncertain,
+)
 from suspnet.theory.sensor_information import THREE_SENSORS, places, recording_information
 from suspnet.types import FloatArray
 
 MASS = "M_s"
 SECOND_SET = "a second set of sensors"
+PAIR = "a pair of sensors at each place, left and right"
+ONE_SIDE = "one sensor at each place, 1 m off the middle"
+ONE_SIDE_M = (1.0, 1.0, 1.0)
+"""Lateral places [m] of sensors on axle box, frame and body on one side."""
 Kind = Literal["baseline", "less", "more", "other", "estimate"]
 
 
@@ -67,15 +76,15 @@ class _FurtherCurves(CurveObserver):
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return their magnitudes, shape (n_vehicles, 2, n_freq), [-]."""
-        return self.generator.further_responses(ratios, self.frequencies_hz)[:, :2].abs()
+        return self.generator.further_channels(ratios, self.frequencies_hz)[:, 0, :2].abs()
 
 
 def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     """Return the options of measurement for a task; the first is what is measured now.
 
     Of curves: one of them, both, and further ones of the same signal-to-noise ratio. Of trips: the
-    recordings of fewer and of more sensors, and the estimate that is made of three. Of either: the
-    car-body mass, and twice the sensors.
+    recordings of fewer and of more sensors, of pairs and of one side where the vehicle rolls, and
+    the estimate that is made of three. Of either: the car-body mass, and twice the sensors.
 
     Parameters
     ----------
@@ -92,13 +101,17 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
 
 
 def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> list[Option]:
-    """Return the options of section III-B, all of ``task.varied`` unknown."""
+    """Return the options of section III-B, all of ``task.varied`` unknown.
+
+    Uncertain numbers are those of one vehicle, whichever curves of it are measured: informations
+    add up before these numbers are eliminated.
+    """
 
     def information(source: CurveObserver, response: str) -> FloatArray:
-        return fisher_information(source, ratios, task.varied, (response,))
+        return joint_information(source, ratios, task.varied, (response,), observer.directions)
 
     def option(title: str, kind: Kind, total: FloatArray) -> Option:
-        return Option(title, kind, task.varied, total)
+        return Option(title, kind, task.varied, without_uncertain(total, len(task.varied)))
 
     primary, secondary = (information(observer, name) for name in RESPONSES)
     curves = {
@@ -142,9 +155,34 @@ def _from_recordings(task: Task, observer: EstimateObserver, ratios: FloatArray)
         Option(title, kinds[np.sign(count.sum() - three.sum())], task.varied, information)
         for (title, count), information in zip(choices.items(), found, strict=True)
     ]
+    recorded += _sides(task, observer, ratios, three)
     estimate = fisher_information(observer, ratios, task.varied)
     title = f"three sensors, {observer.settings.method} estimate"
     return [*recorded, Option(title, "estimate", task.varied, estimate)]
+
+
+def _sides(
+    task: Task, observer: EstimateObserver, ratios: FloatArray, three: FloatArray
+) -> list[Option]:
+    """Return the options of sensors left and right of a vehicle that rolls, and of one side alone.
+
+    The mean of a pair does not see roll and has half the noise of one sensor.
+    """
+    generator = observer.generator
+    if not isinstance(generator, VerticalVehicle) or "roll" not in generator.parts:
+        return []
+    kinds: tuple[tuple[str, Kind, tuple[float, float, float], float], ...] = (
+        (PAIR, "more", (0.0, 0.0, 0.0), 2.0),
+        (ONE_SIDE, "less", ONE_SIDE_M, 1.0),
+    )
+    found = []
+    for title, kind, lateral_m, count in kinds:
+        if kind == "less" and generator.rolls:
+            continue  # what is measured now
+        source = observer.settings.observer(replace(generator, sensor_lateral_m=lateral_m))
+        (information,) = recording_information(source, ratios, task.varied, [count * three])
+        found.append(Option(title, kind, task.varied, information))
+    return found
 
 
 _OPTIONS: dict[str, Callable[..., list[Option]]] = {

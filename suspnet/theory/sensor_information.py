@@ -1,9 +1,10 @@
 """Fisher information of recordings by sensors at given places.
 
-Sensors whose responses from the axle box are h = (1, G_p, G_p G_s, ...) record, in each frequency
-bin, a complex normal vector with the spectral matrix::
+Sensors whose responses to the track are the columns of H, one for each independent input (the mean
+of both rails and, where sensors feel roll, the cross level), record, in each frequency bin, a
+complex normal vector with the spectral matrix::
 
-    S = S_w h h^H + diag(N),    S_w the track's level, N the sensors' noise densities
+    S = S_w H H^H + diag(N),    S_w the track's level, N the sensors' noise densities
 
 The information in n averages of it is, by Whittle's likelihood (P. Whittle, The analysis of
 multiple stationary time series, Journal of the Royal Statistical Society B 15, 1953)::
@@ -12,12 +13,15 @@ multiple stationary time series, Journal of the Royal Statistical Society B 15, 
 
 with r from the correlation of the bins, ``Welch.correlated_bins``. N is known, S_w
 is not: it is one more unknown of each bin, eliminated by its Schur complement. S is the identity
-plus a rank of one, once each sensor is divided by its noise, so that both steps have a closed form.
-With a = sqrt(S_w / N) h, q = |a|^2 and u_i the part of da_i that is perpendicular to a::
+plus A A^H, A = sqrt(S_w / N) H, once each sensor is divided by the root of its noise. With one
+input both steps have a closed form; q = |a|^2 and u_i the part of da_i perpendicular to a::
 
     I_ij - I_is I_sj / I_ss = n / r sum over bins of 2 q / (1 + q) Re(u_i^H u_j)
 
 What moves all sensors alike, in size or in phase, cannot be told from the track: no part of u.
+
+A generator's uncertain numbers are further unknowns, about the median of their distribution, with
+that as prior: see `without_uncertain`.
 
 The recordings hold more information than their IV estimate, in which neighbouring bins leak into
 each other. H1, H2 and Hv may seem to hold more in strong noise: they are biased by an amount that
@@ -34,11 +38,13 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from suspnet.data.directions import Directions, every_direction
 from suspnet.data.estimates import EstimateObserver
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.theory.information import without_uncertain
 from suspnet.types import FloatArray
 
-ROWS = 128
+ROWS = 32
 ROUNDING = 1e-24
 """Share of a slope's square that rounding leaves where the slope is parallel to a."""
 THREE_SENSORS = ("axle box", "bogie", "body")
@@ -55,18 +61,22 @@ def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[flo
     return (axle_box, bogie, body, *((bogie, body, axle_box) if generator.further_places else ()))
 
 
-def place_responses(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-    """Return the response from the axle box to each of ``places``, (n_vehicles, n_places, n_freq).
+def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    """Return each of ``places`` for each input, (n_vehicles, n_inputs, n_places, n_freq).
 
     Parameters
     ----------
     generator : ResponseGenerator
-    ratios : tensor of shape (n_vehicles, 5), [-]
+    ratios : tensor of shape (n_vehicles, 5) or wider, [-]
     frequencies_hz : tensor of shape (n_freq,), [Hz]
     """
-    bogie, to_body = generator.responses(ratios, frequencies_hz)
-    three = torch.stack([torch.ones_like(bogie), bogie, bogie * to_body], dim=1)
-    return torch.cat([three, generator.further_responses(ratios, frequencies_hz)], dim=1)
+    three = generator.channels(ratios, frequencies_hz)
+    return torch.cat([three, generator.further_channels(ratios, frequencies_hz)], dim=2)
+
+
+def _gains(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    """Return the root of each place's power over that of the mean track, (n, n_places, n_freq)."""
+    return place_channels(generator, ratios, frequencies_hz).abs().square().sum(dim=1).sqrt()
 
 
 def recording_information(
@@ -101,56 +111,97 @@ def recording_information(
     numbers = _checked(counts, len(places(generator)))
     bins = observer.frequencies_hz
     rates_hz = _rates_hz(generator, settings.rates_hz)
-    noise = observer.noise_densities(functools.partial(place_responses, generator), rates_hz)
+    noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
     track = torch.as_tensor(observer.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
     per_bin = settings.n_averages / settings.welch.correlated_bins
+    uncertain = every_direction(generator)
     blocks = []
     for rows in torch.as_tensor(ratios).split(ROWS):
-        response = place_responses(generator, rows, bins)
-        seen = response * level.to(response.device)
-        slopes = torch.stack(
-            [_slope(generator, rows, bins, name) * level.to(seen.device) for name in parameters],
-            dim=1,
-        )  # (n, n_parameters, n_places, n_freq)
+        seen = place_channels(generator, rows, bins)
+        slopes = _slopes(generator, rows, bins, parameters, uncertain)
+        seen, slopes = seen * level.to(seen.device), slopes * level.to(seen.device)
         found = [_without_track(seen, slopes, choice.to(seen.device)) for choice in numbers]
         blocks.append(per_bin * torch.stack(found).cpu().numpy())
-    return np.concatenate(blocks, axis=1)
+    return without_uncertain(np.concatenate(blocks, axis=1), len(parameters))
 
 
-def _slope(
-    generator: ResponseGenerator, rows: Tensor, frequencies_hz: Tensor, parameter: str
+def _slopes(
+    generator: ResponseGenerator,
+    rows: Tensor,
+    frequencies_hz: Tensor,
+    parameters: Sequence[str],
+    uncertain: Directions,
 ) -> Tensor:
-    """Return the derivative of each place's response with respect to one ratio."""
-    tangent = torch.zeros_like(rows)
-    tangent[:, PARAMETERS.index(parameter)] = 1
-    pair = torch.func.jvp(
-        lambda r: place_responses(generator, r, frequencies_hz), (rows,), (tangent,)
-    )
-    slope: Tensor = pair[1]
-    return slope
+    """Return the derivative of each place, (n, n_unknown, n_inputs, n_places, n_freq).
+
+    The unknowns are the parameters, then the coordinates of the uncertain numbers.
+    """
+    n_columns = len(PARAMETERS)
+    start = torch.cat([rows, rows.new_zeros(len(rows), uncertain.n)], dim=1)
+    columns = [PARAMETERS.index(name) for name in parameters]
+    slopes: list[Tensor] = []
+    for column in [*columns, *range(n_columns, n_columns + uncertain.n)]:
+        tangent = torch.zeros_like(start)
+        tangent[:, column] = 1
+        pair = torch.func.jvp(
+            lambda x: place_channels(
+                generator, uncertain.vehicles(x[:, :n_columns], x[:, n_columns:]), frequencies_hz
+            ),
+            (start,),
+            (tangent,),
+        )
+        slopes.append(pair[1])
+    return torch.stack(slopes, dim=1)
 
 
 def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
-    """Return sum over bins of 2 q / (1 + q) Re(u_i^H u_j) with `count` sensors at each place.
+    """Return the sum over bins of one average's information, the level of the track eliminated.
 
     Parameters
     ----------
-    a : complex tensor of shape (n, n_places, n_freq)
+    a : complex tensor of shape (n, n_inputs, n_places, n_freq)
         Of one sensor at each place.
-    da : complex tensor of shape (n, n_parameters, n_places, n_freq)
+    da : complex tensor of shape (n, n_unknown, n_inputs, n_places, n_freq)
         The derivatives of a.
     count : tensor of shape (n_places,)
     """
     used = count > 0
     many = count[used].sqrt()[:, None]
-    a, da = a[:, used] * many, da[:, :, used] * many
+    a, da = a[:, :, used] * many, da[:, :, :, used] * many
+    if a.shape[1] == 1:
+        return _of_one_input(a[:, 0], da[:, :, 0])
+    return _of_several_inputs(a, da)
+
+
+def _of_one_input(a: Tensor, da: Tensor) -> Tensor:
+    """Return sum over bins of 2 q / (1 + q) Re(u_i^H u_j), a (n, n_places, n_freq)."""
     q = a.abs().square().sum(dim=1)[:, None, None]
     along = (a.conj()[:, None] * da).sum(dim=2, keepdim=True) / q
     u = da - along * a[:, None]
     size = (u.abs().square().sum(dim=(2, 3)), da.abs().square().sum(dim=(2, 3)))
     u[size[0] <= ROUNDING * size[1]] = 0
     flat = torch.view_as_real(u * (2 * q / (1 + q)).sqrt()).flatten(2)
+    return flat @ flat.transpose(1, 2)
+
+
+def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
+    """Return sum over bins of Re tr(X_i X_j) - Re tr(X_i X_s) Re tr(X_s X_j) / tr(X_s X_s).
+
+    X_i = L^-1 dS_i L^-H with L L^H = S = 1 + A A^H; X_s belongs to the level's logarithm.
+    """
+    a, da = a.movedim(-1, 1).mT, da.movedim(-1, 2).mT  # (n, [n_unknown,] n_freq, places, inputs)
+    one = torch.eye(a.shape[-2]).to(a)
+    whitening = torch.linalg.solve_triangular(
+        torch.linalg.cholesky(one + a @ a.mH), one, upper=False
+    )
+    a, da = (whitening @ a)[:, None], whitening[:, None] @ da
+    level, half = a @ a.mH, da @ a.mH
+    x = half + half.mH
+    along = (x * level.conj()).sum(dim=(-2, -1), keepdim=True).real
+    u = x - along / level.abs().square().sum(dim=(-2, -1), keepdim=True) * level
+    u[u.abs().square().sum(dim=(2, 3, 4)) <= ROUNDING * x.abs().square().sum(dim=(2, 3, 4))] = 0
+    flat = torch.view_as_real(u).flatten(2)
     return flat @ flat.transpose(1, 2)
 
 

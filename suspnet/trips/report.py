@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import math
 import re
@@ -177,14 +178,14 @@ def write_report(
     return write_atomically(path, page.encode("utf-8", errors="replace"))
 
 
-def render(template: str, **values: Any) -> str:
-    """Return one of the package's HTML templates, filled in."""
+def render(template: str, package: str = "suspnet.trips", **values: Any) -> str:
+    """Return an HTML template of a package, filled in; it may include those of this package."""
     environment = Environment(
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        loader=FunctionLoader(_packaged),
+        loader=FunctionLoader(functools.partial(_packaged, package)),
     )
     environment.filters |= {
         "number": _number,
@@ -199,9 +200,12 @@ def render(template: str, **values: Any) -> str:
     return environment.get_template(template).render(labels=labels, **values)
 
 
-def _packaged(name: str) -> str:
-    """Return the text of a file of this package."""
-    return resources.files("suspnet.trips").joinpath(name).read_text(encoding="utf-8")
+def _packaged(package: str, name: str) -> str:
+    """Return the text of a file of a package, or of this one if it has none."""
+    file = resources.files(package).joinpath(name)
+    if not file.is_file():
+        file = resources.files("suspnet.trips").joinpath(name)
+    return file.read_text(encoding="utf-8")
 
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
@@ -271,6 +275,16 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
     heading, explanation = name.replace("_", " ").capitalize(), ""
     if name in CAPTIONS:
         heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)
+    return {
+        "name": name,
+        "heading": heading,
+        "explanation": explanation,
+        "image": data_uri(figure),
+    }
+
+
+def data_uri(figure: Figure) -> str:
+    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
     stream = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "suspnet"}):  # the same figure gives the same bytes
         figure.savefig(stream, format="svg", metadata={"Date": None})
@@ -278,8 +292,7 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
     if stream.tell() > SVG_LIMIT:
         kind, stream = "png", io.BytesIO()
         figure.savefig(stream, format="png", dpi=PNG_DPI)
-    image = f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
-    return {"name": name, "heading": heading, "explanation": explanation, "image": image}
+    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
 
 
 def _number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:

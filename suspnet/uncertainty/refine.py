@@ -44,9 +44,15 @@ ROWS = 4
 FURTHEST = 6.0
 """Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
 TEMPERATURES = (100.0, 10.0)
-"""Factors on the noise of the searches before the last one."""
+"""Factors on the noise of the searches before the last one, where numbers are widely uncertain."""
+WIDE = 200.0
+"""Effect of uncertain numbers, in deviations of the noise, from which on one search alone may end
+far off; that of a commissioned vehicle is about 60."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of these searches."""
+LEAST_DECREASE = 0.01
+"""Decrease of half the sum of squares at which a search with uncertain numbers ends: these make
+narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations."""
 UNCERTAIN_DAMPING = 1e-2
 """First damping where uncertain numbers are fitted, from whose median the search starts."""
 UNEXPLAINED = 1.3
@@ -156,9 +162,8 @@ def refine(
         full = _best_level(misfit, full, task, name)
     search = _Search(task, misfit, full, directions, max_iter)
     every = torch.arange(len(full), device=device)
-    search_from = (
-        search.run if not search.n_directions else functools.partial(search.tempered, near)
-    )
+    wide = directions is not None and directions.strongest > WIDE
+    search_from = functools.partial(search.tempered, near) if wide else search.run
     found = search_from(every, search.point(full))
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
@@ -252,7 +257,8 @@ class _Search:
             tol=TOL if last else ROUGH_TOL,
             first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
             bounds=self._bounds,
-            one_sided=bool(self.n_directions),
+            one_sided=bool(self.n_directions) and not last,
+            least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:

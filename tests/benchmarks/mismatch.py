@@ -1,161 +1,271 @@
-"""What it costs to read trips of a vehicle that is not the one a model was trained for.
+"""What it costs to read trips of a vehicle that is not the one that a model was trained for.
 
-python tests/benchmarks/mismatch.py [--folder DIR] [--effects none bending ... all a+b]
+python tests/benchmarks/mismatch.py [--time] [--cases none bending ... all] [--readings nominal ...]
 
-For each effect (tests/rich_vehicle.py says what each is, with sources) one folder of trips of one
-AM96 suspension is simulated: first the healthy ones, then one another vehicle each. They are read
-with models trained without the effect. Prints a table of bias, rms error and coverage of the 90 %
-intervals in % over the vehicles that are not healthy, and writes mismatch.csv and mismatch.md.
-Models and trips stay in DIR; models found there are taken as they are.
+Each case is one train of tests/rich_train.py with true numbers of its own: first healthy trips,
+then trips of worn vehicles, one each. Trips are drawn as spectra, exact in distribution, or with
+--time stepped in time, written to files and read as recordings are. "Commissioned" fits the vehicle
+to the healthy trips and trains on what they leave open; "nominal" trains on the vehicle file alone.
+Adds bias, rms error and coverage of the 90 % intervals to mismatch.csv, case by case, in place of
+what it held of the same ones, and writes mismatch.md.
 """
 
 import csv
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from cells import Parser, Row, at_least
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from tabulate import tabulate
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from rich_trips import EFFECTS, SENSORS, drawn_ratios, write_rich_trips  # noqa: E402
+from rich_spectra import drawn_estimates  # noqa: E402
+from rich_train import FAMILY, RichTrain  # noqa: E402
+from rich_train_trips import true_ratios, write_train_trips  # noqa: E402
+from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
-from suspnet.model import TrainedModel  # noqa: E402
-from suspnet.model.checkpoint import load_model  # noqa: E402
-from suspnet.model.from_recording import TripSettings  # noqa: E402
+from suspnet.commissioning import Commissioned, HealthySpectra, commission  # noqa: E402
+from suspnet.commissioning.run import commission_folder  # noqa: E402
+from suspnet.data.estimates import Speeds  # noqa: E402
+from suspnet.dynamics.distribution import LogNormal  # noqa: E402
+from suspnet.dynamics.quantities import PARTS  # noqa: E402
+from suspnet.features.cross_spectra import CrossSpectra  # noqa: E402
+from suspnet.model.estimate import Estimate  # noqa: E402
+from suspnet.model.from_recording import NoEstimateError, TripSettings  # noqa: E402
+from suspnet.model.trained import TrainedModel  # noqa: E402
+from suspnet.problem import TRAIN, Problem  # noqa: E402
 from suspnet.recordings.manifest import find_manifests  # noqa: E402
+from suspnet.runs.calibrate import calibrated  # noqa: E402
+from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
-from suspnet.trips.records import OK, TripResult, relative_to_first  # noqa: E402
-from suspnet.trips.trip import evaluate_trip  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
-SAMPLED = {
-    "bogie_mass": 0.10,
-    "half_wheelbase": 0.10,
-    "half_pivot_distance": 0.10,
-    "bogie_gyration": 0.15,
-    "body_gyration": 0.15,
-    "speed": 0.02,
-}
-UNCERTAIN = [f"+generator.distribution.{name}={width}" for name, width in SAMPLED.items()]
-READINGS = {
-    "nominal": [],
-    "sampled": UNCERTAIN,
-    "sampled, to 6.5 Hz": [*UNCERTAIN, "protocol.curve.high_hz=6.5"],
-}
-"""Models, by what they are trained with beyond experiment=trips."""
-
-
-def bias(results: Sequence[TripResult], name: str) -> float:
-    """Return the mean relative error of one output, [%]."""
-    return float(np.mean(errors_percent(results, name)))
-
-
-def rms(results: Sequence[TripResult], name: str) -> float:
-    """Return the rms relative error of one output, [%]."""
-    return float(np.sqrt(np.mean(np.square(errors_percent(results, name)))))
-
-
-def coverage(results: Sequence[TripResult], name: str) -> float:
-    """Return how often the 90 % interval of one output holds the truth, [%]."""
-    limits = [r.interval(name) for r in results]
-    held = [low <= r.truth[name] <= high for r, (low, high) in zip(results, limits, strict=True)]
-    return 100 * float(np.mean(held))
-
-
-MEASURES: dict[str, Callable[[Sequence[TripResult], str], float]] = {
-    "bias_percent": bias,
-    "rms_percent": rms,
-    "coverage_percent": coverage,
-}
-"""Columns of the CSV for each output, from the trips that have an estimate; add one here."""
+NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"
+READINGS = (NOMINAL, COMMISSIONED, REFINED)
+NOT_LINEAR = ("blow_off", "friction")
+LEVEL = 0.9
 IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
-"""Those that the table shows, parted by a slash."""
+"""What the table shows of each output, parted by a slash."""
 
 
-def errors_percent(results: Sequence[TripResult], name: str) -> list[float]:
-    """Return the error of each estimate relative to the truth, [%]."""
-    return [100 * (r.estimates[name] / r.truth[name] - 1) for r in results]
+@dataclass(frozen=True)
+class Case:
+    """Effects of a train, and where its sensors are: "mean" of a pair, or "left"."""
+
+    effects: tuple[str, ...] = ()
+    sides: str = "mean"
+
+    @property
+    def in_time_only(self) -> bool:
+        """Whether the train has no exact spectra."""
+        return bool(set(self.effects) & set(NOT_LINEAR))
+
+    @property
+    def lateral_m(self) -> list[float]:
+        """Return the lateral place of each channel's sensor, [m]."""
+        return [0.0 if self.sides == "mean" else 1.0] * 3
 
 
-def train(folder: Path, overrides: Sequence[str]) -> TrainedModel:
-    """Return the model of a folder, trained first if there is none."""
-    if not folder.exists():
-        rates = [sensor["rate_hz"] for sensor in SENSORS.values()]
-        command = [sys.executable, "train.py", "experiment=trips", "threads=1", "progress=false"]
-        command += [f"data.rates_hz={rates}", f"hydra.run.dir={folder}", *overrides]
-        subprocess.run(command, cwd=ROOT, check=True, stdout=sys.stderr)
-    return load_model(folder)
+CASES = {
+    "none": Case(),
+    **{name: Case((name,)) for name in FAMILY},
+    "roll, left": Case(("roll",), "left"),
+    "vertical all": Case(tuple(name for name in FAMILY if name != "roll")),
+    "all": Case(FAMILY),
+    "all, left": Case(FAMILY, "left"),
+    **{
+        f"all+{name}": Case((*FAMILY, name)) for name in ("second_bending", "one_side", *NOT_LINEAR)
+    },
+}
 
 
-def parts(effect: str) -> tuple[str, ...]:
-    """Return the effects behind a name on the command line, such as all or bending+contact."""
-    names = {"none": (), "all": EFFECTS}.get(effect, tuple(effect.split("+")))
-    unknown = sorted(set(names) - set(EFFECTS))
-    if unknown:
-        raise ValueError(f"effects must be none, all or some of {EFFECTS} joined by +: {unknown}")
-    return names
+@dataclass(frozen=True)
+class Trips:
+    """Trips of one train, healthy ones first.
+
+    Attributes
+    ----------
+    case : Case
+    given : sequence of CrossSpectra or Path
+        Spectra or manifests.
+    truth : array of shape (n_trips, 5), [-]
+    n_healthy : int
+    """
+
+    case: Case
+    given: Sequence[CrossSpectra | Path]
+    truth: np.ndarray
+    n_healthy: int
 
 
-def read(trips: Path, models: Mapping[str, TrainedModel], n_healthy: int, effect: str) -> list[Row]:
-    """Return a row for each model, reference and output."""
-    rows = []
-    for reading, model in models.items():
-        results = [evaluate_trip(p, [model], TripSettings()) for p in find_manifests(trips)]
-        for reason in sorted({r.reason for r in results if r.status != OK}):
-            print(f"{effect}, {reading}: {reason}", file=sys.stderr)
-        found = {"vehicle": results}
-        if all(r.status == OK for r in results[:n_healthy]):
-            found["first_trips"] = relative_to_first(results, n_healthy)
-        for reference, trips_read in found.items():
-            done = [r for r in trips_read[n_healthy:] if r.status == OK]
-            head = {"effect": effect, "trained": reading, "reference": reference}
-            head |= {"n_trips": len(results) - n_healthy, "n_read": len(done)}
-            head |= {"n_flagged": sum(bool(r.flags) for r in done)}
-            for name in model.task.outputs:
-                measured = {key: one(done, name) for key, one in MEASURES.items() if done}
-                rows.append(head | {"output": name} | measured)
-    return rows
+def configuration(options, case, *overrides):
+    """Return the configuration of experiment=trips."""
+    rates = [sensor["rate_hz"] for sensor in SENSORS.values()]
+    given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
+    given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        return compose("train", overrides=["experiment=trips", *given, *overrides])
 
 
-def run_all(options, folder: Path) -> list[Row]:
-    """Simulate and read each effect; the CSV is complete up to the last at any time."""
-    rows: list[Row] = []
-    models = {
-        name: train(folder / f"model_{list(READINGS).index(name)}", READINGS[name] + options.train)
-        for name in options.readings
-    }
-    fleet = Fleet(n_trips=options.healthy + options.trips, minutes=options.minutes, sensors=SENSORS)
+def made(options, case: Case, folder: Path) -> Trips:
+    """Return the trips of a case."""
+    n_trips = options.healthy + options.trips
+    fleet = Fleet(n_trips=n_trips, minutes=options.minutes, sensors=SENSORS)
     ratios = drawn_ratios(options.healthy, fleet, options.seed)
-    for effect in options.effects:
-        trips = folder / effect
-        if trips.exists():
-            shutil.rmtree(trips)
-        start = time.perf_counter()
-        write_rich_trips(trips, parts(effect), ratios, fleet, options.seed)
-        written = time.perf_counter()
-        rows += read(trips, models, options.healthy, effect)
-        seconds = (
-            f"simulated in {written - start:.0f} s, read in {time.perf_counter() - written:.0f}"
+    train = RichTrain.scattered(options.seed, case.effects)
+    truth = np.array([list(true_ratios(train, row, case.sides).values()) for row in ratios])
+    if options.time:
+        sides = "pair" if case.sides == "mean" else case.sides
+        write_train_trips(folder, train, ratios, fleet, options.seed, sides)
+        return Trips(case, find_manifests(folder), truth, options.healthy)
+    config = configuration(options, case)
+    settings = instantiate(config.data).bound(instantiate(config.generator).vehicle)
+    drawn = drawn_estimates(train, ratios, settings, options.seed, case.sides)
+    parts = zip(drawn.auto, drawn.cross, strict=True)
+    return Trips(case, [CrossSpectra(*p, drawn.n_averages) for p in parts], truth, options.healthy)
+
+
+def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
+    """Return the vehicle that the healthy trips show."""
+    generator, settings = instantiate(config.generator), instantiate(config.data)
+    if isinstance(trips.given[0], Path):
+        n_first = trips.n_healthy
+        return commission_folder(folder, generator, settings, TripSettings(), n_first=n_first)[1]
+    seen = any(trips.case.lateral_m)
+    parts = tuple(part for part in PARTS if part != "air_spring" and (seen or part != "roll"))
+    prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
+    speeds = Speeds((settings.speed_m_per_s,), (1.0,))
+    healthy = enumerate(trips.given[: trips.n_healthy])
+    groups = [HealthySpectra(i, f"trip {i}", speeds, spectra) for i, spectra in healthy]
+    return commission(prior, settings.bound(generator.vehicle), groups)
+
+
+def trained(config, generator, refined: bool) -> tuple[TrainedModel, float]:
+    """Return the calibrated model of a generator's vehicles, and the seconds of its training."""
+    task, settings = instantiate(config.protocol).task(config.group), instantiate(config.data)
+    problem = Problem(generator, task, settings, seed=config.seed)
+    start = time.process_time()
+    problem.features(TRAIN)
+    model = calibrated(
+        problem, replace(fit(problem, instantiate(config.model), None), refined=refined)
+    )
+    return model, time.process_time() - start
+
+
+def read(model: TrainedModel, trips: Trips) -> list[Estimate | None]:
+    """Return the estimate of each trip, None where there is none."""
+    found: list[Estimate | None] = []
+    for one in trips.given:
+        try:
+            found.append(model.estimate(one, level=LEVEL))
+        except NoEstimateError as reason:
+            print(reason, file=sys.stderr)
+            found.append(None)
+    return found
+
+
+def measured(trips: Trips, estimates: Sequence[Estimate | None], relative: bool) -> list[Row]:
+    """Return a row for each output: errors and coverage over the trips that are not healthy.
+
+    With `relative` springs and dampers are relative to the median of the healthy trips.
+    """
+    healthy = [e for e in estimates[: trips.n_healthy] if e is not None]
+    worn = [i for i in range(trips.n_healthy, len(estimates)) if estimates[i] is not None]
+    done = [estimates[i] for i in worn]
+    head = {"n_trips": len(estimates) - trips.n_healthy, "n_read": len(done)}
+    flagged = np.array([bool(e.flags.flagged[0]) for e in done], dtype=bool)
+    head["n_flagged"] = int(flagged.sum())
+    rows = []
+    for j, name in enumerate(done[0].names if done else ()):
+        reference = 1.0
+        if relative and name != "M_s":
+            reference = float(np.median([e.values[0, j] for e in healthy]))
+        values, low, high = (
+            np.array([getattr(e, part)[0, j] for e in done]) / reference
+            for part in ("values", "low", "high")
         )
-        print(f"{effect}: {fleet.n_trips} trips {seconds} s", file=sys.stderr)
-        write(rows, options.output)
-        if not options.keep:
-            shutil.rmtree(trips)
+        truth = trips.truth[worn, j]
+        errors, held = 100 * (values / truth - 1), (low <= truth) & (truth <= high)
+        row = head | {
+            "output": name,
+            "bias_percent": float(errors.mean()),
+            "rms_percent": float(np.sqrt(np.mean(errors**2))),
+            "coverage_percent": 100 * float(held.mean()),
+            "half_width_percent": 50 * float(np.median(np.log(high / low))),
+        }
+        if not flagged.all():
+            row["unflagged_coverage_percent"] = 100 * float(held[~flagged].mean())
+        rows.append(row)
     return rows
 
 
-def write(rows: Sequence[Row], output: Path) -> None:
-    """Write the rows so far to mismatch.csv."""
-    with (output / "mismatch.csv").open("w", newline="") as file:
+def case_rows(options, name: str, folder: Path) -> list[Row]:
+    """Return the rows of one case."""
+    case, trips = CASES[name], made(options, CASES[name], folder)
+    head = {"case": name, "trips": "time" if options.time else "spectra"}
+    rows = []
+
+    def add(reading, model, seconds, more, references=("vehicle",)):
+        start = time.process_time()
+        estimates = read(model, trips)
+        each = (time.process_time() - start) / len(estimates)
+        told = {"reading": reading, "train_s": seconds, "trip_s": each, **more}
+        for reference in references:
+            found = measured(trips, estimates, reference == "first_trips")
+            rows.extend(head | told | {"reference": reference} | row for row in found)
+
+    if NOMINAL in options.readings:
+        add(NOMINAL, *nominal(options, case), {}, ("vehicle", "first_trips"))
+    readings = [reading for reading in options.readings if reading != NOMINAL]
+    if readings:
+        config = configuration(options, case)
+        start = time.process_time()
+        vehicle = commissioned(config, trips, folder)
+        more = {"misfit": vehicle.misfit, "commission_s": time.process_time() - start}
+        for reading in readings:
+            add(reading, *trained(config, vehicle.generator, reading == REFINED), more)
+    return rows
+
+
+def nominal(options, case: Case) -> tuple[TrainedModel, float]:
+    """Return the model of the vehicle file's numbers, the same one for cases of the same sides."""
+    if case.sides not in _NOMINAL:
+        config = configuration(options, Case(), "generator.parts=[]")
+        _NOMINAL[case.sides] = trained(config, instantiate(config.generator), False)
+    return _NOMINAL[case.sides]
+
+
+_NOMINAL: dict[str, tuple[TrainedModel, float]] = {}
+
+
+def merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
+    """Return old and new rows in the order of `CASES`, without old ones of the same runs."""
+    runs = {tuple(row[key] for key in ("case", "trips", "reading")) for row in new}
+    kept = [r for r in old if tuple(r[key] for key in ("case", "trips", "reading")) not in runs]
+    order = list(CASES)
+    return sorted([*kept, *new], key=lambda row: (order.index(row["case"]), row["trips"]))
+
+
+def read_table(path: Path) -> list[Row]:
+    """Return the rows that a former run left, as texts; none if it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return [row for row in csv.DictReader(file) if row.get("case") in CASES]
+
+
+def write(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as CSV."""
+    with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, dict.fromkeys(key for row in rows for key in row))
         writer.writeheader()
         for row in rows:
@@ -163,59 +273,72 @@ def write(rows: Sequence[Row], output: Path) -> None:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return one line for each effect, model and reference."""
+    """Return one line for each case, reading and reference."""
     lines: dict[tuple[str, ...], list[str]] = {}
     for row in rows:
-        key = (row["effect"], row["trained"], row["reference"])
+        key = tuple(row[name] for name in ("case", "trips", "reading", "reference"))
         counts = [f"{row['n_read']} of {row['n_trips']}", str(row["n_flagged"])]
+        counts += [short(row.get(name)) for name in ("misfit", "train_s")]
         line = lines.setdefault(key, [*key, *counts])
-        line.append(" / ".join(short(row.get(k)) for k in IN_TABLE))
+        line.append(" / ".join(short(row.get(name)) for name in IN_TABLE))
     outputs = list(dict.fromkeys(row["output"] for row in rows))
-    headers = ["effect", "trained", "healthy is", "read", "flagged", *outputs]
+    headers = ["train has", "trips", "reading", "healthy is", "read", "flagged", "misfit"]
+    headers += ["training, s", *outputs]
     return tabulate(list(lines.values()), headers, tablefmt="pipe", disable_numparse=True)
 
 
-def short(percent: float | None) -> str:
+def short(number) -> str:
     """Return two digits, all of those before the point."""
-    if percent is None:
+    if number in (None, ""):
         return "-"
-    return f"{percent:.0f}" if abs(percent) >= 9.95 else f"{percent:.2g}"
+    number = float(number)
+    return f"{number:.0f}" if abs(number) >= 9.95 else f"{number:.2g}"
+
+
+def run_all(options, folder: Path) -> None:
+    """Make and read each case; the results are complete up to the last at any time."""
+    for name in options.cases:
+        start = time.perf_counter()
+        with tempfile.TemporaryDirectory(dir=folder) as trips:
+            new = case_rows(options, name, Path(trips) / "trips")
+        rows = merged(read_table(options.output / "mismatch.csv"), new)
+        write(rows, options.output / "mismatch.csv")
+        words = (
+            f"Worn vehicles after {options.healthy} healthy trips, {options.minutes:g} minutes "
+            f"each, seed {options.seed}; bias / rms error / coverage of {100 * LEVEL:.0f} % "
+            "intervals in %; seconds are of one processor."
+        )
+        (options.output / "mismatch.md").write_text(f"{table(rows)}\n\n{words}\n")
+        print(f"{name}: {time.perf_counter() - start:.0f} s\n{table(new)}", flush=True)
 
 
 def main() -> None:
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--effects",
-        nargs="+",
-        default=["none", *EFFECTS, "all"],
-        help=f"none, all, or some of {', '.join(EFFECTS)}, joined by +",
-    )
+    parser.add_argument("--time", action="store_true", help="step trips in time, read from files")
+    parser.add_argument("--cases", nargs="+", choices=CASES, help="default: all that can be")
     parser.add_argument("--readings", nargs="+", choices=READINGS, default=list(READINGS))
-    parser.add_argument("--trips", type=at_least(1), default=16, help="vehicles, a trip each")
-    parser.add_argument("--healthy", type=at_least(1), default=5, help="first trips, the reference")
+    parser.add_argument("--trips", type=at_least(1), default=30, help="worn vehicles, a trip each")
+    parser.add_argument("--healthy", type=at_least(3), default=5, help="trips to commission on")
     parser.add_argument("--minutes", type=at_least(1, float), default=20.0, help="of a trip")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--train", nargs="+", default=[], help="more overrides for train.py")
-    parser.add_argument("--folder", type=Path, help="of models and trips; default: a temporary one")
-    parser.add_argument("--keep", action="store_true", help="keep the trips: 11 MB each")
+    parser.add_argument("--train", nargs="+", default=[], help="more settings, as for train.py")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()
+    if options.cases is None:
+        options.cases = [
+            name for name, case in CASES.items() if options.time or not case.in_time_only
+        ]
+    in_time = [name for name in options.cases if CASES[name].in_time_only]
+    if in_time and not options.time:
+        parser.error(f"no spectra of what is not linear: give --time for {', '.join(in_time)}")
     torch.set_num_threads(1)
     try:
-        for effect in options.effects:
-            parts(effect)
         options.output.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as temporary:
-            rows = run_all(options, (options.folder or Path(temporary)).resolve())
+            options.cache = Path(temporary) / "cache"
+            run_all(options, Path(temporary))
     except (OSError, ValueError) as error:
         parser.error(f"{error}")
-    words = (
-        f"{options.trips} vehicles after {options.healthy} healthy trips, {options.minutes:g} "
-        f"minutes each, seed {options.seed}; bias / rms error in %"
-    )
-    text = f"{table(rows)}\n\n{words}\n"
-    (options.output / "mismatch.md").write_text(text)
-    print(text)
 
 
 if __name__ == "__main__":

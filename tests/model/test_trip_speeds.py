@@ -93,14 +93,15 @@ def test_noise_free_estimates_are_corrected_to_the_truth(model):
     first = model.predict(model.relative_features(curves, observer.frequencies_hz.numpy()))
     known = truth.numpy()[:, ORDER]
     errors = [
-        np.median(
-            np.abs(np.log(corrected(replace(model, corrected=True), observer, first, n) / known))
-        )
+        np.abs(np.log(corrected(replace(model, corrected=True), observer, first, n) / known))
         for n in (0, 1, 3)
     ]
-    assert errors[0] > 0.005
-    assert errors[1] < 0.5 * errors[0]
-    assert errors[2] < 0.1 * errors[0]
+    medians, largest = (np.array([f(e) for e in errors]) for f in (np.median, np.max))
+    assert medians[0] > 0.005
+    assert largest[0] > 0.05
+    assert (medians[1:] < [0.5 * medians[0], 0.01 * medians[0]]).all()
+    # of 20 vehicles one lies where the regression is far off
+    assert (largest[1:] < 0.5 * largest[0]).all()
 
 
 # limit

@@ -15,7 +15,7 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.theory.information import cramer_rao, fisher_information
 from suspnet.theory.sensor_information import (
     ROWS,
-    place_responses,
+    place_channels,
     places,
     recording_information,
 )
@@ -68,6 +68,32 @@ def spectral_matrix(source, ratios, frequency_hz, level, noise, used):
     """Return S = S_w h h^H + diag(N) of the places used, at one frequency."""
     h = responses(source.generator, ratios, frequency_hz)[used]
     return level * np.outer(h, h.conj()) + np.diag(noise[used])
+
+
+def naive_joint_information(source, rows, noise, used):
+    """Return n / r sum of traces less the track's Schur complement, several inputs.
+
+    Parameters
+    ----------
+    rows : array of shape (n_unknown, 2, n_columns)
+        Vehicles half a step of 1e-5 of each unknown above and below the point.
+    noise : array of shape (3,)
+    """
+    h = source.generator.channels(rows.reshape(-1, rows.shape[-1]), source.frequencies_hz).numpy()
+    h = h[:, :, used].reshape(*rows.shape[:2], *h[:, :, used].shape[1:])
+    levels = source.track_density(source.frequencies_hz.numpy())
+    total = np.zeros((len(rows),) * 2)
+    for k, level in enumerate(levels):
+        s = level * np.einsum("uwix,uwiy->uwxy", h[..., k], h[..., k].conj())
+        track = s.mean(axis=(0, 1))
+        inverse = np.linalg.inv(track + np.diag(noise[used]))
+        slopes = [*(s[:, 0] - s[:, 1]) / 1e-5, track]
+        all_of = np.array(
+            [[np.trace(inverse @ a @ inverse @ b).real for b in slopes] for a in slopes]
+        )
+        total += all_of[:-1, :-1] - np.outer(all_of[:-1, -1], all_of[-1, :-1]) / all_of[-1, -1]
+    # Hann: neighbours correlate by 4/9, next ones by 1/36
+    return source.settings.n_averages / (1 + 2 * (4 / 9 + 1 / 36)) * total
 
 
 def by_matrices(source, ratios, parameters, noise, count, step=1e-5):
@@ -174,15 +200,48 @@ def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
     assert_alike(found, per_bin * np.linalg.inv(covariance), 2e-3)
 
 
+@pytest.mark.parametrize("used", [[0, 1, 2], [0, 2], [1, 2]], ids=str)
+def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrices(used):
+    deviations = {"cross_level": 0.7, "body_lateral": 0.1, "half_wheelbase": 0.05}
+    places_m = (1.0, 0.9, 1.1)
+    rolling = VerticalVehicle(
+        AM96, parts=("roll",), sensor_lateral_m=places_m, distribution=deviations
+    )
+    source = observer(rolling)
+    noise = [
+        10**-3 * np.trapezoid(power * source.track_density(grid), grid) / grid[-1]
+        for sensor, rate_hz in enumerate((5000, 2000, 2000))
+        for grid in [np.geomspace(0.1, rate_hz / 2, 4000)]
+        for power in [
+            (rolling.channels(torch.ones(1, 5), grid).abs() ** 2).sum(dim=1)[0, sensor].numpy()
+        ]
+    ]
+    point = rolling.complete(torch.as_tensor(DEGRADED[None])).numpy()
+    steps = np.zeros((8, point.shape[1]))
+    steps[:5, :5] = np.diag(1 / DEGRADED)  # of the logarithms
+    columns = rolling.uncertain_columns
+    steps[[5, 6, 7], columns] = list(deviations.values())
+    rows = point * np.exp(np.stack([steps, -steps], axis=1) * 0.5e-5)
+    joint = naive_joint_information(source, rows, np.array(noise), used)
+    joint[5:, 5:] += np.eye(3)
+    expected = np.linalg.inv(np.linalg.inv(joint)[:5, :5])
+    counts = [[int(place in used) for place in range(6)]]
+    found = recording_information(source, DEGRADED[None], PARAMETERS, counts)[0, 0]
+    assert_alike(found, expected, 1e-6)
+    certain = observer(replace(rolling, distribution=None))
+    more = recording_information(certain, DEGRADED[None], PARAMETERS, counts)[0, 0]
+    assert (np.diag(more) > 1.001 * np.diag(found)).any()
+
+
 def test_places_are_those_of_the_other_bogie_and_axle():
     """The same vehicle seen from its other bogie and its other axle box, a delay apart."""
     bins = SETTINGS.frequencies_hz()
     ratios = torch.as_tensor(DEGRADED[None])
     leading = VerticalVehicle(AM96, other_bogie="same")
-    found = place_responses(leading, ratios, bins)[0]
+    found = place_channels(leading, ratios, bins)[0, 0]
     trailing = VerticalVehicle(AM96, other_bogie="same", bogie="trailing")
     pivots = torch.exp(-2j * math.pi * bins * 2 * AM96.half_pivot_distance_m / SPEED)
-    body = place_responses(trailing, ratios, bins)[0, 2] * pivots
+    body = place_channels(trailing, ratios, bins)[0, 0, 2] * pivots
     torch.testing.assert_close(found[4], body, rtol=1e-9, atol=1e-12)
     behind = VerticalVehicle(AM96, other_bogie="same", axle="trailing")
     frame = leading.responses(ratios, bins)[0][0], behind.responses(ratios, bins)[0][0]
@@ -190,6 +249,20 @@ def test_places_are_those_of_the_other_bogie_and_axle():
 
 
 # limit
+
+
+def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
+    ratios = np.stack([np.ones(5), DEGRADED])
+    counts = [[1, 1, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [2, 1, 1, 0, 0, 1]]
+    lateral = {"parts": ("roll",), "nominal": {"cross_level": 1e-14}}
+    rolling = VerticalVehicle(AM96, sensor_lateral_m=(1.0, 1.0, 1.0), **lateral)
+    assert rolling.channels(torch.ones(1, 5), torch.ones(1)).shape[1] == 2
+    found, expected = (
+        recording_information(observer(one), ratios, PARAMETERS, counts)
+        for one in (rolling, PITCHING)
+    )
+    for one, other in zip(found.reshape(-1, 5, 5), expected.reshape(-1, 5, 5), strict=True):
+        assert_alike(one, other, 1e-8)
 
 
 @pytest.mark.parametrize("snr_db", [0.0, 15.0, 34.0, 60.0])
@@ -330,7 +403,7 @@ def test_further_places_are_those_a_vehicle_does_not_have(changes, further):
         body_sensor_m={0.0: -19.0, -19.0: 0.0, 19.0: 0.0}[own.body_sensor_m],
     )
     bins, ratios = SETTINGS.frequencies_hz(), torch.as_tensor(DEGRADED[None])
-    found = own.further_responses(ratios, bins)
+    found = own.further_channels(ratios, bins)[:, 0]
     frame, to_body = elsewhere.responses(ratios, bins)
     torch.testing.assert_close(found[:, 0], frame)
     torch.testing.assert_close(found[:, 1], frame * to_body)
@@ -338,16 +411,16 @@ def test_further_places_are_those_a_vehicle_does_not_have(changes, further):
 
 def test_second_axle_box_leads_where_the_trailing_one_is_measured():
     bins, ratios = SETTINGS.frequencies_hz(), torch.ones(1, 5, dtype=torch.float64)
-    delayed = place_responses(VerticalVehicle(AM96), ratios, bins)[0, 5]
-    ahead = place_responses(VerticalVehicle(AM96, axle="trailing"), ratios, bins)[0, 5]
+    delayed = place_channels(VerticalVehicle(AM96), ratios, bins)[0, 0, 5]
+    ahead = place_channels(VerticalVehicle(AM96, axle="trailing"), ratios, bins)[0, 0, 5]
     torch.testing.assert_close(ahead, delayed.conj(), rtol=1e-12, atol=1e-12)
     assert 0 < float(ahead[0].angle()) < 1
 
 
 def test_quarter_car_has_three_places():
     assert places(QUARTER_CAR) == ("axle box", "bogie", "body")
-    responses = place_responses(QUARTER_CAR, torch.ones(2, 5), SETTINGS.frequencies_hz())
-    assert responses.shape == (2, 3, len(SETTINGS.frequencies_hz()))
+    responses = place_channels(QUARTER_CAR, torch.ones(2, 5), SETTINGS.frequencies_hz())
+    assert responses.shape == (2, 1, 3, len(SETTINGS.frequencies_hz()))
 
 
 # failure

@@ -97,7 +97,7 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
     for i, result in good.items():
         assert result.estimates == alone[i].estimates
         assert result.quality == alone[i].quality
-    assert "at 68.6 to 71.4 m/s throughout" in results[2].reason
+    assert "at 64.4 to 75.6 m/s and steady within 2 %" in results[2].reason
     assert results[5].reason.startswith("channel 'body' is constant (0) throughout")
     assert results[6].reason.startswith("is not valid YAML")
 
@@ -211,7 +211,7 @@ def test_metrics_and_figures(done, broken, alone):
     details = metrics["details"]
     assert details["trips"] == str(broken)
     assert details["model"] == "msvr, trained on 2000 curves of VerticalVehicle"
-    assert details["speeds"] == "70 m/s"
+    assert details["speeds"] == "64.4 to 75.6 m/s"
     assert details["transfer functions"] == "IV, hann windows of 20 s"
     assert details["healthy is"] == "the vehicle file's drawing"
     assert {path.stem for path in (folder / "figures").glob("*.png")} == FIGURES
@@ -316,7 +316,7 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
     assert [r.status for r in results] == ["ok", "no estimate"]
     assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
     details = json.loads((tmp_path / "out" / "metrics.json").read_text())["details"]
-    assert details["speeds"] == "50 m/s, 70 m/s"
+    assert details["speeds"] == "46 to 54 m/s, 64.4 to 75.6 m/s"
 
 
 def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
@@ -424,7 +424,7 @@ def test_cluster_needs_dask(monkeypatch):
 
 
 def test_two_models_of_one_speed_are_refused(model):
-    with pytest.raises(ModelFileError, match=r"same speed \(70 m/s, 70 m/s\)"):
+    with pytest.raises(ModelFileError, match=r"same speed \(64.4 to 75.6 m/s, 64.4 to 75.6 m/s\)"):
         check_models([model, replace(model)])
 
 

@@ -1,5 +1,6 @@
 """One trip at a time: estimates near the truth, bins of speed, what is left out, every refusal."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -176,10 +177,18 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
 
 @pytest.mark.parametrize("seconds", [200, 280])
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
-    two_speeds, model, seconds
+    two_speeds, model, seconds, monkeypatch
 ):
-    path, models = two_speeds(seconds), [model, model_at(50.0)]
+    path, models, shares = two_speeds(seconds), [model, model_at(50.0)], []
+
+    def kept(*arguments):
+        estimate, noise_share = estimate_with_noise(*arguments)
+        shares.append(dict(zip(estimate.names, noise_share, strict=True)))
+        return estimate, noise_share
+
+    monkeypatch.setattr(recording, "estimate_with_noise", kept)
     alone = [evaluate_trip(path, [one], SETTINGS) for one in models]
+    assert len(shares) == 2
     both = evaluate_trip(path, models, SETTINGS)
     weights = np.array([one.quality.n_averages for one in alone])
     used = sum(one.quality.segments_used for one in alone)
@@ -191,9 +200,10 @@ def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
         inverse = 1 / half**2
         mean = np.exp(inverse @ logs / inverse.sum())
         assert both.estimates[name] == pytest.approx(mean, rel=1e-12)
-        # between errors that are all noise and errors that are all alike
-        least, most = inverse.sum() ** -0.5, inverse @ half / inverse.sum()
-        assert least * (1 - 1e-9) <= both.half_widths[name] <= most * (1 + 1e-9)
+        # of each part of the error a share is noise, and the rest the same in both
+        part, share = inverse / inverse.sum() * half, np.array([one[name] for one in shares[:2]])
+        square = part**2 @ share + (part @ np.sqrt(1 - share)) ** 2
+        assert both.half_widths[name] == pytest.approx(math.sqrt(square), rel=1e-12)
     assert both.quality.speed_m_per_s == pytest.approx(weights @ [70, 50] / weights.sum())
     assert both.quality.segments_used == sum(one.quality.segments_used for one in alone)
     coherence = weights @ [one.quality.coherence_s for one in alone] / weights.sum()

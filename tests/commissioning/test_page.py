@@ -1,0 +1,226 @@
+"""The page of commissioning says what the fit found, in SI units, and stands alone."""
+
+import base64
+import json
+import math
+import re
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from vehicles import AM96
+
+from suspnet.commissioning import HealthySpectra, commission, figures, words
+from suspnet.commissioning.healthy import HealthyTrips
+from suspnet.commissioning.page import training_notes, write_outcome
+from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.wishart import moving_average_with, sample_spectra
+from suspnet.dynamics import VerticalVehicle
+from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
+
+SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0)).bound(AM96)
+UNCERTAIN = {
+    "healthy_k_p": 0.2,
+    "healthy_c_p": 0.4,
+    "healthy_k_s": 0.2,
+    "healthy_c_s": 0.3,
+    "primary_bushing": 1.0,
+    "cross_level": 0.7,  # the vehicle has no roll: trips cannot tell it
+}
+TRUE = (1.15, 0.8, 0.9, 1.2, 1.5, 1.0)
+MASSES = (0.95, 1.05, 1.15)
+SPEEDS = (60.0, 70.0, 60.0)
+HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
+
+
+def trip(name, mileage_km, **changes):
+    channels = {channel: Channel(f"{channel}.csv", "g") for channel in CHANNELS}
+    path = Path(f"/trips/{mileage_km:.0f}.yaml")
+    fields = {"vehicle": "am96", "suspension": "S1", "start": None, "speed": 70.0} | changes
+    return TripManifest(path=path, name=name, mileage_km=mileage_km, channels=channels, **fields)
+
+
+@pytest.fixture(scope="module")
+def commissioned():
+    """Return healthy trips, drawn from a known vehicle, and the vehicle that they show."""
+    generator = VerticalVehicle(AM96, parts=("bushings",), distribution=UNCERTAIN)
+    source, groups = torch.Generator().manual_seed(0), []
+    taps = moving_average_with(SETTINGS.welch.correlation().numpy())
+    for i, (mass, speed) in enumerate(zip(MASSES, SPEEDS, strict=True)):
+        rows = torch.ones(1, 5, dtype=torch.float64)
+        rows[0, 4] = mass
+        rows = generator.with_uncertain(rows, torch.tensor([TRUE], dtype=torch.float64))
+        at = Speeds((speed,), (1.0,))
+        drawn = sample_spectra(SETTINGS.observer(generator).at(at).expected(rows), taps, source)
+        spectra = CrossSpectra(drawn.auto[0], drawn.cross[0], drawn.n_averages)
+        groups.append(HealthySpectra(i, f"trip_{i}", at, spectra))
+    manifests = tuple(trip(f"trip_{i}", 12345.0 * (i + 1)) for i in range(3))
+    left_out = ("trip_9: no stretch at one speed",)
+    found = HealthyTrips(manifests, tuple(groups), (True, True, True), left_out)
+    return found, commission(generator, SETTINGS, groups, n_starts=2)
+
+
+@pytest.fixture(scope="module")
+def written(commissioned, tmp_path_factory):
+    """Return the folder that the outcome was written to, its page and its JSON."""
+    folder = tmp_path_factory.mktemp("run")
+    write_outcome(folder, *commissioned)
+    page = (folder / "commissioning.html").read_text(encoding="utf-8")
+    return folder, page, json.loads((folder / "commissioning.json").read_text())
+
+
+def text_of(page):
+    """Return the text of a page without tags, with plain spaces."""
+    body = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
+    return " ".join(
+        unescape(re.sub(r"<[^>]*>", " ", body)).replace("\N{NO-BREAK SPACE}", " ").split()
+    )
+
+
+# reference
+
+
+def test_numbers_in_json_are_those_of_the_outcome_in_si_units(commissioned, written):
+    outcome, content = commissioned[1], written[2]
+    by_name = {one["name"]: one for one in content["numbers"]}
+    assert set(by_name) == set(UNCERTAIN)
+    for i, name in enumerate(outcome.posterior.names):
+        one = by_name[name]
+        mean, deviation = outcome.posterior.mean[i], outcome.posterior.deviations[i]
+        assert one["posterior"]["median"] == pytest.approx(one["nominal"] * math.exp(mean))
+        assert one["posterior"]["log_deviation"] == pytest.approx(deviation)
+        assert one["prior"]["log_deviation"] == pytest.approx(UNCERTAIN[name])
+        assert one["ratio"] == pytest.approx(math.exp(mean))
+        assert one["uncertainty_left"] == pytest.approx(deviation / UNCERTAIN[name])
+    assert by_name["healthy_k_p"]["nominal"] == 1.3e6
+    assert by_name["healthy_k_p"]["unit"] == "N/m"
+    assert by_name["healthy_k_p"]["posterior"]["median"] == pytest.approx(1.15 * 1.3e6, rel=0.02)
+    assert by_name["primary_bushing"]["posterior"]["median"] == pytest.approx(3e6, rel=0.5)
+
+
+def test_json_holds_trips_masses_and_misfits(commissioned, written):
+    outcome, content = commissioned[1], written[2]
+    assert content["misfit"] == outcome.misfit == pytest.approx(1, abs=0.3)
+    assert content["explained"] is True
+    assert content["n_agree"] == content["n_starts"] == outcome.n_agree == 2
+    assert content["mileage_km"] == [12345.0, 37035.0]
+    assert content["left_out"] == ["trip_9: no stretch at one speed"]
+    for one, mass, misfit in zip(content["trips"], outcome.masses, outcome.misfits, strict=True):
+        assert one["mass_ratio"] == mass
+        assert one["mass_kg"] == pytest.approx(6300.0 * mass)
+        assert [group["misfit"] for group in one["groups"]] == [misfit]
+    np.testing.assert_allclose(outcome.masses, MASSES, rtol=0.02)
+
+
+def test_residuals_have_the_size_of_the_noise(commissioned):
+    left = figures.residuals(commissioned[1])
+    known = left[np.isfinite(left)]
+    assert known.size > 0.9 * left.size
+    assert np.sqrt(np.mean(known**2)) == pytest.approx(1.0, abs=0.3)
+    one, i, k = commissioned[1], 1, 7
+    u = 1 - one.fitted[i, 0, k] / one.observed[i, 0, k]
+    expected = math.hypot(u.real, u.imag) / math.sqrt(2) / one.deviations[i, 0, k]
+    assert left[i, 0, k] == pytest.approx(expected)
+
+
+def test_curves_are_kept_with_what_is_left(commissioned, written):
+    outcome = commissioned[1]
+    table = pq.read_table(written[0] / "commissioning_responses.parquet").to_pydict()
+    n_bins = len(outcome.frequencies_hz)
+    assert table["trip"] == [f"trip_{i}" for i in range(3) for _ in range(n_bins)]
+    for what in ("observed", "nominal", "fitted"):
+        expected = np.abs(getattr(outcome, what)[:, 1]).ravel()
+        np.testing.assert_array_equal(table[f"{what}_magnitude_s"], expected)
+    shape = outcome.deviations[:, 0].ravel()
+    np.testing.assert_array_equal(table["deviation_p"], shape)
+
+
+# properties
+
+
+def test_page_says_what_was_found(commissioned, written):
+    text = text_of(written[1])
+    assert "The vehicle explains its healthy trips (3 trips): the misfit is" in text
+    assert "2 of 2 starts of the search found this vehicle." in text
+    assert "Healthy from now on is what these trips showed: 100 % is k_p = 1." in text
+    assert "12 345 to 37 035 km" in text
+    assert "trip_9: no stretch at one speed" in text
+    assert "The trips tell little or nothing of 1 of 6 numbers" in text
+    assert "density of half the cross level over the mean's" in text
+    assert "1725 kg for a bogie's side" in text
+    for title in ("Springs, dampers, lengths and inertias", "Bushings of the dampers"):
+        assert title in text
+    assert 'class="result good"' in written[1]
+    for one in words.numbers(commissioned[1]):
+        row = words.cells(one)
+        assert row["prior"] in text
+        assert row["posterior"] in text
+
+
+def test_page_stands_alone_and_holds_no_nan(written):
+    folder, page, content = written
+    assert not re.search(r"\bnan\b|\binf\b|None", text_of(page), flags=re.IGNORECASE)
+    assert "null" not in json.dumps(content)
+    images = re.findall(r'<img src="data:image/(?:svg\+xml|png);base64,([^"]*)"', page)
+    assert len(images) == page.count("<img") == 2
+    assert all(len(base64.b64decode(one, validate=True)) > 1000 for one in images)
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    names = {path.name for path in (folder / "figures").iterdir()}
+    assert names == {"commissioning_responses.png", "commissioning_numbers.png"}
+    assert all((folder / "figures" / name).read_bytes()[1:4] == b"PNG" for name in names)
+
+
+def test_names_are_escaped(commissioned, tmp_path):
+    found, outcome = commissioned
+    manifests = tuple(trip(HOSTILE, float(i), suspension=HOSTILE) for i in range(3))
+    groups = tuple(replace(group, name=HOSTILE) for group in found.groups)
+    hostile = HealthyTrips(manifests, groups, (False,) * 3, (HOSTILE,))
+    write_outcome(tmp_path, hostile, outcome)
+    page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") == 5  # the suspension, three trips, one left out
+
+
+def test_notes_for_the_model_file_name_the_trips(commissioned):
+    notes = training_notes(*commissioned)
+    assert notes == {
+        "n_trips": 3,
+        "misfit": commissioned[1].misfit,
+        "explained": True,
+        "mileage_km": [12345.0, 37035.0],
+        "trips": ["trip_0", "trip_1", "trip_2"],
+    }
+    json.dumps(notes)
+
+
+def test_doubts_are_said(commissioned):
+    found, outcome = commissioned
+    assert words.doubts(outcome) == []
+    spoilt = replace(outcome, misfit=words.INCOMPLETE + 0.01, converged=False, n_agree=1)
+    said = " ".join(words.doubts(spoilt))
+    assert "does not explain its healthy trips: the misfit is 1.16 times the noise" in said
+    assert "did not converge" in said
+    assert "no other one found this vehicle" in said
+    assert words.verdict(found, spoilt).startswith("Commissioned (3 trips)")
+    assert not training_notes(found, spoilt)["explained"]
+    assert words.doubts(replace(outcome, misfit=words.INCOMPLETE)) == []
+
+
+@pytest.mark.parametrize(
+    ("median", "deviation", "scale", "expected"),
+    [
+        (1.3e6, 0.2, 1e6, "1.30 ± 0.26"),
+        (690e3, 0.2, 1e3, "690 ± 140"),
+        (8.0445, 0.0002362, 1.0, "8.0445 ± 0.0019"),
+        (1e5, 1.0, 1e3, "100 (37 to 270)"),
+        (0.03, 1.0, 1.0, "0.030 (0.011 to 0.082)"),
+        (0.0, 0.1, 1.0, "0"),
+    ],
+)
+def test_values_show_two_digits_of_what_is_uncertain(median, deviation, scale, expected):
+    assert words._value(median, deviation, scale) == expected
