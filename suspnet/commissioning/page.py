@@ -21,7 +21,6 @@ from suspnet.recordings.manifest import CHANNELS, Place
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.output import write_table
 from suspnet.trips.report import PNG_DPI, data_uri, render
-from suspnet.uncertainty.physics import INCOMPLETE
 
 log = logging.getLogger(__name__)
 NAME = "commissioning"
@@ -97,7 +96,7 @@ def as_json(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
         "suspension": _place(found),
         "parts": list(generator.parts),
         "verdict": [words.verdict(found, outcome), *words.doubts(outcome)],
-        "threshold": INCOMPLETE,
+        "threshold": words.INCOMPLETE,
         "converged": outcome.converged,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -136,7 +135,7 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
         scale=words.scale(vehicle.bogie_mass_kg),
         trips=_trips(found, outcome),
         left_out=found.left_out,
-        threshold=INCOMPLETE,
+        threshold=words.INCOMPLETE,
         details={
             "trips": str(found.manifests[0].path.parent),
             "parts": ", ".join(outcome.generator.parts) or "rigid bodies only",

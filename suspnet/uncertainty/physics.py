@@ -24,11 +24,8 @@ from suspnet.types import ComplexArray, FloatArray
 from suspnet.uncertainty.ood import KINDS, Flags
 
 INCOMPLETE = 1.15
-"""Misfit of the healthy trips above which the physics is called incomplete.
-
-Trips of vehicles that the family holds gave 0.94 to 1.06, those of one with axle guidance read
-without it 1.2, those of one with a second bending mode 5.7 and more (tests/rich_train.py).
-"""
+"""Misfit of the healthy trips above which the physics is called incomplete; trips of vehicles that
+the family holds gave 0.94 to 1.06."""
 WORN = 2.0
 """Error on worn vehicles over that on healthy ones, where the fit has made it least: with it 90 %
 intervals of worn trains with a second bending mode hold 82 to 100 %, with 1 only 53 to 95 %."""
