@@ -22,14 +22,28 @@ ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-EFFECTS = {
+CASES = {
     "none": "as trained",
-    "inertias": "inertias 10 % off",
+    "healthy": "springs and dampers off the drawing",
+    "inertias": "radii of gyration off the drawing",
+    "geometry": "lengths off the drawing",
+    "bushings": "bushings of dampers",
     "rubber": "rubber springs",
-    "bending": "body bending at 9 Hz",
-    "all": "all effects together",
+    "guidance": "axle guidance",
+    "longitudinal": "longitudinal coupling",
+    "bending": "bending of the body",
+    "roll": "roll, cross level and alignment",
+    "roll, left": "roll, sensors on one side",
+    "contact": "elastic contact",
+    "vertical all": "all of these but roll",
+    "all": "all of these",
+    "all, left": "all of these, sensors on one side",
+    "all+second_bending": "all, and second bending",
+    "all+one_side": "all, wear on one side",
+    "all+blow_off": "all, dampers that blow off",
+    "all+friction": "all, friction in the rubber",
 }
-"""Effects of the table of foreign vehicles, in words."""
+"""Cases of the table of foreign vehicles, in words."""
 
 
 def markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
@@ -72,17 +86,40 @@ def table6_short(rows: Sequence[Row]) -> str:
 
 
 def mismatch(rows: Sequence[Row]) -> str:
-    """Return the rms errors of trips of vehicles that differ from the model's."""
+    """Return the rms errors of trips of vehicles that differ from the drawing."""
+    readings = (
+        ("nominal", "vehicle"),
+        ("nominal", "first_trips"),
+        ("commissioned", "vehicle"),
+        ("commissioned, refined", "vehicle"),
+    )
     lines = []
-    for effect, words in EFFECTS.items():
-        line = [words]
-        for trained in ("nominal", "sampled"):
-            for reference in ("vehicle", "first_trips"):
-                key = (effect, trained, reference)
-                same = [r for r in rows if (r["effect"], r["trained"], r["reference"]) == key]
-                line.append(", ".join(f"{r['rms_percent']:.2g}" for r in same[:4]))
-        lines.append(line)
-    header = ["simulated", "nominal", "nominal, first trips", "sampled", "sampled, first trips"]
+    for case, words in CASES.items():
+        for trips in ("spectra", "time"):
+            here = [r for r in rows if (r["case"], r["trips"]) == (case, trips)]
+            if not here:
+                continue
+            by_reading = [
+                [r for r in here if (r["reading"], r["reference"]) == key][:4] for key in readings
+            ]
+            line = [
+                ", ".join(f"{r['rms_percent']:.2g}" for r in some) or "-" for some in by_reading
+            ]
+            for some in by_reading[2:]:
+                held = [r["coverage_percent"] for r in some]
+                line.append(f"{min(held):.0f} to {max(held):.0f}" if some else "-")
+                line.append(f"{some[0]['n_flagged']} of {some[0]['n_read']}" if some else "-")
+            misfit = next((f"{r['misfit']:.2f}" for r in here if "misfit" in r), "-")
+            lines.append([words, trips, *line[:4], misfit, *line[4:]])
+    header = [
+        "the train has",
+        "trips",
+        "nominal",
+        "nominal, first trips",
+        "commissioned",
+        "refined",
+    ]
+    header += ["misfit", "hold %", "flagged", "refined hold %", "flagged"]
     return markdown(lines, header)
 
 
