@@ -15,6 +15,7 @@ import coverage
 from cells import Parser, Row
 from tabulate import tabulate
 
+from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 from suspnet.storage import write_atomically
 
@@ -22,14 +23,17 @@ ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-EFFECTS = {
-    "none": "as trained",
-    "inertias": "inertias 10 % off",
-    "rubber": "rubber springs",
-    "bending": "body bending at 9 Hz",
-    "all": "all effects together",
+CASES = {
+    "none": "nothing more than the drawing",
+    "vertical all": "all effects, one track for both rails",
+    "all": "all effects, pairs of sensors",
+    "all, left": "all effects, sensors on the left",
+    "all+second_bending": "the same in pairs, and a second bending",
+    "all+one_side": "in pairs, only one side worn",
+    "all+blow_off": "in pairs, dampers that blow off",
+    "all+friction": "in pairs, dry friction",
 }
-"""Effects of the table of foreign vehicles, in words."""
+"""Cases of the table of foreign trains, in words."""
 
 
 def markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
@@ -71,19 +75,37 @@ def table6_short(rows: Sequence[Row]) -> str:
     return markdown(lines, ["MAPE %", *titles, "bound", "MSVR in the paper"])
 
 
-def mismatch(rows: Sequence[Row]) -> str:
-    """Return the rms errors of trips of vehicles that differ from the model's."""
+def family(_: Sequence[Row]) -> str:
+    """Return the numbers of the family of vehicles that commissioning fits, with their priors."""
     lines = []
-    for effect, words in EFFECTS.items():
-        line = [words]
-        for trained in ("nominal", "sampled"):
-            for reference in ("vehicle", "first_trips"):
-                key = (effect, trained, reference)
-                same = [r for r in rows if (r["effect"], r["trained"], r["reference"]) == key]
-                line.append(", ".join(f"{r['rms_percent']:.2g}" for r in same[:4]))
-        lines.append(line)
-    header = ["simulated", "nominal", "nominal, first trips", "sampled", "sampled, first trips"]
-    return markdown(lines, header)
+    for one in sorted(QUANTITIES, key=lambda one: ("", *PARTS).index(one.part)):
+        if one.deviation:
+            nominal = "given" if one.nominal is None else f"{one.nominal:g} {one.unit}".strip()
+            part = one.part or "every vehicle"
+            lines.append([part, f"`{one.name}`", one.meaning, nominal, f"{one.deviation:g}"])
+    return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
+
+
+def mismatch(rows: Sequence[Row], cases: Sequence[str] | None = None) -> str:
+    """Return rms errors of trips of foreign trains; ValueError if none were commissioned."""
+    found: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        case = row.get("case")
+        if case and row["reference"] == "vehicle" and case in (cases or [case]):
+            found.setdefault((case, row["trips"], row["reading"]), []).append(row)
+    if not any(reading == "commissioned" for *_, reading in found):
+        raise ValueError("no trips of commissioned trains")
+    lines = []
+    for (case, _, reading), same in found.items():
+        errors = [f"{row['rms_percent']:.2g}" if "rms_percent" in row else "-" for row in same[:4]]
+        flagged = f"{same[0]['n_flagged']} of {same[0]['n_read']}"
+        lines.append([CASES.get(case, case), reading, *errors, flagged])
+    return markdown(lines, ["the train has", "reading", *(r["output"] for r in same[:4]), "flagged"])
+
+
+def mismatch_short(rows: Sequence[Row]) -> str:
+    """Return the rows of `mismatch` that README shows."""
+    return mismatch(rows, list(CASES)[1:4])
 
 
 def against_n(rows: Sequence[Row]) -> str:
@@ -95,15 +117,17 @@ def against_n(rows: Sequence[Row]) -> str:
     return markdown(lines, [f"n = {largest:,}", "seconds", "rms error", "MiB of the fit"])
 
 
-TABLES: dict[str, tuple[str, Callable[[Sequence[Row]], str]]] = {
+TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
     "table6_paper": ("table6.csv", table6_paper),
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
+    "mismatch_short": ("mismatch.csv", mismatch_short),
+    "family": (None, family),
     "against_n": ("against_n.csv", against_n),
 }
-"""Results and what makes a table of them, by the name that pages give the table."""
+"""Results, None where the package itself says it, and what makes a table of them, by name."""
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -132,7 +156,7 @@ def filled(page: str) -> tuple[str, list[str]]:
         begin, name, _, end = block.groups()
         file, make = TABLES[name]
         try:
-            return f"{begin}{make(read_rows(RESULTS / file))}\n{end}"
+            return f"{begin}{make(read_rows(RESULTS / file) if file else ())}\n{end}"
         except (FileNotFoundError, ValueError):
             missing.append(name)
             return block.group()
