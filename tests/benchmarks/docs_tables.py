@@ -45,7 +45,7 @@ CASES = {
     "all+friction": "all, friction in the rubber",
 }
 """Cases of the table of foreign vehicles, in words."""
-SHOWN = ("vertical all", "all", "all, left")
+SHOWN = ("all", "all, left")
 """Those that README shows."""
 
 
