@@ -13,7 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import program
 from suspnet.model.checkpoint import load_model
@@ -98,7 +98,7 @@ def compose(config: DictConfig) -> int:
         program.save_config(config, program.run_folder())
         instantiate(config.study, folder=program.run_folder())
         return FINE
-    runs, output = find_runs(Path(config.run)), program.run_folder()
+    runs, output = _runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]
@@ -122,6 +122,12 @@ def compose(config: DictConfig) -> int:
     if len(results) > 1:
         write_table6(results, output)
     return FINE
+
+
+def _runs(named: Any) -> list[Path]:
+    """Return the folders with a model of one run, or of a list of runs."""
+    several = named if isinstance(named, ListConfig) else [named]
+    return list(dict.fromkeys(run for one in several for run in find_runs(Path(one))))
 
 
 def main() -> None:

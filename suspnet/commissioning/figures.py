@@ -22,7 +22,7 @@ ROW_INCH = 0.21
 
 
 def residuals(outcome: Commissioned) -> FloatArray:
-    """Return the rms of what is left of real and imaginary part, over that of the noise.
+    """Return the rms of real and imaginary part of the residuals, over that of the noise.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def shown_group(outcome: Commissioned) -> int:
 
 
 def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
-    """Draw measured, nominal and commissioned responses of a trip, and what is left of all."""
+    """Draw measured, nominal and commissioned responses of a trip, and all residuals."""
     group = shown_group(outcome)
     shown = found.groups[group]
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
@@ -66,7 +66,7 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
         axis.margins(x=0)
         axis.grid(True, which="both", alpha=0.3)
     for axis, label in zip(
-        axes[:, 0], ("magnitude", "phase [degrees]", "what is left\nover the noise"), strict=True
+        axes[:, 0], ("magnitude", "phase [degrees]", "residual\nover the noise"), strict=True
     ):
         axis.set_ylabel(label)
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
@@ -123,7 +123,7 @@ def _phase(response: ComplexArray, like: ComplexArray) -> FloatArray:
 
 
 def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:
-    """Draw what is left of each group thinly, and the rms of all groups."""
+    """Draw the residual of each group thinly, and the rms of all groups."""
     known = np.isfinite(left)
     if not known.any():
         say(axis, "no bin tells anything", keep_x=True)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import torch
@@ -43,6 +44,14 @@ STEP = 1e-5
 """Step of differences, in standard deviations of the prior."""
 OFF = {"healthy_k_p": 0.2, "healthy_c_p": 0.4, "healthy_k_s": 0.2, "healthy_c_s": 0.4}
 """Shares by which further starts lie off the prior's median."""
+SCAN = {
+    "half_wheelbase": tuple(np.arange(-3, 3.5, 0.5).tolist()),
+    "half_pivot_distance": (-2.0, -1.0, 0.0, 1.0, 2.0),
+}
+"""Deviations of the prior off its median at which a start may lie. Both lengths move notches of the
+responses along frequency: from a notch elsewhere no search leads back."""
+N_DRAWS, SEED = 400, 12
+"""Vehicles drawn from the prior as further starts, and the seed."""
 N_STARTS = 4
 AGREEMENT = 0.25
 """Two starts found the same vehicle if no number differs by more than this many deviations of the
@@ -73,7 +82,7 @@ class Commissioned:
     deviations : array of shape (n_groups, 2, n_freq), [-]
         Of the measured log-magnitudes; infinite where a bin tells nothing.
     n_agree, n_starts : int
-        Starts that found this vehicle, of how many.
+        Searches that found this vehicle, of how many.
     converged : bool
     """
 
@@ -115,7 +124,8 @@ def commission(
         Bound to the vehicle: bins, window and estimator.
     groups : sequence of HealthySpectra
     n_starts : int
-        Points where the search starts: nominal, then springs and dampers off by ``OFF``.
+        Searches beyond the first stage. They are the best of twice as many: from springs and
+        dampers nominal and off by ``OFF``, and from the likeliest of ``N_DRAWS`` of the prior.
 
     Raises
     ------
@@ -125,7 +135,9 @@ def commission(
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
     target = _Target(generator, settings, groups)
-    rough = [target.search(start, SPREADS[:-1]) for start in target.starts(n_starts)]
+    points = [*target.starts(n_starts), *target.draws(n_starts)]
+    first = sorted((target.search(start, SPREADS[:1]) for start in points), key=lambda f: f.cost)
+    rough = [target.search(found.x, SPREADS[1:-1]) for found in first[:n_starts]]
     order = np.argsort([found.cost for found in rough], kind="stable")
     best = target.search(rough[order[0]].x, SPREADS[-1:])
     posterior, mean_square = target.posterior(best)
@@ -203,20 +215,38 @@ class _Target:
         return torch.cat([*self.parts(theta, spread), theta[:, :n], masses], dim=1)
 
     def starts(self, n_starts: int) -> list[FloatArray]:
-        """Return the prior's median and points with springs and dampers off it."""
-        n = len(self.prior.names)
+        """Return points with springs and dampers off the prior's median, each of the best ``SCAN``.
+
+        The first one's springs and dampers are the median.
+        """
+        names, factor = self.prior.names, self._factor.numpy()
+        grid = np.array(list(product(*(SCAN.get(name, (0.0,)) for name in names))))
         starts = []
         for i in range(n_starts):
             # both up, both down, springs up and dampers down
             spring, damper = ((0, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))[i % 5]
             logs = [
                 math.log1p(OFF.get(name, 0.0) * (spring if "_k_" in name else damper))
-                for name in self.prior.names
+                for name in names
             ]
-            z = np.linalg.lstsq(self._factor.numpy(), np.array(logs), rcond=None)[0]
-            starts.append(np.concatenate([z, np.full(self.n_trips, MASS_MEAN)]))
-            assert len(z) == n
+            z = np.linalg.lstsq(factor, (logs + grid * self.prior.deviations).T, rcond=None)[0].T
+            theta = np.hstack([z, np.full((len(z), self.n_trips), MASS_MEAN)])
+            starts.append(theta[int(self.costs(theta).argmin())])
         return starts
+
+    def draws(self, n_starts: int) -> list[FloatArray]:
+        """Return the points of least cost among draws from the prior."""
+        n = len(self.prior.names)
+        z = np.random.default_rng(SEED).standard_normal((N_DRAWS, n))
+        theta = np.hstack([z, np.full((N_DRAWS, self.n_trips), MASS_MEAN)])
+        costs = self.costs(theta)
+        return list(theta[np.argsort(costs, kind="stable")[:n_starts]])
+
+    def costs(self, theta: FloatArray) -> FloatArray:
+        """Return the sums of squares of points at the first search's spread, (n_rows,)."""
+        blocks = torch.as_tensor(theta).split(64)
+        found = [self.residuals(block, SPREADS[0]).square().sum(dim=1) for block in blocks]
+        return np.asarray(torch.cat(found).numpy())
 
     def search(self, start: FloatArray, spreads: Sequence[float]) -> OptimizeResult:
         """Return the result of the searches with some spreads, one after the other."""

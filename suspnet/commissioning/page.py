@@ -21,6 +21,7 @@ from suspnet.recordings.manifest import CHANNELS, Place
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.output import write_table
 from suspnet.trips.report import PNG_DPI, data_uri, render
+from suspnet.uncertainty.physics import INCOMPLETE
 
 log = logging.getLogger(__name__)
 NAME = "commissioning"
@@ -30,9 +31,9 @@ CAPTIONS = {
         "Measured and commissioned responses",
         "Above: by how much each suspension amplifies vibration of each frequency, and its phase, "
         "on the trip with the least noise. The commissioned vehicle should lie on the measured "
-        "curve where its grey band is narrow. Below: what is left of each stretch (grey) and of "
-        "all (blue), over the noise; 1 is noise alone, and a peak far above it is a frequency at "
-        "which the vehicle moves as the model cannot.",
+        "curve where its grey band is narrow. Below: the residual of each stretch (grey) and the "
+        "rms of all (blue), over the noise; 1 is noise alone, and a peak far above it is a "
+        "frequency at which the vehicle moves as the model cannot.",
     ),
     "numbers": (
         "Numbers before and after the trips",
@@ -96,7 +97,7 @@ def as_json(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
         "suspension": _place(found),
         "parts": list(generator.parts),
         "verdict": [words.verdict(found, outcome), *words.doubts(outcome)],
-        "threshold": words.INCOMPLETE,
+        "threshold": INCOMPLETE,
         "converged": outcome.converged,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -124,7 +125,7 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
         tone="notice" if doubts else "good",
         verdict=words.verdict(found, outcome),
         doubts=doubts,
-        agreement=words.agreement(outcome),
+        agreement="" if doubts else words.agreement(outcome),
         reference=words.reference(outcome),
         figures=[
             {"heading": heading, "explanation": text, "image": data_uri(drawn[name])}
@@ -132,10 +133,10 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
         ],
         groups=groups,
         untold=words.untold(numbers),
-        scale=words.scale(vehicle.bogie_mass_kg),
+        scale=words.force_scale(vehicle.bogie_mass_kg),
         trips=_trips(found, outcome),
         left_out=found.left_out,
-        threshold=words.INCOMPLETE,
+        threshold=INCOMPLETE,
         details={
             "trips": str(found.manifests[0].path.parent),
             "parts": ", ".join(outcome.generator.parts) or "rigid bodies only",
@@ -211,6 +212,6 @@ def _curves(found: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
                 columns[f"{what}_magnitude_{suffix}"] = np.abs(one)
                 columns[f"{what}_phase_rad_{suffix}"] = np.angle(one)
             columns[f"deviation_{suffix}"] = outcome.deviations[i, link]
-            columns[f"left_over_noise_{suffix}"] = left[i, link]
+            columns[f"residual_over_noise_{suffix}"] = left[i, link]
         tables.append(pa.table(columns))
     return tables

@@ -11,13 +11,8 @@ from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
+from suspnet.uncertainty.physics import INCOMPLETE
 
-INCOMPLETE = 1.15
-"""Misfit above which the physics of the vehicle is taken to be incomplete.
-
-Trips of vehicles that the family holds gave 0.94 to 1.06, those of one with axle guidance read
-without it 1.2, those of one with a second bending mode 5.8 and more (tests/rich_train.py).
-"""
 LEAST_AGREEING = 2
 """Starts that must find the same vehicle: one alone may have ended in another valley."""
 TOLD = 0.8
@@ -130,10 +125,9 @@ def doubts(outcome: Commissioned) -> list[str]:
     found = []
     if not is_explained(outcome):
         found.append(
-            f"The vehicle does not explain its healthy trips: the misfit is {outcome.misfit:.2f} "
-            f"times the noise, and above {INCOMPLETE:g} the physics of the model is taken to be "
-            "incomplete, or a sensor to be wrong. The figure shows at which frequencies; estimates "
-            "of other trips can be wrong by more than the noise explains."
+            f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete or a "
+            "sensor is wrong; the figure shows at which frequencies. Every estimate of a model "
+            "trained on this vehicle is flagged, and its interval is wider by what this could cost."
         )
     if not outcome.converged:
         found.append(
@@ -152,10 +146,10 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
     """Return in a sentence on how many trips a vehicle was commissioned and how well they agree."""
     n_trips, n_groups = len(found.manifests), len(found.groups)
     stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
-    told = "The vehicle explains its healthy trips" if is_explained(outcome) else "Commissioned"
+    explains = "explains" if is_explained(outcome) else "does not explain"
     return (
-        f"{told} ({n_trips} trips{stretches}): the misfit is {outcome.misfit:.2f} times the "
-        "noise, 1 is noise alone."
+        f"The vehicle {explains} its healthy trips ({n_trips} trips{stretches}): the misfit is "
+        f"{outcome.misfit:.2f} times the noise, 1 is noise alone."
     )
 
 
@@ -187,7 +181,7 @@ def untold(found: Sequence[Number]) -> str:
     )
 
 
-def scale(bogie_mass_kg: float) -> str:
+def force_scale(bogie_mass_kg: float) -> str:
     """Return a sentence on what trips cannot tell: the scale of all forces."""
     return (
         "Accelerations tell ratios of forces only: all stiffnesses, dampings and masses rest on "

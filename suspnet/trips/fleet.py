@@ -23,6 +23,13 @@ from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
 from suspnet.recordings.manifest import Place
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
+from suspnet.trips.commissionings import (
+    check_one_reference,
+    commissionings,
+    eras,
+    of_last_era,
+    with_truth_of_each,
+)
 from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
@@ -102,8 +109,15 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
     for model in models[1:]:
         if (model.vehicle, model.task.outputs) != (first.vehicle, first.task.outputs):
             raise ModelFileError(
-                "the models of one run must share vehicle and outputs; give the folder of one run"
+                "the models of `run` must share vehicle and outputs; give runs of one vehicle"
             )
+    for era in eras(models):
+        _check_together(era)
+    return first.task.outputs
+
+
+def _check_together(models: Sequence[TrainedModel]) -> None:
+    """Raise ModelFileError if models of one commissioning are for both bogies or share a speed."""
     if len({model.generator.bogie for model in models} - {None}) > 1:
         raise ModelFileError(
             "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
@@ -115,7 +129,6 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
             f"two models are for the same speed ({', '.join(map(_speed_words, models))}); give the "
             "folder of one run, or of a multirun over speed_m_per_s alone"
         )
-    return first.task.outputs
 
 
 def _speed_words(model: TrainedModel) -> str:
@@ -216,6 +229,8 @@ def _evaluate_group(
 ) -> Evaluated:
     """Evaluate one suspension's trips and write tables, figures and report."""
     fitting = models_of(models, group.place)
+    if settings.reference == "first_trips":
+        check_one_reference(fitting)
     outputs = fitting[0].task.outputs
     results = [
         replace(result, bogie=group.place.bogie, side=group.place.side)
@@ -224,10 +239,13 @@ def _evaluate_group(
     results.sort(key=lambda r: (np.isnan(r.mileage_km), r.mileage_km, r.trip))
     if settings.reference == "first_trips":
         results = relative_to_first(results, settings.n_reference)
+    states = commissionings(fitting, results)
+    results = with_truth_of_each(results, states)
     write_tables(results, outputs, output)
-    found = _assessments(results, outputs, fitting, settings.limits)
+    found = _assessments(of_last_era(results, states), outputs, fitting, settings.limits)
     details = _details(group.folder, fitting, settings, results)
-    write_pages(results, outputs, found, output, details, settings.trips.level, settings.limits)
+    options = settings.trips.level, settings.limits, states
+    write_pages(results, outputs, found, output, details, *options)
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, spoken(found), output)
     return Evaluated(group.name, group.place, results, found)
 
@@ -294,7 +312,7 @@ def _details(
     """Return what the report says of model, settings and version."""
     first = models[0]
     trained = trip_settings(first)
-    reference = healthy_words(first)
+    reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
     if settings.reference == "first_trips":
         reference = f"the median of the first {settings.n_reference} trips (k and c)"
         flagged = sum(bool(r.flags) for r in first_trips(results, settings.n_reference))
@@ -307,7 +325,7 @@ def _details(
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",
-        "speeds": ", ".join(map(_speed_words, models)),
+        "speeds": ", ".join(dict.fromkeys(map(_speed_words, models))),
         "transfer functions": f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
         "healthy is": reference,

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from suspnet.runs.plots import SYMBOLS
+from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
 from suspnet.trips.limits import Limits
 from suspnet.trips.records import TripResult
@@ -20,6 +21,7 @@ ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
 FLAGGED_COLOUR = "tab:purple"
 LIMIT_COLOURS = {"notice": "tab:orange", "act": "tab:red"}
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
+ANEW = "commissioned anew; % is of the first healthy values"
 LEAST_SPAN_PERCENT = 2.0
 """Least span of a parameter's axis, in %, so that spread does not look like change."""
 MARGIN = 0.05
@@ -31,6 +33,7 @@ def health_trend(
     outputs: Sequence[str],
     level: float = 0.9,
     limits: Mapping[str, Limits] | None = None,
+    states: Sequence[Commissioning] = (),
 ) -> Figure:
     """Each parameter in % of healthy along the mileage (Fig. 10).
 
@@ -50,6 +53,9 @@ def health_trend(
         Probability of the intervals, for the legend.
     limits : mapping of Limits, optional
         Of each parameter.
+    states : sequence of Commissioning
+        Several healthy states: a vertical line where each but the first begins. `results` are then
+        relative to the first, and limits are those of the last.
     """
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
     axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
@@ -62,10 +68,13 @@ def health_trend(
             trips = [r for r, is_known in zip(placed, known, strict=True) if is_known]
             _draw(axis, trips, name, level)
             _draw_truth(axis, placed, name)
-            _draw_limits(axis, (limits or {}).get(name))
+            now = states[-1].relative[name] if states else 1.0
+            _draw_limits(axis, (limits or {}).get(name), now)
         else:
             say(axis, "no trip with an estimate and a mileage", keep_x=len(mileage) > 0)
         _mark_missing(axis, mileage[~known])
+        for state in states[1:]:
+            axis.axvline(state.since_km / 1000, color="0.3", lw=0.9, ls="-.", label=ANEW)
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
     _legend(figure, axes, len(results) - len(placed))
@@ -171,11 +180,11 @@ def _draw_truth(axis: Axes, trips: Sequence[TripResult], name: str) -> None:
         )
 
 
-def _draw_limits(axis: Axes, limits: Limits | None) -> None:
-    """Draw the limits that lie on the axis, which stays as it is."""
+def _draw_limits(axis: Axes, limits: Limits | None, healthy: float) -> None:
+    """Draw the limits about `healthy` that lie on the axis, which stays as it is."""
     low, high = axis.get_ylim()
     for name, colour in LIMIT_COLOURS.items():
-        for limit in _percent(getattr(limits, name, ())):
+        for limit in healthy * _percent(getattr(limits, name, ())):
             if low < limit < high:
                 axis.axhline(limit, color=colour, lw=0.9, ls="--", label=f"{name} limit", zorder=0)
 

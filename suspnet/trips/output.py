@@ -18,6 +18,7 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips import figures
 from suspnet.trips.assessment import Assessment, overall, spoken
+from suspnet.trips.commissionings import Commissioning, relative_to_first_healthy
 from suspnet.trips.health_figure import health_trend
 from suspnet.trips.limits import Limits
 from suspnet.trips.records import OK, TripResult
@@ -150,11 +151,17 @@ def write_pages(
     details: Mapping[str, str],
     level: float,
     limits: Mapping[str, Limits],
+    states: Sequence[Commissioning] = (),
 ) -> None:
-    """Write figures, TensorBoard events, metrics.json and report.html."""
+    """Write figures, TensorBoard events, metrics.json and report.html.
+
+    The figure of the trend is relative to the first of several commissionings `states`.
+    """
     done = [r for r in results if r.status == OK]
     drawn = {
-        "trend": health_trend(results, outputs, level, limits),
+        "trend": health_trend(
+            relative_to_first_healthy(results, states), outputs, level, limits, states
+        ),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
         "quality": figures.quality(results),
@@ -183,6 +190,7 @@ def write_pages(
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
             for one in assessments
         ],
+        "commissionings": [asdict(one) for one in states],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
@@ -196,4 +204,5 @@ def write_pages(
         details,
         level,
         limits,
+        states,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -112,6 +113,8 @@ class TripResult:
     half_widths : dict of float, [-]
         The interval of an estimate reaches from estimate * exp(-half width) to
         estimate * exp(half width); NaN where the model has no intervals.
+    healthy_since_km : float, [km]
+        Mileage of the first healthy trip of the commissioning; NaN of a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
         What a ratio of 1 in `raw` means.
     healthy_half_widths : dict of float, [-]
@@ -141,6 +144,7 @@ class TripResult:
     raw: dict[str, float] = field(default_factory=dict)
     truth: dict[str, float] = field(default_factory=dict)
     half_widths: dict[str, float] = field(default_factory=dict)
+    healthy_since_km: float = np.nan
     healthy_si: dict[str, float] = field(default_factory=dict)
     healthy_half_widths: dict[str, float] = field(default_factory=dict)
     flags: str = ""
@@ -183,6 +187,7 @@ class TripResult:
             ends = (column, f"{column}_low", f"{column}_high")
             numbers |= dict(zip(ends, self.si(name), strict=True))
             numbers[f"{column}_healthy"] = self.healthy_si.get(name, np.nan)
+        numbers["healthy_since_km"] = self.healthy_since_km
         return (
             head
             | numbers
@@ -229,6 +234,13 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
         )
         for r in results
     ]
+
+
+def relative_truth(result: TripResult, healthy: Sequence[TripResult]) -> TripResult:
+    """Return a result whose true k and c are relative to the median of healthy trips', if known."""
+    known = [r.truth for r in healthy if r.truth]
+    names = [name for name in result.truth if name != "M_s" and all(name in t for t in known)]
+    return replace(result, truth=_divided(result.truth, _medians(known, names)))
 
 
 def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:

@@ -22,6 +22,7 @@ from suspnet.dynamics.vehicle import UNITS
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
+from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.limits import Limits, Severity
 from suspnet.trips.records import OK, TripResult
 from suspnet.trips.sides import sides_finding
@@ -80,6 +81,10 @@ SEVERITIES = {
     Severity.NONE: ("good", "No alarm"),
 }
 """Tone and label of each severity; style.css has the colours of each tone."""
+ANEW = (
+    "Commissioned anew: {}. Severities, medians and changes are of the trips since; each trip's "
+    "percentages are of its own healthy values, those of the figure of the first ones."
+)
 KILO = 1e3
 KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
 """Unit of a thousand of each SI unit."""
@@ -99,6 +104,7 @@ def write_report(
     details: Mapping[str, str],
     level: float = 0.9,
     limits: Mapping[str, Limits] | None = None,
+    states: Sequence[Commissioning] = (),
 ) -> Path:
     """Write one HTML file that needs no other file and no network.
 
@@ -121,6 +127,8 @@ def write_report(
         Probability of the intervals.
     limits : mapping of Limits, optional
         Of each parameter, for the table.
+    states : sequence of Commissioning
+        Several healthy states; `assessments` are of the trips since the last.
 
     Returns
     -------
@@ -156,6 +164,7 @@ def write_report(
         limits=limits or {},
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
+        anew=ANEW.format("; ".join(one.words for one in states[1:])) if states else "",
         healthy=_healthy(trips),
         halves=halves,
         digits={name: _digits(column) for name, column in halves.items()},

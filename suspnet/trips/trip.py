@@ -20,6 +20,7 @@ from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
+from suspnet.trips.commissionings import models_at, since_km
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 from suspnet.trips.sides import spoken_sides, weaker_sides
 
@@ -36,7 +37,7 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
     path : Path
         The manifest.
     models : sequence of TrainedModel
-        One for each speed bin, all with the same outputs.
+        One for each speed bin and commissioning, all with the same outputs.
     settings : TripSettings
     """
     start = time.perf_counter()
@@ -44,6 +45,8 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
     try:
         manifest = read_manifest(path)
         result = _described(result, manifest)
+        models = models_at(models, manifest.mileage_km)
+        result = replace(result, healthy_since_km=since_km(models[0]))
         result = _estimated(result, manifest, models, settings)
     except TripError as error:
         result = replace(result, reason=str(error).removeprefix(f"{path}: "))

@@ -13,6 +13,7 @@ import pytest
 from cli_runner import ROOT, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 from trip_fixtures import RATES_HZ, changed, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
@@ -525,3 +526,15 @@ def test_unknown_scenario_gets_one_line(tmp_path):
     assert ended.stderr.startswith("error: ")
     assert "Could not find 'scenario/moon'" in ended.stderr
     assert ended.stderr.count("\n") == 1
+
+
+def test_several_runs_are_named_in_a_list(tmp_path):
+    for name in ("first", "second/a", "second/b"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "model.json").touch()
+    named = [str(tmp_path / name) for name in ("first", "second", "first")]
+    found = evaluate._runs(OmegaConf.create(named))
+    assert [run.name for run in found] == ["first", "a", "b"]
+    assert evaluate._runs(named[0]) == [tmp_path / "first"]
+    with pytest.raises(FileNotFoundError, match="third does not exist"):
+        evaluate._runs(OmegaConf.create([named[0], str(tmp_path / "third")]))

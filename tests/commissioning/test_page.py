@@ -6,63 +6,23 @@ import math
 import re
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import torch
-from vehicles import AM96
+from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
 
-from suspnet.commissioning import HealthySpectra, commission, figures, words
+from suspnet.commissioning import figures, words
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.commissioning.page import training_notes, write_outcome
-from suspnet.data.estimates import EstimateSettings, Speeds
-from suspnet.data.wishart import moving_average_with, sample_spectra
-from suspnet.dynamics import VerticalVehicle
-from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
+from suspnet.uncertainty.physics import INCOMPLETE
 
-SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0)).bound(AM96)
-UNCERTAIN = {
-    "healthy_k_p": 0.2,
-    "healthy_c_p": 0.4,
-    "healthy_k_s": 0.2,
-    "healthy_c_s": 0.3,
-    "primary_bushing": 1.0,
-    "cross_level": 0.7,  # the vehicle has no roll: trips cannot tell it
-}
-TRUE = (1.15, 0.8, 0.9, 1.2, 1.5, 1.0)
-MASSES = (0.95, 1.05, 1.15)
-SPEEDS = (60.0, 70.0, 60.0)
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
-
-
-def trip(name, mileage_km, **changes):
-    channels = {channel: Channel(f"{channel}.csv", "g") for channel in CHANNELS}
-    path = Path(f"/trips/{mileage_km:.0f}.yaml")
-    fields = {"vehicle": "am96", "suspension": "S1", "start": None, "speed": 70.0} | changes
-    return TripManifest(path=path, name=name, mileage_km=mileage_km, channels=channels, **fields)
 
 
 @pytest.fixture(scope="module")
 def commissioned():
-    """Return healthy trips, drawn from a known vehicle, and the vehicle that they show."""
-    generator = VerticalVehicle(AM96, parts=("bushings",), distribution=UNCERTAIN)
-    source, groups = torch.Generator().manual_seed(0), []
-    taps = moving_average_with(SETTINGS.welch.correlation().numpy())
-    for i, (mass, speed) in enumerate(zip(MASSES, SPEEDS, strict=True)):
-        rows = torch.ones(1, 5, dtype=torch.float64)
-        rows[0, 4] = mass
-        rows = generator.with_uncertain(rows, torch.tensor([TRUE], dtype=torch.float64))
-        at = Speeds((speed,), (1.0,))
-        drawn = sample_spectra(SETTINGS.observer(generator).at(at).expected(rows), taps, source)
-        spectra = CrossSpectra(drawn.auto[0], drawn.cross[0], drawn.n_averages)
-        groups.append(HealthySpectra(i, f"trip_{i}", at, spectra))
-    manifests = tuple(trip(f"trip_{i}", 12345.0 * (i + 1)) for i in range(3))
-    left_out = ("trip_9: no stretch at one speed",)
-    found = HealthyTrips(manifests, tuple(groups), (True, True, True), left_out)
-    return found, commission(generator, SETTINGS, groups, n_starts=2)
+    return commissioned_example()
 
 
 @pytest.fixture(scope="module")
@@ -201,14 +161,15 @@ def test_notes_for_the_model_file_name_the_trips(commissioned):
 def test_doubts_are_said(commissioned):
     found, outcome = commissioned
     assert words.doubts(outcome) == []
-    spoilt = replace(outcome, misfit=words.INCOMPLETE + 0.01, converged=False, n_agree=1)
+    spoilt = replace(outcome, misfit=INCOMPLETE + 0.01, converged=False, n_agree=1)
     said = " ".join(words.doubts(spoilt))
-    assert "does not explain its healthy trips: the misfit is 1.16 times the noise" in said
+    assert "A misfit above 1.15 says that the physics of the model is incomplete" in said
     assert "did not converge" in said
     assert "no other one found this vehicle" in said
-    assert words.verdict(found, spoilt).startswith("Commissioned (3 trips)")
+    first = "The vehicle does not explain its healthy trips (3 trips): the misfit is 1.16 times the"
+    assert words.verdict(found, spoilt).startswith(first)
     assert not training_notes(found, spoilt)["explained"]
-    assert words.doubts(replace(outcome, misfit=words.INCOMPLETE)) == []
+    assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,16 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from suspnet.model.checkpoint import load_model
 from suspnet.problem import Problem
 from suspnet.runs.train import train
+from suspnet.uncertainty.physics import Residual
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODELS = sorted(file.stem for file in (CONFIGS / "model").glob("*.yaml"))
@@ -28,7 +31,7 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-def trained(model, protocol, group, cache, folder, *overrides):
+def trained(model, protocol, group, cache, folder, *overrides, residual=None):
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         chosen = [f"protocol={protocol}", f"group={group}", f"model={model}", *overrides]
         config = compose("train", overrides=[*chosen, f"data.cache_dir={cache}"])
@@ -36,7 +39,8 @@ def trained(model, protocol, group, cache, folder, *overrides):
     problem = Problem(
         instantiate(config.generator), task, instantiate(config.data), config.seed, progress=False
     )
-    return train(problem, instantiate(config.model), folder, figures=False)
+    chosen = residual and residual(len(problem.settings.frequencies_hz()))
+    return train(problem, instantiate(config.model), folder, figures=False, residual=chosen)
 
 
 def test_every_protocol_is_tried():
@@ -60,6 +64,21 @@ def test_every_method_is_calibrated_under_every_protocol(model, protocol, group,
     assert model.task.outputs == tuple(outputs)
     assert model.intervals is not None
     assert model.ood is not None
+
+
+def test_incomplete_physics_is_warned_of_and_kept(cache, tmp_path, caplog):
+    def residual(n_bins):
+        return Residual(5.7, np.full((2, n_bins), 0.01, complex))
+
+    metrics = trained("linear", "joint", "all", cache, tmp_path, *SMALL, residual=residual)
+    assert "the physics is incomplete: the commissioned vehicle leaves 5.7 times" in caplog.text
+    told, model = metrics["unexplained"], load_model(tmp_path)
+    assert told["misfit"] == model.unexplained.misfit == 5.7
+    costs = 100 * model.unexplained.costs
+    assert list(told["cost_percent"].values()) == pytest.approx(costs.tolist())
+    assert (costs > 0).all()
+    healthy = model.settings.observer(model.generator).noise_free(torch.ones(1, 5))
+    assert "leaves 5.7 times the noise" in model.estimate(healthy).flags.reasons[0]
 
 
 def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):

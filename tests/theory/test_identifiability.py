@@ -20,6 +20,7 @@ from vehicles import AM96
 
 from suspnet.cli import evaluate
 from suspnet.data import CurveSettings, EstimateSettings
+from suspnet.data.protocols import RESPONSES
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.problem import TEST
 from suspnet.studies.findings import group_markdown
@@ -35,7 +36,7 @@ from suspnet.theory.bounds import (
     with_healthy,
 )
 from suspnet.theory.information import cramer_rao, fisher_information, scale_ambiguity_bound
-from suspnet.theory.options import Option, options
+from suspnet.theory.options import ONE_SIDE, PAIR, SECOND_SET, Option, options
 from suspnet.theory.sensor_information import recording_information
 
 ROOT = Path(__file__).parents[2]
@@ -281,6 +282,23 @@ def test_measured_mass_becomes_the_baseline(task, quarter_car):
     assert np.isinf(last.percent(RATIOS)).all()
 
 
+def test_uncertain_numbers_count_once_however_many_curves_tell_of_them(task):
+    deviations = {"half_wheelbase": 0.1, "body_gyration": 0.3}
+    observer = COARSE.observer(VerticalVehicle(AM96, distribution=deviations))
+    ratios = RATIOS[1:2]
+    found = found_by_title(task("joint", "all"), observer, ratios)
+    both = fisher_information(observer, ratios)
+    np.testing.assert_allclose(found["both curves"].information, both, rtol=1e-9)
+    alone = sum(found[f"only {name}"].information for name in RESPONSES)
+    twice = found["+ " + SECOND_SET].information
+    certain = fisher_information(COARSE.observer(VerticalVehicle(AM96)), ratios)
+    most = np.linalg.eigvalsh(both)[0, -1]
+    # both curves tell more of the numbers than each alone; twice the curves are no second vehicle
+    assert np.linalg.eigvalsh(both - alone)[0, -1] > 0.1 * most
+    assert np.linalg.eigvalsh(2 * both - twice)[0, -1] > 1e-6 * most
+    assert np.linalg.eigvalsh(certain - both)[0, -1] > 1e-6 * most
+
+
 # options of trips
 
 
@@ -323,6 +341,25 @@ def test_quarter_car_has_no_further_places(task):
     more = [title for title, option in found.items() if option.kind == "more"]
     assert more == ["+ a second set of sensors", "+ measured car-body mass"]
     assert np.isinf(found["without the axle box"].percent(RATIOS)).all()
+
+
+def test_pairs_and_one_side_are_options_where_the_vehicle_rolls(task):
+    joint, short = task("joint", "all"), replace(TRIP, low_hz=0.6, high_hz=2.0)
+    deviations = {"cross_level": 0.7, "anti_roll_bar": 1.0, "body_lateral": 0.1}
+    rolling = {"parts": ("roll",), "distribution": deviations}
+    middle = VerticalVehicle(AM96, **rolling)
+    off = VerticalVehicle(AM96, sensor_lateral_m=(1.0, 1.0, 1.0), **rolling)
+    ratios = RATIOS[1:2]
+    in_middle, one_sided = (found_by_title(joint, short.observer(g), ratios) for g in (middle, off))
+    pair, second, side = in_middle[PAIR], in_middle["+ " + SECOND_SET], in_middle[ONE_SIDE]
+    assert (pair.kind, side.kind, one_sided[PAIR].kind) == ("more", "less", "more")
+    np.testing.assert_allclose(pair.information, second.information, rtol=1e-9)
+    np.testing.assert_allclose(one_sided[PAIR].information, pair.information, rtol=1e-9)
+    now = one_sided["three sensors"]
+    np.testing.assert_allclose(side.information, now.information, rtol=1e-9)
+    assert ONE_SIDE not in one_sided
+    # uncertain roll and cross level cost more than the second sensor's noise
+    assert (pair.percent(ratios) < now.percent(ratios)).all()
 
 
 # sentences

@@ -26,7 +26,8 @@ from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
 from suspnet.data.estimates import EstimateSettings
-from suspnet.dynamics import VerticalVehicle
+from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.dynamics.quantities import UNMEASURED
 
 SPEED = 70.0
 HEALTHY = np.ones(5)
@@ -73,18 +74,15 @@ def half_vehicle_responses(rich, ratios):
 
 @pytest.mark.parametrize("speed", [30.0, 70.0])
 def test_plain_train_moves_as_the_closed_form_of_the_vertical_vehicle(speed):
-    train = RichTrain(
-        speed_m_per_s=speed,
-        bogie_mass=1.1,
-        half_wheelbase=0.95,
-        half_pivot_distance=1.05,
-        bogie_gyration=0.9,
-        body_gyration=1.1,
-    )
+    numbers = {"bogie_mass": 1.1, "half_wheelbase": 0.95, "half_pivot_distance": 1.05}
+    numbers |= {"bogie_gyration": 0.9, "body_gyration": 1.1}
+    train = RichTrain(speed_m_per_s=speed, **numbers)
     found = responses_of(train, WORN, BINS)[..., 0]
-    rest = [1, 1, 1, 1, 1.1, 0.95, 1.05, 0.9, 1.1, 1.0]
     vehicle = VerticalVehicle(AM96, speed_m_per_s=speed)
-    g_p, g_s = vehicle.responses(torch.as_tensor([[*WORN, *rest]]), torch.as_tensor(BINS))
+    row = vehicle.complete(torch.as_tensor(np.array([WORN])))
+    for name, value in numbers.items():
+        row[0, len(PARAMETERS) + UNMEASURED.index(name)] = value
+    g_p, g_s = vehicle.responses(row, torch.as_tensor(BINS))
     expected = torch.stack([torch.ones_like(g_p), g_p, g_p * g_s], dim=-1)[0].numpy()
     np.testing.assert_allclose(found[:, 0::2], expected, rtol=1e-10)
     np.testing.assert_allclose(found[:, 1::2], expected, rtol=1e-10)

@@ -1,0 +1,205 @@
+"""Commissioned anew after maintenance: which models read a trip, and what compares across."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from trip_fixtures import OUTPUTS, changed, model_at
+from trip_records import fleet as made_up
+from vehicles import AM96
+
+from suspnet.dynamics import VerticalVehicle
+from suspnet.dynamics.distribution import LogNormal
+from suspnet.model import ModelFileError
+from suspnet.model.from_recording import TripSettings
+from suspnet.trips.commissionings import (
+    Commissioning,
+    commissionings,
+    eras,
+    models_at,
+    of_last_era,
+    relative_to_first_healthy,
+    since_km,
+    with_truth_of_each,
+)
+from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet, healthy_words
+from suspnet.trips.health_figure import ANEW, health_trend
+from suspnet.trips.limits import DEFAULT_LIMITS
+from suspnet.trips.trip import evaluate_trip
+
+ANEW_KM = 195_000.0
+NEW_DAMPER = 1.25
+
+
+def commissioned(first_km, last_km=None, damper=1.0, trips=()):
+    """Return a model with healthy trips from `first_km` on, whose c_s is `damper` times nominal."""
+    posterior = LogNormal(("healthy_c_s",), (math.log(damper),), ((1e-4,),))
+    generator = VerticalVehicle(AM96, distribution=posterior)
+    notes = {"n_trips": 5, "mileage_km": [first_km, last_km or first_km + 4e4], "trips": trips}
+    model = model_at()
+    return replace(model, generator=generator, training=model.training | {"commissioned": notes})
+
+
+@pytest.fixture
+def both():
+    return [commissioned(ANEW_KM, damper=NEW_DAMPER), commissioned(10_000.0)]
+
+
+def read_with(models):
+    """Return made-up trips of which each knows its commissioning."""
+    found = []
+    for trip in made_up(missing=()):
+        model = models_at(models, trip.mileage_km)[0]
+        values = dict(zip(OUTPUTS, model.healthy.values.tolist(), strict=True))
+        found.append(replace(trip, healthy_since_km=since_km(model), healthy_si=values))
+    return found
+
+
+# reference
+
+
+@pytest.mark.parametrize(
+    ("km", "first"), [(0.0, 1e4), (1e4, 1e4), (194_999.0, 1e4), (ANEW_KM, ANEW_KM), (9e5, ANEW_KM)]
+)
+def test_trip_is_read_with_the_latest_commissioning_that_begins_before_it(both, km, first):
+    assert [since_km(model) for model in models_at(both, km)] == [first]
+
+
+def test_trip_without_a_mileage_is_read_with_the_last(both):
+    assert models_at(both, math.nan) == [both[0]]
+
+
+def test_trips_of_two_commissionings_compare_in_si_units(both):
+    results = read_with(both)
+    found = commissionings(both, results)
+    assert [one.since_km for one in found] == [1e4, ANEW_KM]
+    assert found[0].relative == dict.fromkeys(OUTPUTS, 1.0)
+    assert found[1].relative["c_s"] == pytest.approx(NEW_DAMPER)
+    first = found[0].healthy_si["c_s"]
+    for trip, compared in zip(results, relative_to_first_healthy(results, found), strict=True):
+        assert compared.estimates["c_s"] == pytest.approx(trip.si("c_s")[0] / first)
+        assert compared.estimates["k_p"] == pytest.approx(trip.estimates["k_p"])
+        assert compared.half_widths == trip.half_widths
+
+
+def test_limits_and_tests_are_about_the_trips_since_the_last(both):
+    results = read_with(both)
+    last = of_last_era(results, commissionings(both, results))
+    assert [r.trip for r in last] == [r.trip for r in results if r.mileage_km >= ANEW_KM]
+
+
+def test_truth_is_relative_to_the_healthy_trips_of_each():
+    healthy = tuple(f"trip_{i:03d}" for i in range(24, 29))
+    models = [commissioned(10_000.0), commissioned(250_000.0, trips=healthy)]
+    results = read_with(models)
+    done = with_truth_of_each(results, commissionings(models, results))
+    assert done[0].truth == results[0].truth
+    median = np.median([r.truth["c_s"] for r in results[24:29]])
+    assert done[29].truth["c_s"] == pytest.approx(results[29].truth["c_s"] / median)
+    assert done[29].truth["k_p"] == pytest.approx(1.0)
+    assert done[29].truth["M_s"] == results[29].truth["M_s"]
+
+
+def test_trips_name_their_healthy_state_in_tables(both, manifests, tmp_path):
+    for i, km in enumerate((5_000.0, 20_000.0, ANEW_KM, 3e5)):
+        changed(manifests[i], tmp_path, f"trip_{i}", mileage_km=km)
+    out = tmp_path / "out"
+    settings = FleetSettings(TripSettings())
+    (done,) = evaluate_fleet(tmp_path, both, out, settings, progress=False)
+    rows = pq.read_table(out / "trips.parquet").to_pylist()
+    assert [row["healthy_since_km"] for row in rows] == [1e4, 1e4, ANEW_KM, ANEW_KM]
+    c_s = AM96.healthy_values()[3]
+    for row, factor in zip(rows, (1.0, 1.0, NEW_DAMPER, NEW_DAMPER), strict=True):
+        assert row["c_s_ns_per_m_healthy"] == pytest.approx(factor * c_s)
+        assert row["c_s_ns_per_m"] == pytest.approx(factor * c_s * row["c_s"])
+        half = math.log(row["c_s_ns_per_m_high"] / row["c_s_ns_per_m"])
+        expected = math.hypot(math.log(row["c_s_high"] / row["c_s"]), 1.6448536 * 0.01)
+        assert half == pytest.approx(expected, rel=1e-6)
+        assert row["k_p_n_per_m_high"] == pytest.approx(row["k_p_high"] * AM96.healthy_values()[0])
+    page = (out / "report.html").read_text()
+    assert "Commissioned anew: from" in page
+    assert "c_s 125\N{NO-BREAK SPACE}%" in page
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert [one["since_km"] for one in metrics["commissionings"]] == [1e4, ANEW_KM]
+    spans = ("10 000 to 50 000", "195 000 to 235 000")
+    words = "; then ".join(f"what 5 trips from {span} km showed" for span in spans)
+    assert metrics["details"]["healthy is"] == words
+    assert {one["n_trips"] for one in metrics["trends"]} == {2}
+    assert done.results[0].healthy_since_km == 1e4
+
+
+def test_figure_marks_where_it_was_commissioned_anew(both):
+    results = read_with(both)
+    found = commissionings(both, results)
+    compared = relative_to_first_healthy(results, found)
+    limits = {"c_s": DEFAULT_LIMITS["c_s"]}
+    axis = health_trend(compared, ("c_s",), limits=limits, states=found).axes[0]
+    lines = {line.get_label(): line for line in axis.get_lines()}
+    assert lines[ANEW].get_xdata()[0] == ANEW_KM / 1000
+    low, high = axis.get_ylim()
+    expected = [100 * NEW_DAMPER * one for one in limits["c_s"].act + limits["c_s"].notice]
+    drawn = [line.get_ydata()[0] for label, line in lines.items() if label.endswith(" limit")]
+    assert drawn
+    assert all(any(abs(one - other) < 1e-9 for other in expected) for one in drawn)
+    assert all(low < one < high for one in drawn)
+
+
+# limit
+
+
+def test_one_commissioning_is_as_none(both):
+    results = read_with(both[:1])
+    assert commissionings(both[:1], results) == []
+    assert of_last_era(results, []) == results
+    assert [r.estimates for r in relative_to_first_healthy(results, [])] == [
+        r.estimates for r in results
+    ]
+
+
+def test_nominal_models_are_one_era():
+    model = model_at()
+    assert eras([model]) == [[model]]
+    assert models_at([model], 1e5) == [model]
+    assert math.isnan(since_km(model))
+    assert healthy_words(model) == "the vehicle file's drawing"
+
+
+def test_words_of_a_commissioning():
+    one = Commissioning(250_000.0, {}, {"k_p": 0.998, "M_s": 1.0}, ())
+    assert one.words == "from 250 000 km on healthy is k_p 99.8 % of the first commissioning"
+
+
+# failure
+
+
+def test_nominal_and_commissioned_runs_do_not_mix(both, manifests):
+    with pytest.raises(ModelFileError, match="one run is commissioned and another is not"):
+        check_models([*both, model_at()])
+
+
+def test_two_models_of_one_commissioning_share_no_speed(both):
+    with pytest.raises(ModelFileError, match="two models are for the same speed"):
+        check_models([*both, both[0]])
+    assert check_models(both) == OUTPUTS
+
+
+def test_runs_of_other_vehicles_do_not_mix(both):
+    other = replace(both[0].generator, vehicle=replace(AM96, name="other"))
+    with pytest.raises(ModelFileError, match="must share vehicle and outputs"):
+        check_models([both[1], replace(both[0], generator=other)])
+
+
+def test_first_trips_are_healthy_of_one_commissioning_only(both, manifests, tmp_path):
+    settings = FleetSettings(TripSettings(), reference="first_trips")
+    with pytest.raises(ValueError, match="run= names several commissionings"):
+        evaluate_fleet(manifests[0].parent, both, tmp_path, settings, progress=False)
+
+
+def test_failed_trip_knows_its_healthy_state(both, manifests, tmp_path):
+    path = changed(manifests[0], tmp_path, "slow", mileage_km=3e5, speed=20.0)
+    found = evaluate_trip(path, both, TripSettings())
+    assert found.status == "no estimate"
+    assert found.healthy_since_km == ANEW_KM
