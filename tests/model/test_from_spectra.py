@@ -123,8 +123,8 @@ def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, mo
     scale = model.intervals.residual_scale.predict(model.with_estimates(inputs, predicted))
     limits = model.intervals.ends(predicted, scale, LEVEL)
     calibrated, noise = np.log(limits[1] / predicted)[0], noise_part(model, spectra)
-    # the error is next to all noise, and its spread over 64 draws scatters by 9 %
-    assert (noise < 1.25 * calibrated).all()
+    # the error is next to all noise; a residual scale learnt from 100 curves may be less than it
+    assert (noise < 2 * calibrated).all()
     np.testing.assert_allclose(found.half_widths, np.maximum(calibrated, noise))
     assert (found.half_widths > 0.005).all()
 
