@@ -55,6 +55,41 @@ def test_each_row_is_the_fit_of_scipy():
         assert float(found.cost[row]) == pytest.approx(other.cost, rel=1e-10)
 
 
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_jacobian_of_one_row_is_that_of_many(one_sided):
+    truth, data = decays(n_rows=200)
+    rows = torch.arange(len(data))
+
+    def residual(theta, which):
+        return data[which] - _decay(theta)
+
+    def jacobian(some):
+        values = residual(truth[some], rows[some]) if one_sided else None
+        return _jacobian(residual, truth[some], rows[some], values)
+
+    every = jacobian(slice(None))
+    assert every.abs().amax(dim=(0, 2)).min() > 0.1
+    for some in (slice(3, 4), slice(60, 110)):
+        torch.testing.assert_close(jacobian(some), every[some], rtol=0, atol=1e-9)
+
+
+def test_search_ends_where_little_is_left_to_gain():
+    truth, data = decays()
+    start, sigma = torch.ones_like(truth), 0.02
+
+    def residual(theta, rows):
+        return (data[rows] - _decay(theta)) / sigma
+
+    exact = levenberg_marquardt(residual, start)
+    found = levenberg_marquardt(residual, start, least_decrease=0.01)
+    assert bool(found.converged.all())
+    assert found.n_iter < exact.n_iter
+    assert float((found.cost - exact.cost).max()) < 0.02
+    wrong = found.parameters - exact.parameters
+    deviations = torch.linalg.inv(exact.information).diagonal(dim1=1, dim2=2).sqrt()
+    assert float((wrong / deviations).abs().max()) < 0.2
+
+
 def test_jacobian_is_that_of_automatic_differentiation():
     _, data = decays()
     theta = torch.tensor(np.random.default_rng(1).uniform(0.5, 2, (len(data), 3)))

@@ -443,29 +443,20 @@ def test_what_the_model_does_not_know_biases_its_estimates(effects, output, low,
 
 
 @pytest.mark.slow
-def test_script_writes_what_each_effect_costs(tmp_path):
-    options = ["--effects", "none", "bending+contact", "--readings", "nominal", "--trips", "3"]
-    options += [
-        "--healthy",
-        "2",
-        "--minutes",
-        "4",
-        "--train",
-        "data.n_train=1000",
-        "data.n_test=200",
-    ]
+@pytest.mark.parametrize("mode", [[], ["--time"]])
+def test_script_reads_healthy_and_worn_trips_of_a_case(mode, tmp_path):
+    options = ["--cases", "bending", "--readings", "nominal", "commissioned", "--trips", "2"]
+    options += ["--healthy", "3", "--minutes", "6", "--output", str(tmp_path), *mode]
+    options += ["--train", "data.n_train=2000", "data.n_calibrate=600", "model.n_components=256"]
     ended = subprocess.run(
-        [sys.executable, str(SCRIPT), *options, "--folder", str(tmp_path), "--output", tmp_path],
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, str(SCRIPT), *options], capture_output=True, text=True, check=True
     )
     rows = pacsv.read_csv(tmp_path / "mismatch.csv").to_pylist()
-    assert len(rows) == 2 * 2 * 5  # effects, references, outputs
-    rms = {(r["effect"], r["reference"], r["output"]): r["rms_percent"] for r in rows}
-    assert {r["n_read"] for r in rows} == {3}
-    for reference in ("vehicle", "first_trips"):
-        assert rms["none", reference, "k_p"] < 2
-        assert rms["bending+contact", reference, "c_s"] > 10
-    assert re.search(r"\| bending\+contact +\| nominal +\| first_trips +\|", ended.stdout)
-    assert (tmp_path / "mismatch.md").read_text() in ended.stdout
+    assert len(rows) == 3 * 5  # readings and references, outputs
+    rms = {(r["reading"], r["reference"], r["output"]): r["rms_percent"] for r in rows}
+    assert {r["n_read"] for r in rows} == {2}
+    assert {r["trips"] for r in rows} == {"time" if mode else "spectra"}
+    assert rms["nominal", "vehicle", "k_s"] > 10
+    assert rms["commissioned", "vehicle", "k_s"] < 5
+    assert re.search(r"\| bending +\| \w+ +\| nominal +\| first_trips +\|", ended.stdout)
+    assert "commissioned" in (tmp_path / "mismatch.md").read_text()
