@@ -308,6 +308,8 @@ def run_all(options, folder: Path) -> None:
             f"each, seed {options.seed}; bias / rms error / coverage of {100 * LEVEL:.0f} % "
             "intervals in %; seconds are of one processor."
         )
+        if options.train:
+            words += f" Settings: {', '.join(options.train)}."
         (options.output / "mismatch.md").write_text(f"{table(rows)}\n\n{words}\n")
         print(f"{name}: {time.perf_counter() - start:.0f} s\n{table(new)}", flush=True)
 

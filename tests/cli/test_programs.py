@@ -15,6 +15,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, train
+from suspnet.uncertainty.ood import KINDS
 
 RECORD = "protocol group output metric model published measured bound n_train snr_db seed seconds"
 
@@ -60,7 +61,7 @@ def test_intervals_and_flags_are_scored(run, tmp_path):
             # at least 33 calibration and 100 test curves: 5 % and 3 %; three of their root sum
             assert values["coverage_percent"] == pytest.approx(90, abs=18)
             assert 0.01 < values["half_width_percent"] < 30
-    assert set(fresh["flagged_percent"]) == {"missing", "cloud", "range", "misfit", "any"}
+    assert set(fresh["flagged_percent"]) == {*KINDS, "any"}
     assert fresh["flagged_percent"]["any"] < 10
 
 
