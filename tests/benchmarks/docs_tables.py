@@ -99,6 +99,11 @@ def family(_: Sequence[Row]) -> str:
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
 
 
+def digits(percent: float) -> str:
+    """Return two digits, all of those before the point."""
+    return f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
+
+
 def mismatch_short(rows: Sequence[Row]) -> str:
     """Return the rows of `mismatch` that README shows; ValueError if none were commissioned."""
     found: dict[tuple[str, ...], list[Row]] = {}
@@ -110,7 +115,7 @@ def mismatch_short(rows: Sequence[Row]) -> str:
         raise ValueError("no trips of commissioned trains")
     lines = []
     for (case, _, reading), same in found.items():
-        errors = [f"{row['rms_percent']:.2g}" if "rms_percent" in row else "-" for row in same[:4]]
+        errors = [digits(row["rms_percent"]) if "rms_percent" in row else "-" for row in same[:4]]
         flagged = f"{same[0]['n_flagged']} of {same[0]['n_read']}"
         lines.append([CASES.get(case, case), reading, *errors, flagged])
     return markdown(
@@ -137,9 +142,7 @@ def mismatch(rows: Sequence[Row]) -> str:
             by_reading = [
                 [r for r in here if (r["reading"], r["reference"]) == key][:4] for key in readings
             ]
-            line = [
-                ", ".join(f"{r['rms_percent']:.2g}" for r in some) or "-" for some in by_reading
-            ]
+            line = [", ".join(digits(r["rms_percent"]) for r in some) or "-" for some in by_reading]
             for some in by_reading[2:]:
                 held = [r["coverage_percent"] for r in some]
                 line.append(f"{min(held):.0f} to {max(held):.0f}" if some else "-")

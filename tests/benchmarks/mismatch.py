@@ -44,7 +44,7 @@ from suspnet.model.from_recording import NoEstimateError, TripSettings  # noqa: 
 from suspnet.model.trained import TrainedModel  # noqa: E402
 from suspnet.problem import TRAIN, Problem  # noqa: E402
 from suspnet.recordings.manifest import find_manifests  # noqa: E402
-from suspnet.runs.calibrate import calibrated  # noqa: E402
+from suspnet.runs.calibrate import calibrated, with_unexplained  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 
@@ -149,8 +149,13 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     return commission(prior, settings.bound(generator.vehicle), groups)
 
 
-def trained(config, generator, refined: bool) -> tuple[TrainedModel, float]:
-    """Return the calibrated model of a generator's vehicles, and the seconds of its training."""
+def trained(
+    config, generator, refined: bool, vehicle: Commissioned | None = None
+) -> tuple[TrainedModel, float]:
+    """Return the calibrated model of a generator's vehicles, and the seconds of its training.
+
+    A commissioned vehicle's model knows what its healthy trips leave unexplained.
+    """
     task, settings = instantiate(config.protocol).task(config.group), instantiate(config.data)
     problem = Problem(generator, task, settings, seed=config.seed)
     start = time.process_time()
@@ -158,6 +163,8 @@ def trained(config, generator, refined: bool) -> tuple[TrainedModel, float]:
     model = calibrated(
         problem, replace(fit(problem, instantiate(config.model), None), refined=refined)
     )
+    if vehicle is not None:
+        model = with_unexplained(problem, model, vehicle.residual)
     return model, time.process_time() - start
 
 
@@ -232,7 +239,7 @@ def case_rows(options, name: str, folder: Path) -> list[Row]:
         vehicle = commissioned(config, trips, folder)
         more = {"misfit": vehicle.misfit, "commission_s": time.process_time() - start}
         for reading in readings:
-            add(reading, *trained(config, vehicle.generator, reading == REFINED), more)
+            add(reading, *trained(config, vehicle.generator, reading == REFINED, vehicle), more)
     return rows
 
 

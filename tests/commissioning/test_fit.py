@@ -254,7 +254,9 @@ def test_a_wrong_vehicle_file_leads_to_the_same_vehicle(bushed, spring, damper):
 # An independent train
 
 
-@pytest.mark.parametrize("speeds", [(70.0,), (50.0, 65.0, 80.0)])
+@pytest.mark.parametrize(
+    "speeds", [pytest.param((70.0,), marks=pytest.mark.slow), (50.0, 65.0, 80.0)]
+)
 def test_a_train_of_the_familys_effects_is_explained(speeds):
     train = RichTrain.scattered(2, FAMILY)
     found = commission(with_parts(*VERTICAL), RICH, rich_trips(train, 1, speeds=speeds))
@@ -271,7 +273,10 @@ def test_a_train_of_the_familys_effects_is_explained(speeds):
 
 @pytest.mark.parametrize(
     ("effect", "ratios"),
-    [("second_bending", (1.0, 1.0, 1.0, 1.0)), ("one_side", (0.6, 0.6, 1.0, 1.0))],
+    [
+        ("second_bending", (1.0, 1.0, 1.0, 1.0)),
+        pytest.param("one_side", (0.6, 0.6, 1.0, 1.0), marks=pytest.mark.slow),
+    ],
 )
 def test_effects_outside_the_family_leave_a_misfit(effect, ratios):
     train = RichTrain.scattered(2, (*FAMILY, effect))
