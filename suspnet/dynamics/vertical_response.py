@@ -1,0 +1,234 @@
+"""Closed responses of a family of vehicles: body and two bogies on four wheelsets.
+
+Seen from above the leading bogie, with s = j omega, kappa the dynamic stiffness of a suspension
+(`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers of one side::
+
+    (kappa_p + kappa_s + s^2 M_p) z_i - kappa_s y_i                 = kappa_p m_i
+    (kappa_p + gamma + s^2 M_p (rho_b / a)^2) psi_i + kappa_x (h_3 / a) r_i = kappa_p d_i
+    2 M_s s^2 z + sum_i F_i = 0
+    2 M_s (rho_c / L)^2 s^2 phi + F_1 - F_2 + sum_i G_i = 0
+    (M_s s^2 + c_q s + k_q) q + p sum_i F_i + sigma (G_1 - G_2) = 0
+
+z_i is the bounce of bogie i, psi_i its pitch times the half wheelbase a, m_i and d_i half the sum
+and half the difference of the track under its axles; z is the bounce of the body, phi its pitch
+times the half pivot distance L, q its first bending with the shape p at the pivots and the slope
+sigma / L there, so that the body moves by y_1 = z + phi + p q and y_2 = z - phi + p q above the
+bogies and turns by phi_1 = phi + sigma q and phi_2 = phi - sigma q, over L; F_i = kappa_si (y_i -
+z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
+levers h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
+
+Roll stands apart where left and right are alike, with x_i the mean of half the cross level at both
+axles, b the half distances of springs and of the rails, and S_i = kappa_si b_s^2 + k_bar / 2::
+
+    (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta = kappa_p b_p^2 x_i / b_rail
+    2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) = 0
+
+The bogies are eliminated; three equations in z, phi and q, and one in theta remain. k_p, c_p, k_s,
+c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets follow the
+same track, each delayed by its distance over the speed. Cross level and mean are independent
+processes: spectra are sums over both. The cross level has a share of the mean's density, times
+n^2 / (n^2 + n_0^2) as in the German spectra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from suspnet.dynamics.elements import (
+    bending_element,
+    guidance_element,
+    longitudinal_element,
+    primary,
+    secondary,
+)
+from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
+from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What of a vehicle is no number: its parts, and where it is measured.
+
+    Attributes
+    ----------
+    bogie, axle, frame_sensor, body_sensor_m, parts
+        As of ``VerticalVehicle``.
+    empty_body_kg : float, [kg]
+        M_s without pay-load, which the stiffness against bending belongs to.
+    """
+
+    bogie: str
+    axle: str
+    frame_sensor: str
+    body_sensor_m: float
+    parts: tuple[str, ...]
+    empty_body_kg: float
+
+
+@dataclass(frozen=True)
+class _Bogie:
+    """One bogie without its coordinates: bounce z_i = link y_i + free, pitch = swing - tilt phi_i.
+
+    Its secondary suspension pushes the body down by resistance y_i - force, its links turn it
+    back by upright phi_i - push; phi_i is the body's pitch over the bogie.
+    """
+
+    link: Tensor
+    free: Tensor
+    resistance: Tensor
+    force: Tensor
+    swing: Tensor
+    tilt: Tensor | float
+    upright: Tensor | float
+    push: Tensor
+
+
+def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the motion under the sensors on frame and body for 1 m of mean track."""
+    wheels = wheels_of(layout, p, omega)
+    forward = 1.0 if layout.bogie == "leading" else -1.0
+    # phi counts positive where the measured bogie rises, psi where the leading axle does
+    p = {**p, "body_lever": forward * p["body_lever"]}
+    link_x = longitudinal_element(p).at(omega) if "longitudinal" in layout.parts else None
+    first = _bogie(p, "", omega, wheels[:2], link_x, layout.parts)
+    other = _bogie(p, "other_", omega, wheels[2:], link_x, layout.parts)
+    inertia = 2 * p["M_s"] * omega**2
+    total = first.resistance + other.resistance
+    difference = first.resistance - other.resistance
+    bounce_force, pitch_force = first.force + other.force, first.force - other.force
+    pitch_inertia = inertia * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
+    matrix = [total - inertia, difference, total - pitch_inertia]
+    if link_x is not None:
+        matrix[2] = matrix[2] + first.upright + other.upright
+        pitch_force = pitch_force + first.push + other.push
+    bending: Tensor | float = 0.0
+    if "bending" in layout.parts:
+        own, at_pivot = _modal(layout, p, omega), p["bending_at_pivot"]
+        row = [at_pivot * total, at_pivot * difference, own + at_pivot**2 * total]
+        force = at_pivot * bounce_force
+        if link_x is not None:
+            slope = p["bending_slope"]
+            row[1] = row[1] + slope * (first.upright - other.upright)
+            row[2] = row[2] + slope**2 * (first.upright + other.upright)
+            force = force + slope * (first.push - other.push)
+        # the last of three equations is eliminated
+        share = [row[0] / row[2], row[1] / row[2]]
+        matrix = [
+            matrix[0] - share[0] * row[0],
+            matrix[1] - share[0] * row[1],
+            matrix[2] - share[1] * row[1],
+        ]
+        bounce_force = bounce_force - share[0] * force
+        pitch_force = pitch_force - share[1] * force
+        bending = force / row[2]
+    a, coupling, b = matrix
+    determinant = a * b - coupling**2
+    bounce = (b * bounce_force - coupling * pitch_force) / determinant
+    pitch = (a * pitch_force - coupling * bounce_force) / determinant
+    turned, over = pitch, bounce + pitch
+    at_sensor: Tensor | float = 0.0
+    if "bending" in layout.parts:
+        bending = bending - share[0] * bounce - share[1] * pitch
+        turned = pitch + p["bending_slope"] * bending
+        over = over + p["bending_at_pivot"] * bending
+        at_sensor = p["bending_at_sensor"] * bending
+    frame = first.link * over + first.free
+    if layout.frame_sensor == "axle":
+        tilted = first.swing - first.tilt * turned
+        frame = frame + (tilted if layout.axle == "leading" else -tilted)
+    ahead = 1 + forward * layout.body_sensor_m / p["half_pivot_distance"]
+    return frame, bounce + ahead * pitch + at_sensor
+
+
+def _bogie(
+    p: Mapping[str, Tensor],
+    which: str,
+    omega: Tensor,
+    wheels: list[Tensor],
+    link_x: Tensor | None,
+    parts: tuple[str, ...],
+) -> _Bogie:
+    """Return the measured ("") or the other bogie with its bounce and pitch eliminated."""
+    kappa_p, kappa_s = primary(p, which, omega, parts), secondary(p, which, omega, parts)
+    inertia = p["bogie_mass"] * omega**2
+    below = kappa_p + kappa_s - inertia
+    link = kappa_s / below
+    free = 0.5 * (wheels[0] + wheels[1]) * kappa_p / below
+    upright = kappa_p - inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
+    if "guidance" in parts:
+        upright = upright + guidance_element(p).at(omega)
+    tilt: Tensor | float = 0.0
+    righting: Tensor | float = 0.0
+    driven = 0.5 * (wheels[0] - wheels[1]) * kappa_p
+    if link_x is not None:
+        lever = p["bogie_lever"] / p["half_wheelbase"]
+        body_lever = p["body_lever"] / p["half_pivot_distance"]
+        upright = upright + link_x * lever**2
+        tilt = link_x * lever * body_lever / upright
+        righting = link_x * body_lever * (body_lever - lever * tilt)
+    return _Bogie(
+        link=link,
+        free=free,
+        resistance=kappa_s * (1 - link),
+        force=kappa_s * free,
+        swing=driven / upright,
+        tilt=tilt,
+        upright=righting,
+        push=-tilt * driven,
+    )
+
+
+def _modal(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return the dynamic stiffness of the body's bending by itself."""
+    own = bending_element(p, layout.empty_body_kg)
+    return own.at(omega) - p["M_s"] * omega**2
+
+
+def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return axle box, frame and body sensor for the cross level, (n_vehicles, 3, n_freq)."""
+    wheels = wheels_of(layout, p, omega)
+    mass = p["bogie_mass"] * (p["bogie_roll_gyration"] * omega) ** 2
+    total: Tensor | float = -2 * p["M_s"] * (p["body_roll_gyration"] * omega) ** 2
+    force: Tensor | float = 0.0
+    links, frees = [], []
+    for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
+        below = primary(p, which, omega, layout.parts) * p["primary_lateral"] ** 2
+        above = secondary(p, which, omega, layout.parts) * p["secondary_lateral"] ** 2
+        above = above + p["anti_roll_bar"] / 2
+        all_ = below + above - mass
+        links.append(above / all_)
+        frees.append(below * 0.5 * (pair[0] + pair[1]) / (RAIL_LATERAL_M * all_))
+        total = total + above * (1 - links[-1])
+        force = force + above * frees[-1]
+    body = force / total
+    frame = links[0] * body + frees[0]
+    box = torch.full_like(frame, 1 / RAIL_LATERAL_M)
+    places = [p[f"{name}_lateral"] for name in ("axle_box", "frame", "body")]
+    angles = torch.stack(
+        [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1
+    )
+    waves = (omega / p["speed"]) ** 2
+    share = p["cross_level"] * waves / (waves + CROSS_LEVEL_RAD_PER_M**2)
+    return share.sqrt()[:, None] * angles
+
+
+def _phasor(angle: Tensor) -> Tensor:
+    """Return exp(-j angle)."""
+    return torch.complex(torch.cos(angle), -torch.sin(angle))
+
+
+def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Tensor]:
+    """Return the motion of each wheelset relative to the measured one, exp(-j omega delay)."""
+    a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
+    # one exponential for each length, not for each wheelset
+    unit = _phasor(omega * 2 * a / p["speed"])
+    apart = _phasor(omega * 2 * pivot / p["speed"])
+    one = torch.ones_like(unit)
+    own = [one, unit] if layout.axle == "leading" else [unit.conj(), one]
+    if layout.bogie == "trailing":
+        apart = apart.conj()
+    return [*own, *(apart * wheel for wheel in own)]
