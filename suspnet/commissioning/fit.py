@@ -25,6 +25,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from torch import Tensor
 
 from suspnet.commissioning.healthy import HealthySpectra
+from suspnet.data.directions import every_direction
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
@@ -176,11 +177,9 @@ class _Target:
         groups: Sequence[HealthySpectra],
     ) -> None:
         self.prior = generator.distribution or LogNormal((), (), ())
-        self._generator = generator
         self._trips = [group.trip for group in groups]
         self.n_trips = 1 + max(self._trips)
-        self._factor = torch.as_tensor(self.prior.factor.copy())
-        self._mean = torch.tensor(self.prior.mean, dtype=torch.float64)
+        self._every = every_direction(generator)
         observer = settings.observer(generator)
         self._groups = [
             observer.at(group.speeds).measured_misfit(group.spectra) for group in groups
@@ -191,10 +190,7 @@ class _Target:
         n = len(self.prior.names)
         healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
         healthy[:, -1] = theta[:, n + trip].exp()
-        if not n:
-            return healthy
-        numbers = (self._mean + theta[:, :n] @ self._factor.T).exp()
-        return self._generator.with_uncertain(healthy, numbers)
+        return self._every.vehicles(healthy, theta[:, :n])
 
     def part(self, theta: Tensor, group: int, spread: float) -> Tensor:
         """Return the residuals of one group, (n_rows, n_points)."""
@@ -219,7 +215,7 @@ class _Target:
 
         The first one's springs and dampers are the median.
         """
-        names, factor = self.prior.names, self._factor.numpy()
+        names, factor = self.prior.names, self._every.factor.numpy()
         grid = np.array(list(product(*(SCAN.get(name, (0.0,)) for name in names))))
         starts = []
         for i in range(n_starts):
@@ -299,7 +295,7 @@ class _Target:
         prior = np.diag(self._prior_deviations() ** -2)
         information = told.T @ told / max(mean_square, 1.0) + prior
         spread = np.linalg.inv(information)[:n, :n]
-        factor = self._factor.numpy()
+        factor = self._every.factor.numpy()
         covariance = factor @ spread @ factor.T
         logs = np.array(self.prior.mean) + factor @ found.x[:n]
         rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
@@ -308,7 +304,7 @@ class _Target:
     def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
         """Return the largest difference of a number, in deviations of the posterior."""
         n = len(self.prior.names)
-        logs = self._factor.numpy() @ (one[:n] - other[:n])
+        logs = self._every.factor.numpy() @ (one[:n] - other[:n])
         return float(np.abs(logs / posterior.deviations).max())
 
     def curves(self, theta: Tensor) -> tuple[ComplexArray, ComplexArray, FloatArray]:

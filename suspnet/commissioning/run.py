@@ -15,6 +15,7 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.quantities import PARTS
 from suspnet.model.from_recording import TripSettings
+from suspnet.recordings.manifest import Channel
 
 log = logging.getLogger(__name__)
 ONE_SIDE_M = 1.0
@@ -87,6 +88,6 @@ def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, floa
     for lateral_m, is_pair, channel in zip(
         given, found.paired, found.manifests[0].channels.values(), strict=True
     ):
-        one_sided = getattr(channel, "side", None) is not None
+        one_sided = isinstance(channel, Channel) and channel.side is not None
         places.append(0.0 if is_pair else lateral_m or ONE_SIDE_M * one_sided)
     return places[0], places[1], places[2]

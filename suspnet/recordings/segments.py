@@ -11,6 +11,7 @@ from suspnet.features.cross_spectra import CHAIN
 from suspnet.features.transfer_estimate import SegmentSpectra, segment_spectra
 from suspnet.features.welch import Welch
 from suspnet.recordings.recording import Recording
+from suspnet.types import FloatArray
 
 LOUD = 30.0
 """Segments with more power than this multiple of the median are left out before any average."""
@@ -26,19 +27,18 @@ class NoEstimateError(Exception):
 
 def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
     """Return the segments that are free of faults, up to a quarter of the rate."""
-    return segment_spectra(
-        torch.as_tensor(recording.signals),
-        recording.rate_hz,
-        welch,
-        high_hz=recording.rate_hz / 4,
-        usable=torch.as_tensor(recording.usable),
-    )
+    return _faultless(recording, recording.signals, welch)
 
 
 def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
     """Return the segments of `recording_segments` of half the differences of pairs of sensors."""
+    return _faultless(recording, recording.differences, welch)
+
+
+def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
+    """Return the segments of signals on the recording's clock that are free of its faults."""
     return segment_spectra(
-        torch.as_tensor(recording.differences),
+        torch.as_tensor(signals),
         recording.rate_hz,
         welch,
         high_hz=recording.rate_hz / 4,
