@@ -19,6 +19,8 @@ from suspnet.types import ComplexArray, FloatArray
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21
 """Height of a row of the figure of numbers."""
+LEAST_RATIO = 0.05
+"""Ratio to the drawing from which on ranges are drawn: the axis is logarithmic."""
 
 
 def residuals(outcome: Commissioned) -> FloatArray:
@@ -86,10 +88,8 @@ def number_ranges(found: Sequence[Number]) -> Figure:
     )
     for which, label, style in styles:
         for place, one in zip(places, found, strict=True):
-            median, deviation = getattr(one, which)
-            middle = np.log(median / one.nominal) if one.nominal else 0.0
-            ends = np.exp([middle - deviation, middle, middle + deviation])
-            axis.plot(ends, [place] * 3, markevery=[1], **style)
+            ends = np.array(getattr(one, which)) / (one.nominal or 1.0)
+            axis.plot(np.maximum(ends, LEAST_RATIO), [place] * 3, markevery=[1], **style)
         axis.plot([], [], label=label, **style)
     axis.set(xscale="log", xlabel="over the value of the drawing", ylim=(places[-1] - 1, 1))
     axis.set_yticks(places, [one.quantity.meaning for one in found], fontsize="x-small")

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.dynamics import PARAMETERS
@@ -18,7 +20,7 @@ LEAST_AGREEING = 2
 TOLD = 0.8
 """The trips tell a number if they take its deviation below this share of the prior's."""
 NARROW = 0.5
-"""Deviation of a logarithm up to which a number is written with plus and minus."""
+"""Standard deviation over the median up to which a number is written with plus and minus."""
 PREFIXES = ((1e6, "M"), (1e3, "k"))
 """Prefixes of units of force, the largest first."""
 PART_TITLES = {
@@ -54,29 +56,27 @@ class Number:
     quantity : Quantity
     nominal : float
         Of the drawing, SI units.
-    prior, posterior : pair of float
-        Median [SI units] and standard deviation of the logarithm [-].
+    prior, posterior : tuple of 3 floats
+        One standard deviation below the median, the median, one above, SI units.
+    deviations : pair of float, [-]
+        Standard deviation of the logarithm in prior and posterior.
     """
 
     quantity: Quantity
     nominal: float
-    prior: tuple[float, float]
-    posterior: tuple[float, float]
+    prior: tuple[float, float, float]
+    posterior: tuple[float, float, float]
+    deviations: tuple[float, float]
 
     @property
     def ratio(self) -> float:
         """Median of the posterior over that of the prior, [-]."""
-        return math.exp(self.log_ratio)
-
-    @property
-    def log_ratio(self) -> float:
-        """Its logarithm, [-]."""
-        return math.log(self.posterior[0] / self.prior[0]) if self.prior[0] else 0.0
+        return self.posterior[1] / self.prior[1] if self.prior[1] else 1.0
 
     @property
     def uncertainty_left(self) -> float:
         """Deviation of the posterior over the prior's, [-]; 1 where the trips tell nothing."""
-        return self.posterior[1] / self.prior[1]
+        return self.deviations[1] / self.deviations[0]
 
     @property
     def is_told(self) -> bool:
@@ -91,8 +91,8 @@ class Number:
             "part": self.quantity.part,
             "unit": self.quantity.unit or "1",
             "nominal": self.nominal,
-            "prior": {"median": self.prior[0], "log_deviation": self.prior[1]},
-            "posterior": {"median": self.posterior[0], "log_deviation": self.posterior[1]},
+            "prior": _as_json(self.prior, self.deviations[0]),
+            "posterior": _as_json(self.posterior, self.deviations[1]),
             "ratio": self.ratio,
             "uncertainty_left": self.uncertainty_left,
             "told": self.is_told,
@@ -105,13 +105,13 @@ def numbers(outcome: Commissioned) -> list[Number]:
         zip(UNMEASURED, outcome.generator.nominal_values()[len(PARAMETERS) :], strict=True)
     )
     known = {quantity.name: quantity for quantity in QUANTITIES}
+    both = outcome.prior, outcome.posterior
+    ends = [np.stack([one.quantile(n) for n in (-1, 0, 1)], axis=1) for one in both]
     found = []
     for i, name in enumerate(outcome.prior.names):
-        pairs = [
-            (nominal[name] * math.exp(one.mean[i]), float(one.deviations[i]))
-            for one in (outcome.prior, outcome.posterior)
-        ]
-        found.append(Number(known[name], nominal[name], *pairs))
+        prior, posterior = (tuple((nominal[name] * part[i]).tolist()) for part in ends)
+        was, left = (float(one.deviations[i]) for one in both)
+        found.append(Number(known[name], nominal[name], prior, posterior, (was, left)))
     return sorted(found, key=lambda one: ("", *PARTS).index(one.quantity.part))
 
 
@@ -222,15 +222,20 @@ def _unit(one: Number) -> tuple[float, str]:
     return 1.0, unit
 
 
-def _value(median: float, deviation: float, scale: float) -> str:
+def _as_json(ends: tuple[float, float, float], deviation: float) -> dict[str, float]:
+    """Return median, the ends one deviation off it, and the deviation of the logarithm."""
+    low, median, high = ends
+    return {"median": median, "low": low, "high": high, "log_deviation": deviation}
+
+
+def _value(low: float, median: float, high: float, scale: float) -> str:
     """Return a median and its standard deviation, or where that is large its range."""
-    value = median / scale
-    half = abs(value) * deviation
+    value, half = median / scale, (high - low) / scale / 2
     if not half:
         return f"{value:g}"
-    if deviation > NARROW:
-        ends = value * math.exp(-deviation), value * math.exp(deviation)
-        return f"{_rounded(value, value)} ({' to '.join(_rounded(one, one) for one in ends)})"
+    if half > NARROW * abs(value):
+        ends = (_rounded(one / scale, max(abs(one / scale), half / 10)) for one in (low, high))
+        return f"{_rounded(value, max(abs(value), half / 10))} ({' to '.join(ends)})"
     return f"{_rounded(value, half)} ± {_rounded(half, half)}"
 
 

@@ -1,7 +1,7 @@
 """The directions of a generator's uncertain numbers that its curves show.
 
-With F the factor of the log-normal distribution, the logarithms of the numbers are mean + F z, z
-standard normal. Many directions of z leave the curves as they are. With J the derivative of the
+With F the factor of the log-normal distribution, the logarithms of the numbers (of those that may
+be absent: of 1 + number) are mean + F z, z standard normal. Many directions of z leave the curves as they are. With J the derivative of the
 curves in units of their noise, the eigenvectors of the mean of J^T J over vehicles (the active
 subspace; Constantine, Active subspaces, 2015) are directions of ever less effect, whose rms is the
 root of the eigenvalue. Those of next to no effect are left at the median.
@@ -70,8 +70,9 @@ class Directions:
         if not self.n or distribution is None:
             return ratios
         mean = torch.tensor(distribution.mean, dtype=torch.float64).to(coordinates)
-        numbers = (mean + coordinates @ self.factor.to(coordinates).T).exp()
-        return self.generator.with_uncertain(ratios, numbers)
+        exponentials = (mean + coordinates @ self.factor.to(coordinates).T).exp()
+        offsets = torch.as_tensor(distribution.offsets).to(coordinates)
+        return self.generator.with_uncertain(ratios, exponentials - offsets)
 
 
 def every_direction(generator: ResponseGenerator) -> Directions:

@@ -39,8 +39,10 @@ WEAK, WEAK_OF_ONE = 4.0, 0.5
 """A bin is weak if the deviation of the healthy vehicle's log-response exceeds this multiple of the
 median over the band and, times the root of the number of averages, this number: its estimate is a
 ratio of two nearly vanishing spectra and has the tails of one."""
-LOWEST_MODE, HIGHEST_MODE = 0.45, 1.8
-"""Ends of the band: multiples of the first and of the second natural frequency."""
+LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
+"""Ends of the band, and of what is used of G_s: multiples of the first natural frequency, then of
+the second. Between the last two the primary damper parts from its bushing and the axle guidance;
+the body sounds there with modes of its structure, of which the model holds the first."""
 SMOOTHED_BINS = 5
 """Number of neighbouring bins over which a trip's measured covariance is averaged."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
@@ -73,7 +75,10 @@ class EstimateSettings:
         Of ``Welch``. A segment must be long against the ringing of the body: with 20 s the
         leakage modelled here is that of recordings, with 10 s no more (AM96, c_s at 80 %).
     low_hz, high_hz : float, optional, [Hz]
-        Band; None is 0.45 times the vehicle's first natural frequency, 1.8 times its second.
+        Band; None is 0.45 times the vehicle's first natural frequency, 3.8 times its second.
+    body_high_hz : float, optional, [Hz]
+        Up to which G_s is used; None is 1.8 times the second natural frequency, or `high_hz` where
+        that is lower.
     rates_hz : sequence of 3 floats, [Hz]
         Sampling rates of axle box, bogie and body.
     cache_dir : str or None
@@ -102,6 +107,7 @@ class EstimateSettings:
     window: str = "hann"
     low_hz: float | None = None
     high_hz: float | None = None
+    body_high_hz: float | None = None
     rates_hz: tuple[float, float, float] = (5000.0, 2000.0, 2000.0)
     cache_dir: str | None = ".cache/suspnet"
 
@@ -113,6 +119,7 @@ class EstimateSettings:
         check_number("data.minutes", self.minutes, above=0, below=1e5)
         check_number("data.low_hz", self.low_hz, above=0, below=1e4, optional=True)
         check_number("data.high_hz", self.high_hz, above=0, below=1e4, optional=True)
+        check_number("data.body_high_hz", self.body_high_hz, above=0, below=1e4, optional=True)
         check_choice("data.method", self.method, METHODS)
         if len(self.rates_hz) != 3:
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
@@ -143,12 +150,20 @@ class EstimateSettings:
         modes, _ = QuarterCar(vehicle).natural_modes()
         low = LOWEST_MODE * float(modes[0]) if self.low_hz is None else self.low_hz
         high = HIGHEST_MODE * float(modes[1]) if self.high_hz is None else self.high_hz
-        bound = replace(self, low_hz=low, high_hz=high)
-        if len(bound.frequencies_hz()) < 8:
-            raise ValueError(
-                f"between data.low_hz={low:.3g} and data.high_hz={high:.3g} Hz lie "
-                f"{len(bound.frequencies_hz())} bins; at least 8 are needed"
-            )
+        body_high = min(high, HIGHEST_OF_BODY * float(modes[1]))
+        if self.body_high_hz is not None:
+            body_high = self.body_high_hz
+        bound = replace(self, low_hz=low, high_hz=high, body_high_hz=body_high)
+        bins = bound.frequencies_hz()
+        for name, end, n_bins in (
+            ("high_hz", high, len(bins)),
+            ("body_high_hz", body_high, int((bins <= body_high).sum())),
+        ):
+            if n_bins < 8:
+                raise ValueError(
+                    f"between data.low_hz={low:.3g} and data.{name}={end:.3g} Hz lie "
+                    f"{n_bins} bins; at least 8 are needed"
+                )
         return bound
 
     def frequencies_hz(self) -> Tensor:
@@ -275,30 +290,41 @@ class EstimateObserver:
 
     @cached_property
     def weak(self) -> Tensor:
-        """Which bins are `WEAK` in the healthy vehicle, bool (2, n_freq).
+        """Which bins in use are `WEAK` in the healthy vehicle, bool (2, n_freq).
 
         At f = v / (2 wheelbase) a bogie's axles move against each other: it does not bounce, and
         the body is an instrument of nothing.
         """
         covariance = self._healthy.covariance(self.settings.method)
         deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
-        weak = deviations > WEAK * deviations.median(dim=1, keepdim=True).values
-        return weak & (deviations * math.sqrt(self.settings.n_averages) > WEAK_OF_ONE)
+        used = deviations.masked_fill(self.beyond, math.nan)
+        weak = deviations > WEAK * used.nanmedian(dim=1, keepdim=True).values
+        weak &= deviations * math.sqrt(self.settings.n_averages) > WEAK_OF_ONE
+        return weak & ~self.beyond
+
+    @cached_property
+    def beyond(self) -> Tensor:
+        """Which bins lie beyond `body_high_hz`, where G_s is not used, bool (2, n_freq)."""
+        end = math.inf if self.settings.body_high_hz is None else self.settings.body_high_hz
+        beyond = self.frequencies_hz > end + 1e-9
+        return torch.stack([torch.zeros_like(beyond), beyond])
 
     def for_features(self, curves: Tensor) -> Tensor:
         """Return estimates as the feature set is to see them: of the nominal speed, none weak.
 
         G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's. Of what is
-        left relative to healthy a weak bin gets the straight line between its neighbours.
+        left relative to healthy a weak bin gets the straight line between its neighbours. G_s
+        beyond `body_high_hz` is that of the healthy vehicle.
 
         Parameters
         ----------
         curves : complex tensor of shape (n_curves, 2, n_freq), [-]
         """
-        if self._relative is None and not bool(self.weak.any()):
+        if self._relative is None and not bool((self.weak | self.beyond).any()):
             return curves
         method = self.settings.method
         relative = curves / self._healthy.responses(method).to(curves)
+        relative = relative.masked_fill(self.beyond.to(curves.device), 1.0)
         parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
         return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
 
@@ -369,7 +395,7 @@ class EstimateObserver:
 
         Both responses are used, whatever `used` says.
         """
-        covariance = self.without_weak(self.covariance(near.to(curves.device)))
+        covariance = self.without_unused(self.covariance(near.to(curves.device)))
         return EstimateMisfit(self, curves, covariance)
 
     def measured_misfit(self, spectra: CrossSpectra) -> EstimateMisfit:
@@ -382,11 +408,11 @@ class EstimateObserver:
         covariance = _smoothed(residual) / scale
         # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
         n = spectra.n_averages * _independent(self.settings.welch.correlation())
-        covariance = self.without_weak((covariance * n / (n - 2))[None])
+        covariance = self.without_unused((covariance * n / (n - 2))[None])
         return EstimateMisfit(self, spectra.responses(method)[None], covariance)
 
-    def without_weak(self, covariance: Tensor) -> Tensor:
-        """Return a covariance of log-responses in which the `weak` bins count for nothing.
+    def without_unused(self, covariance: Tensor) -> Tensor:
+        """Return a covariance of log-responses in which bins `weak` or `beyond` count for nothing.
 
         Parameters
         ----------
@@ -395,11 +421,11 @@ class EstimateObserver:
         Returns
         -------
         complex tensor of shape (n_vehicles, 2, 2, n_freq)
-            With infinite variance and no covariance where an estimate is weak.
+            With infinite variance and no covariance where an estimate is not to be used.
         """
-        weak = self.weak.to(covariance.device)
-        covariance = covariance.masked_fill(weak[:, None] | weak[None], 0.0)
-        return covariance.masked_fill(torch.diag_embed(weak.T).permute(1, 2, 0), math.inf)
+        unused = (self.weak | self.beyond).to(covariance.device)
+        covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
+        return covariance.masked_fill(torch.diag_embed(unused.T).permute(1, 2, 0), math.inf)
 
     def covariance(self, ratios: Tensor) -> Tensor:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from suspnet.checks import check_number
-from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import OFFSETS, QUANTITIES, UNMEASURED
 from suspnet.types import FloatArray
 
 TOLERANCE = 1e-9
@@ -19,12 +20,15 @@ TOLERANCE = 1e-9
 class LogNormal:
     """A joint log-normal distribution of numbers relative to their nominal values.
 
+    Of numbers that may be absent, 1 + ratio is log-normal: they reach 0, and where trips show none
+    of them may come out between -1 and 0.
+
     Parameters
     ----------
     names : tuple of str
         From ``UNMEASURED``.
     mean : tuple of n floats, [-]
-        Of the logarithms; 0 is nominal.
+        Of the logarithms; nominal is 0, of numbers that may be absent log 2.
     covariance : tuple of n tuples of n floats, [-]
         Of the logarithms.
 
@@ -65,7 +69,8 @@ class LogNormal:
             check_number(f"distribution.{name}", value, low=0, below=10)
         names = tuple(name for name, value in deviations.items() if value > 0)
         variances = np.diag([float(deviations[name]) ** 2 for name in names])
-        return cls(names, (0.0,) * len(names), tuple(map(tuple, variances.tolist())))
+        mean = tuple(math.log1p(OFFSETS[name]) for name in names)
+        return cls(names, mean, tuple(map(tuple, variances.tolist())))
 
     @classmethod
     def prior(cls, parts: Sequence[str]) -> LogNormal:
@@ -79,6 +84,21 @@ class LogNormal:
         return np.sqrt([row[i] for i, row in enumerate(self.covariance)])
 
     @property
+    def offsets(self) -> FloatArray:
+        """What is taken off the exponential of each logarithm, shape (n,), [-]."""
+        return np.array([OFFSETS[name] for name in self.names])
+
+    @property
+    def median(self) -> FloatArray:
+        """Numbers relative to nominal, shape (n,), [-]."""
+        return self.quantile(0.0)
+
+    def quantile(self, n_deviations: float) -> FloatArray:
+        """Return each number so many standard deviations of its logarithm above the median."""
+        logs = np.array(self.mean) + n_deviations * self.deviations
+        return np.asarray(np.exp(logs) - self.offsets)
+
+    @property
     def factor(self) -> FloatArray:
         """A matrix F with F F^T the covariance, its columns ever less important, (n, n)."""
         n = len(self.names)
@@ -87,4 +107,4 @@ class LogNormal:
 
     def ratios(self, standard: FloatArray) -> FloatArray:
         """Return numbers relative to nominal, (n_rows, n), from standard normal ones."""
-        return np.asarray(np.exp(np.array(self.mean) + standard @ self.factor.T))
+        return np.asarray(np.exp(np.array(self.mean) + standard @ self.factor.T) - self.offsets)

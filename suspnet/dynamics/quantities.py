@@ -2,7 +2,9 @@
 
 Each multiplies a nominal value: that of the vehicle file or, for the parts of a vehicle that files
 rarely hold, the one below. Priors are log-normal, their medians the nominal values, their
-deviations from what public vehicle models disagree about.
+deviations from what public vehicle models disagree about. Of numbers that may as well be 0, one
+plus the ratio to nominal is log-normal: their logarithm could not come near 0, and what is fitted
+of a part that a vehicle does not have is then taken from its neighbours.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ class Quantity:
         The one of ``PARTS`` that it belongs to; empty if every vehicle has it.
     nominal : float or None
         None where the vehicle or the generator's settings give it.
+    may_be_absent : bool
+        Whether it may be 0; `deviation` is then that of log(1 + ratio to nominal).
     """
 
     name: str
@@ -37,6 +41,7 @@ class Quantity:
     meaning: str
     part: str = ""
     nominal: float | None = None
+    may_be_absent: bool = False
 
 
 QUANTITIES = (
@@ -57,7 +62,13 @@ QUANTITIES = (
     Quantity("primary_bushing", 1.0, "N/m", "bushing of the primary damper", "bushings", 2e6),
     Quantity("secondary_bushing", 1.0, "N/m", "bushing of the secondary damper", "bushings", 1e7),
     Quantity(
-        "rubber_share", 1.0, "", "stiffness of the rubber's Maxwell branch over k_p", "rubber", 0.05
+        "rubber_share",
+        0.6,
+        "",
+        "stiffness of the rubber's Maxwell branch over k_p",
+        "rubber",
+        0.05,
+        may_be_absent=True,
     ),
     Quantity(
         "rubber_frequency",
@@ -67,22 +78,26 @@ QUANTITIES = (
         "rubber",
         5.0,
     ),
-    Quantity("rubber_loss", 1.0, "", "loss factor of the rubber", "rubber", 0.03),
+    Quantity(
+        "rubber_loss", 0.6, "", "loss factor of the rubber", "rubber", 0.03, may_be_absent=True
+    ),
     Quantity(
         "guidance_stiffness",
-        1.5,
+        0.9,
         "",
         "pitch stiffness of the axle guidance over k_p a²",
         "guidance",
         0.1,
+        may_be_absent=True,
     ),
     Quantity(
         "guidance_damping",
-        1.5,
+        0.9,
         "",
         "pitch damping of the axle guidance over c_p a²",
         "guidance",
         0.1,
+        may_be_absent=True,
     ),
     Quantity(
         "longitudinal_stiffness",
@@ -156,3 +171,5 @@ QUANTITIES = (
 )
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
+OFFSETS = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
+"""What is added to each ratio before its logarithm is taken: 1 where it may be absent, else 0."""

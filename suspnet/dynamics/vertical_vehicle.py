@@ -20,7 +20,7 @@ from suspnet.checks import check_choice, check_number
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
 from suspnet.dynamics.vertical_motion import vertical_motion
@@ -276,14 +276,14 @@ class VerticalVehicle:
     def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: what is not given is the distribution's median."""
         if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS) + 1:
-            check_ratios(ratios, N_ALL)
+            check_ratios(ratios + _OFFSETS.to(ratios), N_ALL)
             return ratios
         n_given = ratios.shape[-1] if ratios.ndim == 2 else len(PARAMETERS)
         check_ratios(ratios, max(n_given, len(PARAMETERS)))
         columns = torch.ones(len(ratios), N_ALL).to(ratios)
         if self.distribution is not None:
-            columns[:, self.uncertain_columns] = (
-                torch.tensor(self.distribution.mean, dtype=torch.float64).exp().to(ratios)
+            columns[:, self.uncertain_columns] = torch.as_tensor(self.distribution.median).to(
+                ratios
             )
         columns[:, :n_given] = ratios
         if self.other_bogie == "same":
@@ -366,6 +366,8 @@ _OTHER = slice(
     len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
 )
 """Columns of the bogie that is not measured."""
+_OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
+"""What makes every column of ratios positive."""
 
 
 def _distribution(

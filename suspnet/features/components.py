@@ -32,6 +32,8 @@ from suspnet.types import FloatArray, IntArray
 
 MISSING = 1
 """Reason code of a curve that is not finite."""
+ROUNDING = 1e-12
+"""Noise below which a bin is the healthy vehicle's in all curves: it tells nothing."""
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
@@ -154,6 +156,7 @@ class CurveFeatures:
             floor = FLOOR * (noisy - clean).square().mean(dim=(0, 2)).sqrt()
         rows = _rows(clean, healthy, floor)
         noise = (_rows(noisy, healthy, floor) - rows).square().mean(dim=0).sqrt()
+        noise = noise.where(noise > ROUNDING, 1.0)  # as the healthy vehicle's in every curve
         mean = rows.mean(dim=0)
         _, singular, directions = torch.linalg.svd((rows - mean) / noise, full_matrices=False)
         share = singular.square() / singular.square().sum()

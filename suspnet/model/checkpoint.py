@@ -31,7 +31,7 @@ from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import OODDetector
 from suspnet.uncertainty.physics import Unexplained
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 FEATURES, INTERVALS, OOD, PHYSICS = "features.", "intervals.", "ood.", "physics."
 """Prefixes of the names of the arrays of the feature set and of the calibrated parts."""
 UNITS = {

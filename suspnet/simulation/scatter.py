@@ -24,8 +24,9 @@ HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
 def scattered(generator: Any, scatter: float, seed: int) -> Any:
     """Return a generator whose nominal vehicle has true numbers of its own.
 
-    They are drawn from ``LogNormal.prior`` of its parts, the logarithms multiplied by `scatter`,
-    until the vehicle is physical: ratios that ``Vehicle`` accepts, and motion that decays.
+    They are drawn from ``LogNormal.prior`` of its parts, deviations from the median multiplied by
+    `scatter`, until the vehicle is physical: ratios that ``Vehicle`` accepts, no negative ones, and
+    motion that decays.
 
     Parameters
     ----------
@@ -49,7 +50,8 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
     prior = LogNormal.prior(getattr(generator, "parts", ()))
     rng = np.random.default_rng([seed, *STREAM])
     for _ in range(MAX_DRAWS):
-        logs = scatter * prior.deviations * rng.standard_normal(len(prior.names))
+        steps = scatter * prior.deviations * rng.standard_normal(len(prior.names))
+        logs = np.maximum(np.array(prior.mean) + steps, np.where(prior.offsets > 0, 0.0, -np.inf))
         drawn = _with_numbers(generator, prior.names, logs)
         if drawn is not None and _decays(drawn):
             return drawn
@@ -70,7 +72,7 @@ def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
     else:
         names, nominal = UNMEASURED, generator.nominal_values()[len(PARAMETERS) :]
         given = generator.distribution or LogNormal((), (), ())
-        medians = dict(zip(given.names, np.exp(given.mean), strict=True))
+        medians = dict(zip(given.names, given.median, strict=True))
         ratios = np.array([medians.get(name, 1.0) for name in names])
     parts = getattr(generator, "parts", ())
     known = {q.name: q for q in QUANTITIES if q.part in parts or (q.unit and not q.part)}
@@ -85,7 +87,8 @@ def _with_numbers(
     generator: QuarterCar | VerticalVehicle, names: tuple[str, ...], logs: FloatArray
 ) -> QuarterCar | VerticalVehicle | None:
     """Return the generator with numbers multiplied; None if no vehicle has such ones."""
-    ratios = dict(zip(names, np.exp(logs).tolist(), strict=True))
+    certain = LogNormal(names, tuple(logs), ((0.0,) * len(names),) * len(names))
+    ratios = dict(zip(names, certain.median.tolist(), strict=True))
     try:
         vehicle = generator.vehicle.degraded(
             **{name: ratios[healthy] for name, healthy in zip(PARAMETERS, HEALTHY, strict=False)}
@@ -95,8 +98,7 @@ def _with_numbers(
     if isinstance(generator, QuarterCar):
         return replace(generator, vehicle=vehicle)
     # five columns of ratios stand for the median of a distribution
-    certain = ((0.0,) * len(names),) * len(names)
-    return replace(generator, distribution=LogNormal(names, tuple(logs), certain))
+    return replace(generator, distribution=certain)
 
 
 def _decays(generator: QuarterCar | VerticalVehicle) -> bool:

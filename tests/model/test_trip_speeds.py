@@ -135,7 +135,7 @@ def test_bins_where_the_bogie_does_not_bounce_are_weak():
     weak = observer.frequencies_hz[observer.weak.any(dim=0)]
     assert 1 <= len(weak) < 15
     assert float((weak - still_hz).abs().min()) <= 0.05
-    covariance = observer.without_weak(observer.covariance(worn(1)))
+    covariance = observer.without_unused(observer.covariance(worn(1)))
     for i in (0, 1):
         assert bool(covariance[0, i, i][observer.weak[i]].real.isinf().all())
         assert bool((covariance[0, i, 1 - i][observer.weak[i]] == 0).all())
