@@ -70,6 +70,8 @@ class Refined:
     ratios : array of shape (n_curves, n_unknown), [-]
     deviations : array of shape (n_curves, n_unknown), [-]
         Standard deviations of log(ratios), inf where the curve does not determine them.
+    noise : array of shape (n_curves, n_unknown), [-]
+        Those that were left if the uncertain numbers were known.
     misfit : array of shape (n_curves,), [-]
         Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
         coordinates of uncertain numbers count as residuals.
@@ -79,6 +81,7 @@ class Refined:
     names: tuple[str, ...]
     ratios: FloatArray
     deviations: FloatArray
+    noise: FloatArray
     misfit: FloatArray
     converged: BoolArray
 
@@ -87,11 +90,14 @@ class Refined:
         columns = [self.names.index(name) for name in names]
         return self.ratios[:, columns], self.deviations[:, columns]
 
+    def noise_of(self, names: tuple[str, ...]) -> FloatArray:
+        """Return the deviations by noise alone of some of the parameters, (n_curves, n_names)."""
+        return self.noise[:, [self.names.index(name) for name in names]]
+
     @classmethod
     def joined(cls, parts: Sequence[Refined]) -> Refined:
         """Return the estimates of several batches of curves, one after the other."""
-        fields = ("ratios", "deviations", "misfit", "converged")
-        merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
+        merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS}
         return cls(parts[0].names, **merged)
 
     def improved(self, rows: IntArray, other: Refined) -> Refined:
@@ -99,11 +105,15 @@ class Refined:
         better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
         chosen = rows[better]
         merged = {}
-        for name in ("ratios", "deviations", "misfit", "converged"):
+        for name in _ROWS:
             values = getattr(self, name).copy()
             values[chosen] = getattr(other, name)[better]
             merged[name] = values
         return Refined(self.names, **merged)
+
+
+_ROWS = ("ratios", "deviations", "noise", "misfit", "converged")
+"""Fields of `Refined` that have a row for each curve."""
 
 
 def complete_ratios(
@@ -231,7 +241,9 @@ class _Search:
         freedom = n_residuals - self.n_directions - n_unknown
         mean_square = 2 * solution.cost / freedom
         theta = solution.parameters[:, :n_unknown]
-        deviations = cramer_rao(solution.information.cpu().numpy())[:, :n_unknown]
+        information = solution.information.cpu().numpy()
+        deviations = cramer_rao(information)[:, :n_unknown]
+        noise = cramer_rao(information[:, :n_unknown, :n_unknown])
         if self.n_directions:
             low, high = (bound[:n_unknown] for bound in self._bounds)
             pressed = ((theta <= low) | (theta >= high)).cpu().numpy()
@@ -241,6 +253,7 @@ class _Search:
             self._task.unknown,
             theta.exp().cpu().numpy(),
             deviations,
+            np.where(np.isfinite(deviations), np.minimum(noise, deviations), deviations),
             np.sqrt(mean_square.cpu().numpy() / self._misfit.expected),
             solution.converged.cpu().numpy(),
         )

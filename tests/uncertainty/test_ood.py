@@ -55,7 +55,7 @@ def fitted(n=1, misfit=1.0, deviation=0.01, **ratios):
     for name, ratio in ratios.items():
         values[:, PARAMETERS.index(name)] = ratio
     deviations = np.full((n, 5), deviation)
-    return Refined(PARAMETERS, values, deviations, np.full(n, misfit), np.ones(n, bool))
+    return Refined(PARAMETERS, values, deviations, deviations, np.full(n, misfit), np.ones(n, bool))
 
 
 def flags(detector, problem, refined=None, inputs=None, missing=""):

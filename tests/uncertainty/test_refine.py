@@ -353,14 +353,13 @@ def test_chosen_columns_and_joined_batches(joint):
         np.testing.assert_array_equal(getattr(joined, name), getattr(found, name))
 
 
-FIELDS = ("ratios", "deviations", "misfit", "converged")
+FIELDS = ("ratios", "deviations", "noise", "misfit", "converged")
 
 
 def refined(misfit, value):
     n = len(misfit)
-    return Refined(
-        ("k_p",), np.full((n, 1), value), np.full((n, 1), value), np.array(misfit), np.ones(n, bool)
-    )
+    column = np.full((n, 1), value)
+    return Refined(("k_p",), column, column, column, np.array(misfit), np.ones(n, bool))
 
 
 def test_only_rows_that_fit_better_are_improved():
