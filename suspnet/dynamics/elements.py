@@ -156,6 +156,11 @@ def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
     return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
 
 
+def lateral_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the suspension across the train between body and bogie, of one side."""
+    return Element(p["lateral_stiffness"], p["lateral_damping"])
+
+
 def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
     """Return the body's first bending per modal mass of M_s; pay-load does not stiffen it."""
     own = 2 * math.pi * p["bending_frequency"]

@@ -161,6 +161,22 @@ QUANTITIES = (
     Quantity("secondary_lateral", 0.2, "m", "half distance of the secondary springs", "roll", 1.0),
     Quantity("anti_roll_bar", 1.0, "N m/rad", "stiffness of a bogie's anti-roll bar", "roll", 1e6),
     Quantity(
+        "lateral_stiffness",
+        1.0,
+        "N/m",
+        "lateral stiffness between body and bogie, a side",
+        "roll",
+        1.6e5,
+    ),
+    Quantity(
+        "lateral_damping",
+        1.0,
+        "N s/m",
+        "lateral damping between body and bogie, a side",
+        "roll",
+        1.6e4,
+    ),
+    Quantity(
         "cross_level", 0.7, "", "density of half the cross level over the mean's", "roll", 0.5
     ),
     Quantity("axle_box_lateral", 0.1, "m", "lateral place of the axle box's sensor", "roll"),

@@ -4,7 +4,7 @@ Each spring, damper and Maxwell branch acts along a stretch u = g z - h w of coo
 inputs w, and adds an outer product: k g g^T to the stiffness, k g h^T to that of the input.
 Letters and equations are those of `suspnet.dynamics.vertical_vehicle`. Coordinates: z and phi of
 the body, z_i and psi_i of the measured bogie (1) and of the other one (2), then q of the bending
-and the three angles of roll where there are such. Inputs: the mean of both rails under each
+and, where there are such, the body's way aside y and the three angles of roll. Inputs: the mean of both rails under each
 wheelset, w, then with roll the angle of the track there, x.
 """
 
@@ -21,6 +21,7 @@ from suspnet.dynamics.elements import (
     Element,
     bending_element,
     guidance_element,
+    lateral_element,
     longitudinal_element,
     primary_element,
     secondary_element,
@@ -100,7 +101,8 @@ def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
         masses["q"] = n["M_s"]
     if "roll" in parts:
         roll = bogie * n["bogie_roll_gyration"] ** 2
-        masses["theta"] = 2 * n["M_s"] * n["body_roll_gyration"] ** 2
+        masses["y"] = 2 * n["M_s"]
+        masses["theta"] = masses["y"] * n["body_roll_gyration"] ** 2
         masses |= {"theta_1": roll, "theta_2": roll}
     return masses
 
@@ -158,14 +160,16 @@ def _rolling(
     parts: Sequence[str],
     e: Mapping[str, FloatArray],
 ) -> list[Acting]:
-    """Return both suspensions and the anti-roll bar of each bogie in roll, one side's share."""
+    """Return what turns each bogie and the body in roll, and pushes it aside, one side's share."""
     acting = []
+    aside = e["y"] + n["body_lever"] * e["theta"]
     for which, i, _, (first, last) in BOGIES:
         track, across = 0.5 * (e[f"x_{first}"] + e[f"x_{last}"]), e["theta"] - e[f"theta_{i}"]
         acting += [
             (primary_element(p, which, parts), n["primary_lateral"] * (e[f"theta_{i}"] - track)),
             (secondary_element(p, which, parts), n["secondary_lateral"] * across),
             (Element(p["anti_roll_bar"] / 2, None), across),
+            (lateral_element(p), aside + n["bogie_lever"] * e[f"theta_{i}"]),
         ]
     return acting
 

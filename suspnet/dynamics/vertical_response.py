@@ -17,13 +17,18 @@ bogies and turns by phi_1 = phi + sigma q and phi_2 = phi - sigma q, over L; F_i
 z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
 levers h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
 
-Roll stands apart where left and right are alike, with x_i the mean of half the cross level at both
-axles, b the half distances of springs and of the rails, and S_i = kappa_si b_s^2 + k_bar / 2::
+Roll and sway stand apart where left and right are alike, with x_i the mean of half the cross level
+at both axles, b the half distances of springs and of the rails, S_i = kappa_si b_s^2 + k_bar / 2,
+y the way of the body aside, kappa_y the lateral suspension between body and bogie at the levers h_2
+and h_3, whose stretch is e_i = y + h_2 theta + h_3 theta_i::
 
-    (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta = kappa_p b_p^2 x_i / b_rail
-    2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) = 0
+    (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta + kappa_y h_3 e_i
+                                                                    = kappa_p b_p^2 x_i / b_rail
+    2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) + h_2 sum_i kappa_y e_i = 0
+    2 M_s s^2 y + sum_i kappa_y e_i = 0
 
-The bogies are eliminated; three equations in z, phi and q, and one in theta remain. k_p, c_p, k_s,
+Bogies and wheelsets do not move aside. The bogies are eliminated; three equations in z, phi and q,
+and two in theta and y remain. k_p, c_p, k_s,
 c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets follow the
 same track, each delayed by its distance over the speed. Cross level and mean are independent
 processes: spectra are sums over both. The cross level has a share of the mean's density, times
@@ -41,6 +46,7 @@ from torch import Tensor
 from suspnet.dynamics.elements import (
     bending_element,
     guidance_element,
+    lateral_element,
     longitudinal_element,
     primary,
     secondary,
@@ -191,21 +197,32 @@ def _modal(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
 def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     """Return axle box, frame and body sensor for the cross level, (n_vehicles, 3, n_freq)."""
     wheels = wheels_of(layout, p, omega)
-    mass = p["bogie_mass"] * (p["bogie_roll_gyration"] * omega) ** 2
-    total: Tensor | float = -2 * p["M_s"] * (p["body_roll_gyration"] * omega) ** 2
-    force: Tensor | float = 0.0
-    links, frees = [], []
+    bogie_inertia = p["bogie_mass"] * (p["bogie_roll_gyration"] * omega) ** 2
+    aside, lever = lateral_element(p).at(omega), p["bogie_lever"]
+    # theta_i = link theta - yielding u + free, u the body's way aside at the height of the springs
+    bogies, resistance, stiffening, coupling, moment, push = [], 0.0, 0.0, 0.0, 0.0, 0.0
     for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
         below = primary(p, which, omega, layout.parts) * p["primary_lateral"] ** 2
         above = secondary(p, which, omega, layout.parts) * p["secondary_lateral"] ** 2
         above = above + p["anti_roll_bar"] / 2
-        all_ = below + above - mass
-        links.append(above / all_)
-        frees.append(below * 0.5 * (pair[0] + pair[1]) / (RAIL_LATERAL_M * all_))
-        total = total + above * (1 - links[-1])
-        force = force + above * frees[-1]
-    body = force / total
-    frame = links[0] * body + frees[0]
+        all_ = below + above - bogie_inertia + aside * lever**2
+        link, yielding = above / all_, aside * lever / all_
+        free = below * 0.5 * (pair[0] + pair[1]) / (RAIL_LATERAL_M * all_)
+        bogies.append((link, yielding, free))
+        resistance = resistance + above * (1 - link)
+        stiffening = stiffening + aside * (1 - lever * yielding)
+        coupling = coupling + above * yielding
+        moment = moment + above * free
+        push = push + aside * lever * free
+    inertia, height = 2 * p["M_s"] * omega**2, p["body_lever"]
+    swaying = stiffening - inertia
+    bent = (coupling + height * stiffening) / swaying
+    total = resistance - inertia * p["body_roll_gyration"] ** 2 + height * coupling
+    total = total - bent * (coupling + height * inertia)
+    body = (moment - height * push + bent * push) / total
+    over = -(push + (coupling + height * inertia) * body) / swaying
+    link, yielding, free = bogies[0]
+    frame = link * body - yielding * over + free
     box = torch.full_like(frame, 1 / RAIL_LATERAL_M)
     places = [p[f"{name}_lateral"] for name in ("axle_box", "frame", "body")]
     angles = torch.stack(

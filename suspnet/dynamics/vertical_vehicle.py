@@ -276,7 +276,8 @@ class VerticalVehicle:
     def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: what is not given is the distribution's median."""
         if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS) + 1:
-            check_ratios(ratios + _OFFSETS.to(ratios), N_ALL)
+            positive = ratios + _OFFSETS.to(ratios) if ratios.shape[1] == N_ALL else ratios
+            check_ratios(positive, N_ALL)
             return ratios
         n_given = ratios.shape[-1] if ratios.ndim == 2 else len(PARAMETERS)
         check_ratios(ratios, max(n_given, len(PARAMETERS)))

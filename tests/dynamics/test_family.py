@@ -81,14 +81,15 @@ def kappas(n, which, parts, s):
 def naive(generator, ratios, frequency_hz):
     """Return axle box, frame and body for mean and cross level, (2, 3), one system of equations.
 
-    Coordinates: z, pitch, roll [rad] and bending of the body, then z, pitch, roll of both bogies;
+    Coordinates: z, pitch, roll [rad] and bending of the body, then z, pitch, roll of both bogies,
+    then the body's way aside, positive where the roll lowers it there above its centre;
     every spring acts between two points, left and right, all of the vehicle and not of a side.
     """
     n, parts = numbers(generator, ratios), generator.parts
     s = 2j * math.pi * frequency_hz
     a, pivot = n["half_wheelbase"], n["half_pivot_distance"]
     leading = generator.bogie == "leading"
-    system = np.zeros((10, 10), dtype=complex)
+    system = np.zeros((11, 11), dtype=complex)
     body, bogie = 4 * n["M_s"], 2 * n["bogie_mass"]
     inertias = [body, body * n["body_gyration"] ** 2, body * n["body_roll_gyration"] ** 2]
     system[:3, :3] = np.diag(inertias) * s**2
@@ -97,14 +98,15 @@ def naive(generator, ratios, frequency_hz):
     # the shape is given per modal mass of a quarter: both sides have two
     modal = 2 * n["M_s"] * s**2 + empty * own**2 + 2 * n["bending_damping"] * empty * own * s
     system[3, 3] = modal
+    system[10, 10] = body * s**2
     shape = n["bending_at_pivot"] if "bending" in parts else 0.0
-    drive = np.zeros((10, 2), dtype=complex)
+    drive = np.zeros((11, 2), dtype=complex)
     b_p, b_s = n["primary_lateral"], n["secondary_lateral"]
     for i, place in enumerate((pivot, -pivot)):
         which = "" if (i == 0) == leading else "other_"
         kappa_p, kappa_s = kappas(n, which, parts, s)
         first = 4 + 3 * i
-        rows = np.eye(10)[first : first + 3]
+        rows = np.eye(11)[first : first + 3]
         gyrations = (1.0, n["bogie_gyration"] ** 2, n["bogie_roll_gyration"] ** 2)
         for row, square in zip(rows, gyrations, strict=True):
             system += bogie * square * s**2 * np.outer(row, row)
@@ -120,7 +122,7 @@ def naive(generator, ratios, frequency_hz):
                 track = delay * np.array([1.0, side * b_p / 0.75])
                 drive += kappa_p / 2 * np.outer(stretch, track)
             if "longitudinal" in parts:
-                link = np.zeros(10)
+                link = np.zeros(11)
                 link[1], link[first + 1] = n["body_lever"], n["bogie_lever"]
                 if "bending" in parts:
                     link[3] = n["body_lever"] * n["bending_slope"] / place
@@ -130,11 +132,17 @@ def naive(generator, ratios, frequency_hz):
             gamma = n["guidance_stiffness"] * n["healthy_k_p"]
             gamma += n["guidance_damping"] * n["healthy_c_p"] * s
             system += 2 * gamma * a**2 * np.outer(rows[1], rows[1])
+        if "roll" in parts:
+            # between a point of the body below its centre and one of the bogie above its own
+            aside = np.zeros(11)
+            aside[10], aside[2], aside[first + 2] = 1.0, n["body_lever"], n["bogie_lever"]
+            kappa_y = n["lateral_stiffness"] + n["lateral_damping"] * s
+            system += 2 * kappa_y * np.outer(aside, aside)
         bar = rows[2].copy()
         bar[2] = -1.0
         system += n["anti_roll_bar"] * np.outer(bar, bar)
     motion = np.linalg.solve(system, drive)
-    frame, body_sensor = np.zeros(10), np.zeros(10)
+    frame, body_sensor = np.zeros(11), np.zeros(11)
     row = 4 if leading else 7
     offset = a if generator.axle == "leading" else -a
     frame[row : row + 3] = 1.0, offset * (generator.frame_sensor == "axle"), n["frame_lateral"]
@@ -220,7 +228,7 @@ def test_an_air_spring_with_a_vast_second_volume_and_no_area_is_a_spring_and_a_d
 
 def test_no_cross_level_leaves_the_mean_alone():
     ratios = ALL.clone()
-    ratios[:, NAMES.index("cross_level")] = 1e-30
+    ratios[:, NAMES.index("cross_level")] = 1e-32
     generator = VerticalVehicle(AM96, parts=("roll",), sensor_lateral_m=SENSORS)
     channels = generator.channels(ratios, FREQUENCIES)
     assert channels[:, 1].abs().max() < 1e-14
