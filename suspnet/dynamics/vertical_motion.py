@@ -4,8 +4,8 @@ Each spring, damper and Maxwell branch acts along a stretch u = g z - h w of coo
 inputs w, and adds an outer product: k g g^T to the stiffness, k g h^T to that of the input.
 Letters and equations are those of `suspnet.dynamics.vertical_vehicle`. Coordinates: z and phi of
 the body, z_i and psi_i of the measured bogie (1) and of the other one (2), then q of the bending
-and, where there are such, the body's way aside y and the three angles of roll. Inputs: the mean of both rails under each
-wheelset, w, then with roll the angle of the track there, x.
+and, where there are such, the body's way aside y and the three angles of roll. Inputs: the mean of
+both rails under each wheelset, w, then with roll the angle of the track there, x.
 """
 
 from __future__ import annotations

@@ -200,7 +200,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     bogie_inertia = p["bogie_mass"] * (p["bogie_roll_gyration"] * omega) ** 2
     aside, lever = lateral_element(p).at(omega), p["bogie_lever"]
     # theta_i = link theta - yielding u + free, u the body's way aside at the height of the springs
-    bogies, resistance, stiffening, coupling, moment, push = [], 0.0, 0.0, 0.0, 0.0, 0.0
+    bogies = []
+    resistance = stiffening = coupling = moment = push = torch.zeros_like(wheels[0])
     for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
         below = primary(p, which, omega, layout.parts) * p["primary_lateral"] ** 2
         above = secondary(p, which, omega, layout.parts) * p["secondary_lateral"] ** 2
