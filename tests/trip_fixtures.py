@@ -44,7 +44,7 @@ def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **
     options = {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ, "cache_dir": None}
     settings = EstimateSettings(n_train, 300, n_calibrate, speed, **options)
     problem = Problem(VerticalVehicle(AM96, speed_m_per_s=speed), task, settings, progress=False)
-    model = calibrated(problem, fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog()))
+    model = calibrated(problem, fit(problem, MSVR(1e6, 16.0, 1e-3, "nystroem", 512), NoLog()))
     errors = {"test_rms_percent": rms_percent(task, predict_stream(problem, model, TEST))}
     return replace(model, training=model.training | errors)
 

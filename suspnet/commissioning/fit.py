@@ -282,7 +282,7 @@ class _Target:
     def misfits(self, theta: Tensor) -> list[float]:
         """Return the rms residual of each group over that of the noise."""
         return [
-            math.sqrt(_mean_square(part[0]) / misfit.expected)
+            math.sqrt(float(part.square().mean()) / misfit.expected)
             for part, misfit in zip(self.parts(theta, 0.0), self._groups, strict=True)
         ]
 
@@ -290,7 +290,8 @@ class _Target:
         """Return the posterior of the numbers, and the mean square of what is left."""
         n = len(self.prior.names)
         residuals = torch.cat(self.parts(_row(found.x), 0.0), dim=1)[0]
-        mean_square = _mean_square(residuals) / self._groups[0].expected
+        expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
+        mean_square = float(residuals.square().mean()) / expected
         told = self.jacobian(found.x, 0.0)[: len(residuals)]
         prior = np.diag(self._prior_deviations() ** -2)
         information = told.T @ told / max(mean_square, 1.0) + prior
@@ -319,8 +320,3 @@ class _Target:
 def _row(x: FloatArray) -> Tensor:
     """Return one point as a tensor of one row."""
     return torch.as_tensor(x)[None]
-
-
-def _mean_square(residuals: Tensor) -> float:
-    """Return the mean square of residuals; those of bins that tell nothing are 0 and left out."""
-    return float(residuals.square().sum() / (residuals != 0).sum())

@@ -1,10 +1,11 @@
 """The directions of a generator's uncertain numbers that its curves show.
 
 With F the factor of the log-normal distribution, the logarithms of the numbers (of those that may
-be absent: of 1 + number) are mean + F z, z standard normal. Many directions of z leave the curves as they are. With J the derivative of the
-curves in units of their noise, the eigenvectors of the mean of J^T J over vehicles (the active
-subspace; Constantine, Active subspaces, 2015) are directions of ever less effect, whose rms is the
-root of the eigenvalue. Those of next to no effect are left at the median.
+be absent: of 1 + number) are mean + F z, z standard normal. Many directions of z leave the curves
+as they are. With J the derivative of the curves in units of their noise, the eigenvectors of the
+mean of J^T J over vehicles (the active subspace; Constantine, Active subspaces, 2015) are
+directions of ever less effect, whose rms is the root of the eigenvalue. Those of next to no effect
+are left at the median.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class EstimateSettings:
     low_hz, high_hz : float, optional, [Hz]
         Band; None is 0.45 times the vehicle's first natural frequency, 3.8 times its second.
     body_high_hz : float, optional, [Hz]
-        Up to which G_s is used; None is 1.8 times the second natural frequency, or `high_hz` where
+        Up to which G_s is used; None is 2.4 times the second natural frequency, or `high_hz` where
         that is lower.
     rates_hz : sequence of 3 floats, [Hz]
         Sampling rates of axle box, bogie and body.
@@ -157,7 +157,7 @@ class EstimateSettings:
         bins = bound.frequencies_hz()
         for name, end, n_bins in (
             ("high_hz", high, len(bins)),
-            ("body_high_hz", body_high, int((bins <= body_high).sum())),
+            ("body_high_hz", body_high, int((bins <= body_high + 1e-9).sum())),
         ):
             if n_bins < 8:
                 raise ValueError(

@@ -67,8 +67,8 @@ class EstimateMisfit:
 
     @property
     def expected(self) -> float:
-        """Mean square of a residual if the model is true: 1 / r."""
-        return 1 / self._correlated
+        """Mean square of a residual if the model is true: 1 / r, times the share in use."""
+        return self._share / self._correlated
 
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the estimates `rows`.
@@ -97,6 +97,12 @@ class EstimateMisfit:
         white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
         return stack(parts, dim=1).flatten(1) * math.sqrt(2 / self._correlated)
+
+    @cached_property
+    def _share(self) -> float:
+        """Share of the estimates that are used; the residuals of the others are 0."""
+        used = self.covariance.diagonal(dim1=1, dim2=2).real.isfinite()
+        return float(used.double().mean())
 
     @cached_property
     def _correlated(self) -> float:

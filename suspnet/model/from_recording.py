@@ -19,7 +19,12 @@ from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
-from suspnet.model.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
+from suspnet.model.from_spectra import (
+    MissingFeaturesError,
+    estimate_with_noise,
+    trip_observer,
+    trip_settings,
+)
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording
@@ -55,8 +60,8 @@ class TripSettings:
     min_averages : float
         Below this many independent averages in a bin there is no estimate from it.
     max_deviation : float, [-]
-        If the log-magnitudes are less certain than this (standard deviation, median over the band)
-        there is no estimate.
+        If the log-magnitudes are less certain than this (standard deviation, median over the bins
+        in use) there is no estimate.
     level : float
         Probability that an interval holds the truth.
     check_channels : bool
@@ -275,11 +280,14 @@ def _speed_bin(
             f"{_advice(segments, within, settings)}"
         )
     spectra = band.average(chosen)
-    deviation = float(spectra.deviations(trained.method).median(dim=1).values.amax())
+    beyond = trip_observer(method).beyond
+    deviations = spectra.deviations(trained.method).masked_fill(beyond, math.nan)
+    deviation = float(deviations.nanmedian(dim=1).values.amax())
     if deviation > settings.max_deviation:
+        coherences = spectra.coherences().masked_fill(beyond, math.nan)
         raise NoEstimateError(
             f"the responses are uncertain by {100 * deviation:.2g} % (coherence "
-            f"{float(spectra.coherences().mean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
+            f"{float(coherences.nanmean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     mean, deviation = speed_of(speeds[chosen], segments)

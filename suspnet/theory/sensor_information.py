@@ -20,6 +20,8 @@ input both steps have a closed form; q = |a|^2 and u_i the part of da_i perpendi
 
 What moves all sensors alike, in size or in phase, cannot be told from the track: no part of u.
 
+Sensors on the body tell nothing beyond ``body_high_hz``, where G_s is not used: A is 0 there.
+
 A generator's uncertain numbers are further unknowns, about the median of their distribution, with
 that as prior: see `without_uncertain`.
 
@@ -53,6 +55,11 @@ THREE_SENSORS = ("axle box", "bogie", "body")
 def places(generator: ResponseGenerator) -> tuple[str, ...]:
     """Return the names of the places of sensors: the three, then ``further_places``."""
     return THREE_SENSORS + generator.further_places
+
+
+def _on_body(generator: ResponseGenerator) -> list[bool]:
+    """Return which of ``places`` are on the body."""
+    return [place.startswith("body") for place in places(generator)]
 
 
 def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
@@ -114,6 +121,7 @@ def recording_information(
     noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
     track = torch.as_tensor(observer.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
+    level[np.ix_(_on_body(generator), observer.beyond[1].numpy())] = 0.0
     per_bin = settings.n_averages / settings.welch.correlated_bins
     uncertain = every_direction(generator)
     blocks = []
@@ -177,7 +185,7 @@ def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
 def _of_one_input(a: Tensor, da: Tensor) -> Tensor:
     """Return sum over bins of 2 q / (1 + q) Re(u_i^H u_j), a (n, n_places, n_freq)."""
     q = a.abs().square().sum(dim=1)[:, None, None]
-    along = (a.conj()[:, None] * da).sum(dim=2, keepdim=True) / q
+    along = (a.conj()[:, None] * da).sum(dim=2, keepdim=True) / q.where(q > 0, 1.0)
     u = da - along * a[:, None]
     size = (u.abs().square().sum(dim=(2, 3)), da.abs().square().sum(dim=(2, 3)))
     u[size[0] <= ROUNDING * size[1]] = 0
@@ -199,7 +207,8 @@ def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
     level, half = a @ a.mH, da @ a.mH
     x = half + half.mH
     along = (x * level.conj()).sum(dim=(-2, -1), keepdim=True).real
-    u = x - along / level.abs().square().sum(dim=(-2, -1), keepdim=True) * level
+    size = level.abs().square().sum(dim=(-2, -1), keepdim=True)
+    u = x - along / size.where(size > 0, 1.0) * level
     u[u.abs().square().sum(dim=(2, 3, 4)) <= ROUNDING * x.abs().square().sum(dim=(2, 3, 4))] = 0
     flat = torch.view_as_real(u).flatten(2)
     return flat @ flat.transpose(1, 2)

@@ -22,7 +22,12 @@ from suspnet.features.welch import Welch
 METHODS = ["H1", "H2", "Hv", "IV"]
 RATE_HZ, N_RECORDS, N_DRAWS = 32.0, 400, 3000
 SETTINGS = EstimateSettings(
-    segment_s=20.0, minutes=5.0, rates_hz=(RATE_HZ,) * 3, snr_db=20.0, cache_dir=None
+    segment_s=20.0,
+    minutes=5.0,
+    rates_hz=(RATE_HZ,) * 3,
+    snr_db=20.0,
+    high_hz=9.9,  # well below the Nyquist frequency; G_s is used on all bins
+    cache_dir=None,
 ).bound(AM96)
 DEGRADED = (0.8, 1.6, 1.2, 0.8, 1.1)
 RATIOS = torch.tensor([DEGRADED], dtype=torch.float64)
@@ -331,18 +336,20 @@ def test_band_follows_from_the_vehicle(ratio):
     bound = EstimateSettings().bound(vehicle)
     modes, _ = QuarterCar(vehicle).natural_modes()
     assert bound.low_hz == pytest.approx(0.45 * modes[0])
-    assert bound.high_hz == pytest.approx(1.8 * modes[1])
+    assert bound.high_hz == pytest.approx(3.8 * modes[1])
+    assert bound.body_high_hz == pytest.approx(2.4 * modes[1])
     bins = bound.frequencies_hz().numpy()
     np.testing.assert_allclose(bins * 20, np.rint(bins * 20), atol=1e-9)
     assert bound.low_hz <= bins[0] < bound.low_hz + 0.05
     assert bound.high_hz - 0.05 < bins[-1] <= bound.high_hz
     np.testing.assert_allclose(np.diff(bins), 0.05, rtol=1e-9)
-    assert dataclasses.replace(bound, low_hz=None, high_hz=None) == EstimateSettings()
+    ends = dict.fromkeys(("low_hz", "high_hz", "body_high_hz"))
+    assert dataclasses.replace(bound, **ends) == EstimateSettings()
 
 
 def test_given_band_is_kept_and_bins_near_zero_are_left_out():
     bound = EstimateSettings(low_hz=0.01, high_hz=5.0).bound(AM96)
-    assert (bound.low_hz, bound.high_hz) == (0.01, 5.0)
+    assert (bound.low_hz, bound.high_hz, bound.body_high_hz) == (0.01, 5.0, 5.0)
     bins = bound.frequencies_hz()
     # the first neighbour of the first bin still has to be above zero
     assert bins[0] == pytest.approx(0.1)
@@ -405,6 +412,7 @@ def test_speed_and_track_move_the_densities():
         ({"minutes": math.inf}, r"`data\.minutes` must be a finite number > 0 and <"),
         ({"low_hz": 0.0}, r"`data\.low_hz` must be a finite number > 0 and <"),
         ({"high_hz": 2e4}, r"`data\.high_hz` must be a finite number > 0 and <"),
+        ({"body_high_hz": 0.0}, r"`data\.body_high_hz` must be a finite number > 0 and <"),
         ({"method": "H3"}, r"`data\.method` must be one of .*'H3'"),
         ({"rates_hz": (5000.0, 2000.0)}, r"`data\.rates_hz` must be three rates > 0"),
         ({"rates_hz": (5000.0, 2000.0, 0.0)}, r"`data\.rates_hz\[2\]` must be .* > 0, got 0.0"),
@@ -426,7 +434,7 @@ def test_settings_out_of_range_are_rejected(changes, message):
     "name",
     [
         *("n_train", "n_test", "n_calibrate"),
-        *("speed_m_per_s", "snr_db", "minutes", "low_hz", "high_hz"),
+        *("speed_m_per_s", "snr_db", "minutes", "low_hz", "high_hz", "body_high_hz"),
     ],
 )
 @pytest.mark.parametrize("value", [True, "7"])
@@ -443,3 +451,7 @@ def test_band_must_be_bound_and_hold_bins():
     with pytest.raises(ValueError, match=r"data\.high_hz=1\.3 Hz lie 7 bins; at least 8"):
         EstimateSettings(low_hz=1.0, high_hz=1.3).bound(AM96)
     assert len(EstimateSettings(low_hz=1.0, high_hz=1.35).bound(AM96).frequencies_hz()) == 8
+    with pytest.raises(ValueError, match=r"data\.body_high_hz=1\.3 Hz lie 7 bins; at least 8"):
+        EstimateSettings(low_hz=1.0, body_high_hz=1.3).bound(AM96)
+    bound = EstimateSettings(low_hz=1.0, body_high_hz=1.35).bound(AM96)
+    assert int((~bound.observer(QuarterCar(AM96)).beyond[1]).sum()) == 8

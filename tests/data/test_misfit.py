@@ -16,7 +16,7 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.theory.information import fisher_information
 
 CURVES = CurveSettings(snr_db=30.0, low_hz=0.3, high_hz=12.0, step_hz=0.1, cache_dir=None)
-TRIPS = EstimateSettings(snr_db=30.0, minutes=10.0, cache_dir=None).bound(AM96)
+TRIPS = EstimateSettings(snr_db=30.0, minutes=10.0, high_hz=9.9, cache_dir=None).bound(AM96)
 QUARTER_CAR, PITCHING = QuarterCar(AM96), VerticalVehicle(AM96)
 HANN = 1 + 2 * (4 / 9 + 1 / 36)
 """r of a Hann window: neighbours correlate by 4/9, next ones by 1/36."""
@@ -133,6 +133,28 @@ def test_mean_square_of_the_true_vehicles_estimates_is_as_expected(generator):
     error = 4 * float(means.std()) / math.sqrt(len(means))
     # the covariance holds to first order in 1 / n_averages = 0.018; the next one adds about that
     assert error < 0.012
+    assert float(means.mean()) == pytest.approx(1 + 1 / TRIPS.n_averages, abs=error)
+
+
+@pytest.mark.parametrize("generator", [QUARTER_CAR, PITCHING], ids=["quarter_car", "pitching"])
+def test_mean_square_of_estimates_used_in_part_is_as_expected(generator):
+    settings = replace(TRIPS, low_hz=1.5, body_high_hz=5.0)
+    observer = settings.observer(generator)
+    vehicles = torch.as_tensor(np.repeat(OTHERS, 200, axis=0))
+    misfit = observer.misfit(observer.observe(vehicles, 2), vehicles)
+    square = misfit(vehicles, torch.arange(600)).square()
+    unused = settings.frequencies_hz() > 5.0 + 1e-9
+    n_freq = len(unused)
+    assert 0.3 < float(unused.double().mean()) < 0.7
+    assert not bool(observer.weak.any())
+    of_both = square.reshape(600, 4, n_freq)
+    assert float(of_both[:, 2:, unused].abs().max()) == 0
+    assert float(of_both[:, 2:, ~unused].mean(dim=0).min()) > 0
+    share = 1 - int(unused.sum()) / (2 * n_freq)
+    assert misfit.expected == pytest.approx(share / HANN, rel=1e-6)
+    means = square.mean(dim=1) / misfit.expected
+    error = 4 * float(means.std()) / math.sqrt(len(means))
+    assert error < 0.02
     assert float(means.mean()) == pytest.approx(1 + 1 / TRIPS.n_averages, abs=error)
 
 

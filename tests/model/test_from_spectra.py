@@ -153,16 +153,11 @@ def test_noise_is_the_spread_of_estimates_from_other_draws(model):
     many = CrossSpectra(
         mean.auto.expand(2000, -1, -1), mean.cross.expand(2000, -1, -1), mean.n_averages
     )
-    estimates = np.log(
-        regression(
-            model,
-            model.relative_features(
-                drawn(many, model, seed=5).responses("IV").numpy(),
-                model.settings.frequencies_hz().numpy(),
-            ),
-        )
-    )
-    found = trust._noise(model, model.settings.observer(model.generator), row(mean))
+    observer = model.settings.observer(model.generator)
+    responses = observer.for_features(drawn(many, model, seed=5).responses("IV")).numpy()
+    inputs = model.relative_features(responses, model.settings.frequencies_hz().numpy())
+    estimates = np.log(regression(model, inputs))
+    found = trust._noise(model, observer, row(mean))
     low, high = np.quantile(estimates, stats.norm.cdf([-1, 1]), axis=0)
     # three times 0.96 / sqrt(64), the scatter of the spread of 64 draws
     np.testing.assert_allclose(found, (high - low) / 2, rtol=0.36)

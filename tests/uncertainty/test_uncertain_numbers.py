@@ -12,6 +12,7 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.data.misfit import EstimateMisfit
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import QUANTITIES
 from suspnet.problem import TEST
 from suspnet.theory.information import fisher_information, output_bounds
 from suspnet.uncertainty.refine import refine
@@ -26,7 +27,7 @@ def narrow(scale, correlation=0.5):
     deviations = scale * prior.deviations * np.geomspace(1, 1e-6, len(prior.names))
     matrix = (1 - correlation) * np.eye(len(deviations)) + correlation
     covariance = matrix * np.outer(deviations, deviations)
-    return LogNormal(prior.names, tuple(np.full(len(deviations), 0.02)), covariance.tolist())
+    return LogNormal(prior.names, tuple(np.array(prior.mean) + 0.02), covariance.tolist())
 
 
 def observer_of(distribution):
@@ -58,10 +59,12 @@ def test_fit_is_that_of_scipy_on_every_number(problem):
     found = refine(problem, misfit, start, directions=observer.directions)
     assert found.converged.all()
     factor = distribution.factor
+    may_be_absent = {quantity.name: quantity.may_be_absent for quantity in QUANTITIES}
     for row in range(len(ratios)):
 
         def residual(point, row=row):
-            numbers = np.exp(np.array(distribution.mean) + factor @ point[5:])
+            logs = np.array(distribution.mean) + factor @ point[5:]
+            numbers = np.exp(logs) - [may_be_absent[name] for name in distribution.names]
             vehicle = observer.generator.with_uncertain(
                 torch.as_tensor(np.exp(point[None, :5])), torch.as_tensor(numbers[None])
             )
@@ -84,10 +87,13 @@ def test_bounds_are_those_of_the_whole_information_with_the_prior(problem):
     every = observer.generator.distribution.factor
     rows = torch.as_tensor(ratios)
     misfit = observer.misfit(observer.noise_free(rows), rows)
-    median = np.array(observer.generator.distribution.mean)
+    mean = np.array(observer.generator.distribution.mean)
+    may_be_absent = {quantity.name: quantity.may_be_absent for quantity in QUANTITIES}
+    offsets = np.array([may_be_absent[name] for name in observer.generator.distribution.names])
+    assert 0 < offsets.sum() < len(offsets)
 
     def residuals(point):
-        numbers = torch.as_tensor(np.exp(median + every @ point[5:])).expand(2, -1)
+        numbers = torch.as_tensor(np.exp(mean + every @ point[5:]) - offsets).expand(2, -1)
         vehicles = observer.generator.with_uncertain(rows + torch.as_tensor(point[:5]), numbers)
         return misfit(vehicles, torch.arange(2)).numpy()
 
