@@ -95,7 +95,8 @@ def family(_: Sequence[Row]) -> str:
         if one.deviation:
             nominal = "given" if one.nominal is None else f"{one.nominal:g} {one.unit}".strip()
             part = one.part or "every vehicle"
-            lines.append([part, f"`{one.name}`", one.meaning, nominal, f"{one.deviation:g}"])
+            deviation = f"{one.deviation:g}" + " of 1 + ratio" * one.may_be_absent
+            lines.append([part, f"`{one.name}`", one.meaning, nominal, deviation])
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
 
 
