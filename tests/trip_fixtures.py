@@ -28,6 +28,8 @@ MINUTES = 5.0
 SPEED = 70.0
 N_TRIPS = 6
 N_CALIBRATE = 400
+BAND = {"high_hz": 9.9, "body_high_hz": 9.0}
+"""Narrower than usual, which trains a model in a third of the time; [Hz]."""
 
 
 class NoLog:
@@ -41,10 +43,10 @@ class NoLog:
 def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **changes):
     """Return a model for the small fleet's vehicle, sensors and length of trips."""
     task = shipped_protocol("trips", **changes).task("all")
-    options = {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ, "cache_dir": None}
-    settings = EstimateSettings(n_train, 300, n_calibrate, speed, **options)
+    options = BAND | {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ}
+    settings = EstimateSettings(n_train, 300, n_calibrate, speed, cache_dir=None, **options)
     problem = Problem(VerticalVehicle(AM96, speed_m_per_s=speed), task, settings, progress=False)
-    model = calibrated(problem, fit(problem, MSVR(1e6, 16.0, 1e-3, "nystroem", 512), NoLog()))
+    model = calibrated(problem, fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog()))
     errors = {"test_rms_percent": rms_percent(task, predict_stream(problem, model, TEST))}
     return replace(model, training=model.training | errors)
 

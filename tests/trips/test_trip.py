@@ -156,7 +156,7 @@ def test_quality_says_what_the_estimate_is_made_of(good):
     assert quality.usable_percent == 100
     assert quality.speed_m_per_s == pytest.approx(70)
     assert quality.speed_bins == "70.0 m/s: 27 averages"
-    assert quality.features_found == "12 of 12"
+    assert quality.features_found == "16 of 16"
     assert quality.faults == quality.warnings == ""
     np.testing.assert_allclose(
         [quality.coherence_p, quality.coherence_s], good.curves.coherences.mean(axis=1)
@@ -406,9 +406,9 @@ def test_number_of_low_coherence_is_told(manifests, model, tmp_path):
         (
             70.0,
             {"max_deviation": 0.005},
-            "the responses are uncertain by 0.96 % (coherence 0.99, 27",
+            "the responses are uncertain by 0.91 % (coherence 0.99, 27",
         ),
-        (70.0, {"rate_hz": 20}, "the model's band reaches 9.85 Hz, the recording is read up to 5"),
+        (70.0, {"rate_hz": 20}, "the model's band reaches 9.9 Hz, the recording is read up to 5"),
     ],
 )
 def test_nothing_to_estimate_from(manifests, model, tmp_path, speed, settings, message):

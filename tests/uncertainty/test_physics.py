@@ -94,17 +94,18 @@ def test_nothing_unexplained_costs_nothing():
 
 
 def test_a_factor_on_both_curves_costs_what_it_moves_the_estimates():
-    model = model_at()
+    # corrections of the few vehicles that the regression misses are not linear
+    model = replace(model_at(), corrected=False)
     problem = Problem(model.generator, model.task, model.settings)
     bins = len(model.settings.frequencies_hz())
     costs: list[FloatArray] = [
         with_unexplained(
             problem, model, Residual(2.0, np.full((2, bins), size, complex))
         ).unexplained.costs
-        for size in (0.002, 0.004)
+        for size in (0.001, 0.002)
     ]
     assert (costs[0] > 1e-4).all()
-    np.testing.assert_allclose(costs[1] / costs[0], 2.0, rtol=0.1)
+    np.testing.assert_allclose(costs[1] / costs[0], 2.0, rtol=0.02)
 
 
 def test_every_estimate_of_incomplete_physics_is_flagged_and_wider():
