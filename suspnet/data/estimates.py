@@ -43,6 +43,9 @@ LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
 """Ends of the band, and of what is used of G_s: multiples of the first natural frequency, then of
 the second. Between the last two the primary damper parts from its bushing and the axle guidance;
 the body sounds there with modes of its structure, of which the model holds the first."""
+HIGHEST_HZ = 25.0
+"""Highest end of a band that follows from the vehicle: recordings are read up to a quarter of their
+rate, which is 100 Hz unless told otherwise; [Hz]."""
 SMOOTHED_BINS = 5
 """Number of neighbouring bins over which a trip's measured covariance is averaged."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
@@ -75,7 +78,8 @@ class EstimateSettings:
         Of ``Welch``. A segment must be long against the ringing of the body: with 20 s the
         leakage modelled here is that of recordings, with 10 s no more (AM96, c_s at 80 %).
     low_hz, high_hz : float, optional, [Hz]
-        Band; None is 0.45 times the vehicle's first natural frequency, 3.8 times its second.
+        Band; None is 0.45 times the vehicle's first natural frequency, 3.8 times its second, at
+        most 25 Hz.
     body_high_hz : float, optional, [Hz]
         Up to which G_s is used; None is 2.4 times the second natural frequency, or `high_hz` where
         that is lower.
@@ -149,7 +153,9 @@ class EstimateSettings:
         """Return the settings with a band in Hz: an end that is None follows from the vehicle."""
         modes, _ = QuarterCar(vehicle).natural_modes()
         low = LOWEST_MODE * float(modes[0]) if self.low_hz is None else self.low_hz
-        high = HIGHEST_MODE * float(modes[1]) if self.high_hz is None else self.high_hz
+        high = min(HIGHEST_MODE * float(modes[1]), HIGHEST_HZ)
+        if self.high_hz is not None:
+            high = self.high_hz
         body_high = min(high, HIGHEST_OF_BODY * float(modes[1]))
         if self.body_high_hz is not None:
             body_high = self.body_high_hz

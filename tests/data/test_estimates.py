@@ -330,13 +330,14 @@ def test_number_of_averages_is_that_of_the_segments_in_a_trip(minutes, segment_s
     assert settings.welch == Welch(segment_s, overlap, "hann")
 
 
-@pytest.mark.parametrize("ratio", [1.0, 1.5])
-def test_band_follows_from_the_vehicle(ratio):
+@pytest.mark.parametrize(("ratio", "high_hz"), [(0.6, None), (1.0, None), (1.5, 25.0)])
+def test_band_follows_from_the_vehicle(ratio, high_hz):
     vehicle = AM96.degraded(k_p=ratio**2, k_s=ratio**2, c_p=ratio, c_s=ratio)
     bound = EstimateSettings().bound(vehicle)
     modes, _ = QuarterCar(vehicle).natural_modes()
     assert bound.low_hz == pytest.approx(0.45 * modes[0])
-    assert bound.high_hz == pytest.approx(3.8 * modes[1])
+    assert (3.8 * modes[1] > 25) == (high_hz is not None)
+    assert bound.high_hz == pytest.approx(high_hz or 3.8 * modes[1])
     assert bound.body_high_hz == pytest.approx(2.4 * modes[1])
     bins = bound.frequencies_hz().numpy()
     np.testing.assert_allclose(bins * 20, np.rint(bins * 20), atol=1e-9)

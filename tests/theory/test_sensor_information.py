@@ -25,6 +25,8 @@ SPEED = 70.0
 SETTINGS = EstimateSettings(snr_db=30.0, minutes=10.0, cache_dir=None).bound(AM96)
 QUARTER_CAR, PITCHING = QuarterCar(AM96), VerticalVehicle(AM96, speed_m_per_s=SPEED)
 THREE = [1, 1, 1]
+ON_BODY = (2, 4)
+"""Places of sensors on the body, which are used up to `body_high_hz`."""
 
 
 def observer(generator, **changes):
@@ -70,6 +72,13 @@ def spectral_matrix(source, ratios, frequency_hz, level, noise, used):
     return level * np.outer(h, h.conj()) + np.diag(noise[used])
 
 
+def places_used(source, used, frequency_hz):
+    """Return the places whose sensors are used at a frequency."""
+    end = source.settings.body_high_hz
+    beyond = end is not None and frequency_hz > end + 1e-9
+    return [place for place in used if not (beyond and place in ON_BODY)]
+
+
 def naive_joint_information(source, rows, noise, used):
     """Return n / r sum of traces less the track's Schur complement, several inputs.
 
@@ -80,13 +89,15 @@ def naive_joint_information(source, rows, noise, used):
     noise : array of shape (3,)
     """
     h = source.generator.channels(rows.reshape(-1, rows.shape[-1]), source.frequencies_hz).numpy()
-    h = h[:, :, used].reshape(*rows.shape[:2], *h[:, :, used].shape[1:])
+    h = h.reshape(*rows.shape[:2], *h.shape[1:])
     levels = source.track_density(source.frequencies_hz.numpy())
     total = np.zeros((len(rows),) * 2)
     for k, level in enumerate(levels):
-        s = level * np.einsum("uwix,uwiy->uwxy", h[..., k], h[..., k].conj())
+        here = places_used(source, used, float(source.frequencies_hz[k]))
+        seen = h[:, :, :, here, k]
+        s = level * np.einsum("uwix,uwiy->uwxy", seen, seen.conj())
         track = s.mean(axis=(0, 1))
-        inverse = np.linalg.inv(track + np.diag(noise[used]))
+        inverse = np.linalg.inv(track + np.diag(noise[here]))
         slopes = [*(s[:, 0] - s[:, 1]) / 1e-5, track]
         all_of = np.array(
             [[np.trace(inverse @ a @ inverse @ b).real for b in slopes] for a in slopes]
@@ -98,11 +109,13 @@ def naive_joint_information(source, rows, noise, used):
 
 def by_matrices(source, ratios, parameters, noise, count, step=1e-5):
     """Return n / r sum of traces less the track's Schur complement, one bin after the other."""
-    used = np.flatnonzero(count)
     noise = noise / np.maximum(count, 1)
     total = np.zeros((len(parameters),) * 2)
     for f in source.frequencies_hz.tolist():
         level = source.track_density(np.array([f]))[0]
+        used = places_used(source, np.flatnonzero(count), f)
+        if not used:
+            continue
         s = spectral_matrix(source, ratios, f, level, noise, used)
         slopes = []
         for name in parameters:
@@ -154,6 +167,22 @@ def test_information_of_six_sensors_equals_naive_matrices():
         assert_alike(matrix, expected, 1e-6)
 
 
+@pytest.mark.parametrize("body_high_hz", [1.4, 1.7, 2.0])
+def test_sensors_on_the_body_tell_nothing_beyond_its_band(body_high_hz):
+    source = observer(PITCHING, body_high_hz=body_high_hz)
+    noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
+    counts = [[1, 1, 1, 0, 0, 0], [0, 1, 1, 2, 0, 0], [1, 0, 1, 0, 3, 0], [0, 0, 1, 0, 1, 0]]
+    found = recording_information(source, DEGRADED[None], PARAMETERS, counts)[:, 0]
+    every = recording_information(observer(PITCHING), DEGRADED[None], PARAMETERS, counts)[:, 0]
+    for matrix, whole, count in zip(found, every, counts, strict=True):
+        expected = by_matrices(source, DEGRADED, PARAMETERS, noise, np.array(count))
+        size = np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
+        assert size.min() > 0.1
+        np.testing.assert_allclose(matrix / size, expected / size, rtol=0, atol=1e-6)
+        less = np.linalg.eigvalsh((whole - matrix) / size).max() > 0.05
+        assert less == (body_high_hz < 2.0)
+
+
 def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
     """E log L = -n sum of log det S + tr(S^-1 S_0); level and parameters are estimated together."""
     source = observer(QUARTER_CAR)
@@ -200,14 +229,20 @@ def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
     assert_alike(found, per_bin * np.linalg.inv(covariance), 2e-3)
 
 
-@pytest.mark.parametrize("used", [[0, 1, 2], [0, 2], [1, 2]], ids=str)
-def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrices(used):
+@pytest.mark.parametrize(
+    ("used", "body_high_hz"),
+    [([0, 1, 2], None), ([0, 2], None), ([1, 2], None), ([0, 1, 2], 1.7), ([0, 2], 1.7)],
+    ids=str,
+)
+def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrices(
+    used, body_high_hz
+):
     deviations = {"cross_level": 0.7, "body_lateral": 0.1, "half_wheelbase": 0.05}
     places_m = (1.0, 0.9, 1.1)
     rolling = VerticalVehicle(
         AM96, parts=("roll",), sensor_lateral_m=places_m, distribution=deviations
     )
-    source = observer(rolling)
+    source = observer(rolling, body_high_hz=body_high_hz)
     noise = [
         10**-3 * np.trapezoid(power * source.track_density(grid), grid) / grid[-1]
         for sensor, rate_hz in enumerate((5000, 2000, 2000))
@@ -228,7 +263,7 @@ def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrice
     counts = [[int(place in used) for place in range(6)]]
     found = recording_information(source, DEGRADED[None], PARAMETERS, counts)[0, 0]
     assert_alike(found, expected, 1e-6)
-    certain = observer(replace(rolling, distribution=None))
+    certain = observer(replace(rolling, distribution=None), body_high_hz=body_high_hz)
     more = recording_information(certain, DEGRADED[None], PARAMETERS, counts)[0, 0]
     assert (np.diag(more) > 1.001 * np.diag(found)).any()
 
@@ -280,11 +315,17 @@ def test_recordings_hold_at_least_what_their_iv_estimate_tells(generator, snr_db
         assert np.linalg.eigvalsh((whole - part) / size).min() > -1e-9
 
 
+@pytest.mark.parametrize(("snr_db", "high_hz"), [(34.0, 9.9), (50.0, None)])
 @pytest.mark.parametrize("generator", [QUARTER_CAR, PITCHING], ids=["quarter_car", "pitching"])
-def test_without_leakage_the_iv_estimate_loses_nothing(generator):
-    """A boxcar window leaks nothing into other bins of the model, and they do not correlate."""
-    source = EstimateSettings(window="boxcar", overlap=0.0, minutes=60.0, cache_dir=None)
+def test_without_leakage_the_iv_estimate_loses_nothing(generator, snr_db, high_hz):
+    """A boxcar window leaks nothing into other bins of the model, and they do not correlate.
+
+    Where the body hardly moves, at 20 Hz, it is an instrument of nothing in noise of 34 dB.
+    """
+    welch = {"window": "boxcar", "overlap": 0.0}
+    source = EstimateSettings(minutes=60.0, snr_db=snr_db, high_hz=high_hz, cache_dir=None, **welch)
     source = source.bound(AM96).observer(generator)
+    assert bool(source.beyond.any()) == (high_hz is None)
     count = np.arange(len(places(generator))) < 3
     recordings = cramer_rao(recording_information(source, DEGRADED[None], PARAMETERS, [count])[0])
     estimates = cramer_rao(fisher_information(source, DEGRADED[None], PARAMETERS))
