@@ -14,7 +14,9 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
 
-SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0)).bound(AM96)
+SETTINGS = EstimateSettings(
+    segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0
+).bound(AM96)
 UNCERTAIN = {
     "healthy_k_p": 0.2,
     "healthy_c_p": 0.4,

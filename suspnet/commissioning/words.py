@@ -242,4 +242,4 @@ def _value(low: float, median: float, high: float, scale: float) -> str:
 def _rounded(value: float, least: float) -> str:
     """Return a number with the decimals that show two digits of another one."""
     digits = 1 - math.floor(math.log10(abs(least)))
-    return f"{round(value, digits):.{max(digits, 0)}f}"
+    return f"{round(value, digits) + 0.0:.{max(digits, 0)}f}"  # no minus before 0

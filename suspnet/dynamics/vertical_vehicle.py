@@ -173,7 +173,8 @@ class VerticalVehicle:
         Raises
         ------
         ValueError
-            If `ratios` has another shape or a value that is not positive and finite.
+            If `ratios` has another shape or a value that is not positive and finite; of numbers
+            that may be absent, not above -1.
         """
         frame, body = bounced(self._layout, *self._prepared(ratios, frequencies_hz))
         return frame, body / frame
@@ -276,8 +277,8 @@ class VerticalVehicle:
     def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: what is not given is the distribution's median."""
         if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS) + 1:
-            positive = ratios + _OFFSETS.to(ratios) if ratios.shape[1] == N_ALL else ratios
-            check_ratios(positive, N_ALL)
+            fits = ratios.shape[1] == N_ALL
+            check_ratios(ratios + _OFFSETS.to(ratios) if fits else ratios, N_ALL)
             return ratios
         n_given = ratios.shape[-1] if ratios.ndim == 2 else len(PARAMETERS)
         check_ratios(ratios, max(n_given, len(PARAMETERS)))

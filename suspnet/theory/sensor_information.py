@@ -57,9 +57,9 @@ def places(generator: ResponseGenerator) -> tuple[str, ...]:
     return THREE_SENSORS + generator.further_places
 
 
-def _on_body(generator: ResponseGenerator) -> list[bool]:
-    """Return which of ``places`` are on the body."""
-    return [place.startswith("body") for place in places(generator)]
+def _on_body(generator: ResponseGenerator) -> Tensor:
+    """Return which of ``places`` are on the body, bool (n_places,)."""
+    return torch.tensor([place.startswith("body") for place in places(generator)])
 
 
 def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
@@ -121,7 +121,7 @@ def recording_information(
     noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
     track = torch.as_tensor(observer.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
-    level[np.ix_(_on_body(generator), observer.beyond[1].numpy())] = 0.0
+    level = level.masked_fill(_on_body(generator)[:, None] & observer.beyond[1], 0.0)
     per_bin = settings.n_averages / settings.welch.correlated_bins
     uncertain = every_direction(generator)
     blocks = []

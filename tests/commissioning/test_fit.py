@@ -15,12 +15,14 @@ from suspnet.commissioning import fit as module
 from suspnet.data.estimates import EstimateSettings, Speeds
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import PARTS, UNMEASURED
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.features.cross_spectra import CrossSpectra
 
-SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0)).bound(AM96)
-"""Bins of 0.2 Hz: a quarter of the usual ones."""
-RICH = replace(SETTINGS, segment_s=20.0)
+RATES_HZ = (1000.0, 500.0, 500.0)
+RICH = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
+SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=RATES_HZ, high_hz=9.9).bound(AM96)
+"""Bins of 0.2 Hz, a quarter of the usual ones, below the notch at 13 Hz: they cannot resolve it."""
+MAY_BE_ABSENT = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
 TAPS = moving_average_with(SETTINGS.welch.correlation().numpy())
 VERTICAL = [part for part in PARTS if part not in ("air_spring", "roll")]
 SPRINGS_AND_DAMPERS = ["healthy_k_p", "healthy_c_p", "healthy_k_s", "healthy_c_s"]
@@ -68,7 +70,8 @@ def from_prior(generator, seed):
 
 def off(posterior, numbers):
     """Return the error of each number, in deviations of the posterior."""
-    return (np.array(posterior.mean) - np.log(numbers)) / posterior.deviations
+    truth = np.log(numbers + np.array([MAY_BE_ABSENT[name] for name in posterior.names]))
+    return (np.array(posterior.mean) - truth) / posterior.deviations
 
 
 def si(commissioned, names):
@@ -212,7 +215,7 @@ def test_numbers_drawn_from_the_prior_are_found_within_their_deviations():
     for seed in (0, 1, 3):
         numbers = from_prior(generator, seed)
         groups = trips(generator, numbers, seed, settings=RICH)
-        found = commission(generator, RICH, groups, n_starts=1)
+        found = commission(generator, RICH, groups, n_starts=2)
         assert found.converged
         assert found.misfit == pytest.approx(1.0, abs=0.1)
         np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)

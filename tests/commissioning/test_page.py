@@ -53,6 +53,11 @@ def test_numbers_in_json_are_those_of_the_outcome_in_si_units(commissioned, writ
         one = by_name[name]
         mean, deviation = outcome.posterior.mean[i], outcome.posterior.deviations[i]
         assert one["posterior"]["median"] == pytest.approx(one["nominal"] * math.exp(mean))
+        for end, n in (("low", -1), ("high", 1)):
+            value = one["nominal"] * math.exp(mean + n * deviation)
+            assert one["posterior"][end] == pytest.approx(value)
+            value = one["nominal"] * math.exp(n * UNCERTAIN[name])
+            assert one["prior"][end] == pytest.approx(value)
         assert one["posterior"]["log_deviation"] == pytest.approx(deviation)
         assert one["prior"]["log_deviation"] == pytest.approx(UNCERTAIN[name])
         assert one["ratio"] == pytest.approx(math.exp(mean))
@@ -81,6 +86,7 @@ def test_residuals_have_the_size_of_the_noise(commissioned):
     left = figures.residuals(commissioned[1])
     known = left[np.isfinite(left)]
     assert known.size > 0.9 * left.size
+    assert np.isnan(left[:, 1, commissioned[1].frequencies_hz > 9.0]).all()
     assert np.sqrt(np.mean(known**2)) == pytest.approx(1.0, abs=0.3)
     one, i, k = commissioned[1], 1, 7
     u = 1 - one.fitted[i, 0, k] / one.observed[i, 0, k]
@@ -184,4 +190,18 @@ def test_doubts_are_said(commissioned):
     ],
 )
 def test_values_show_two_digits_of_what_is_uncertain(median, deviation, scale, expected):
-    assert words._value(median, deviation, scale) == expected
+    low, high = median * math.exp(-deviation), median * math.exp(deviation)
+    assert words._value(low, median, high, scale) == expected
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (-0.01, 0.11, "0.030 (-0.010 to 0.11)"),
+        (0.0, 0.08, "0.030 (0.0000 to 0.080)"),
+        (-1e-6, 0.08, "0.030 (0.0000 to 0.080)"),
+        (0.021, 0.041, "0.030 ± 0.010"),
+    ],
+)
+def test_values_that_may_be_absent_may_lie_about_0(low, high, expected):
+    assert words._value(low, 0.03, high, 1.0) == expected

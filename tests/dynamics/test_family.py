@@ -197,10 +197,27 @@ def test_responses_are_those_to_the_mean_of_both_rails(parts):
     torch.testing.assert_close(g_s, mean[:, 2] / mean[:, 1], rtol=1e-14, atol=0)
 
 
+def test_numbers_that_may_be_absent_may_be_slightly_negative():
+    absent = [quantity.name for quantity in QUANTITIES if quantity.may_be_absent]
+    generator = VerticalVehicle(AM96, parts=PARTS, distribution=dict.fromkeys(absent, 0.5))
+    assert generator.distribution.names == tuple(absent)
+    values = torch.as_tensor(np.random.default_rng(5).uniform(-0.5, 0.0, (3, len(absent))))
+    ratios = generator.with_uncertain(ALL[:, :5], values)
+    columns = [NAMES.index(name) for name in absent]
+    assert torch.equal(ratios[:, columns], values)
+    found = generator.channels(ratios, FREQUENCIES).numpy()
+    positive = generator.channels(ALL[:, :5], FREQUENCIES).numpy()
+    assert np.abs(found / positive - 1).max() > 1e-3
+    for row, one in enumerate(ratios):
+        for column, frequency in enumerate(FREQUENCIES.tolist()):
+            expected = naive(generator, one, frequency)[:1]
+            np.testing.assert_allclose(found[row, :, :, column], expected, rtol=1e-9)
+
+
 VANISHING = {
     "bushings": {"primary_bushing": 1e14, "secondary_bushing": 1e14},
-    "rubber": {"rubber_share": 1e-16, "rubber_loss": 1e-16},
-    "guidance": {"guidance_stiffness": 1e-16, "guidance_damping": 1e-16},
+    "rubber": {"rubber_share": 0.0, "rubber_loss": 0.0},
+    "guidance": {"guidance_stiffness": 0.0, "guidance_damping": 0.0},
     "longitudinal": {"longitudinal_stiffness": 1e-16, "longitudinal_damping": 1e-16},
     "bending": {"bending_at_pivot": 1e-16, "bending_at_sensor": 1e-16, "bending_slope": 1e-16},
     "roll": {},

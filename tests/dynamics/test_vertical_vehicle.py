@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 import trips_reference
+from scipy import stats
 from scipy.linalg import eigh
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.vehicle import GEOMETRY
 
 FREQUENCIES = torch.tensor([0.05, 0.4, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 19.0]).double()
@@ -352,9 +353,48 @@ def test_samples_follow_a_given_mean_and_covariance():
 def test_columns_are_drawn_independently():
     generator = VerticalVehicle(AM96, distribution=dict.fromkeys(UNMEASURED, 0.2))
     samples = generator.sample_unmeasured(torch.ones(4000, 5), seed=0)[:, 5:]
-    offsets = torch.tensor([OFFSETS[name] for name in UNMEASURED])
+    offsets = torch.tensor([float(quantity.may_be_absent) for quantity in QUANTITIES])
+    assert offsets.sum() == 4
     correlation = np.corrcoef((samples + offsets).log().numpy().T) - np.eye(len(UNMEASURED))
     assert np.abs(correlation).max() < 5.0 / math.sqrt(4000)
+
+
+def test_prior_is_about_nominal_and_reaches_0_of_what_may_be_absent():
+    generator = VerticalVehicle(AM96, parts=PARTS, distribution="prior")
+    prior = generator.distribution
+    np.testing.assert_allclose(prior.median, 1.0, rtol=1e-12)
+    expected = torch.ones(3, len(UNMEASURED), dtype=torch.float64)
+    torch.testing.assert_close(generator.complete(FIVE)[:, 5:], expected)
+    samples = generator.sample_unmeasured(torch.ones(4000, 5), seed=2)
+    for name, offset in zip(prior.names, prior.offsets, strict=True):
+        column = samples[:, 5 + UNMEASURED.index(name)].numpy()
+        quantity = next(one for one in QUANTITIES if one.name == name)
+        assert offset == float(quantity.may_be_absent)
+        assert (column > -offset).all()
+        # of normal numbers; 4000 draws give a share to 0.8 %, four of those
+        below = stats.norm.cdf(-math.log(2) / quantity.deviation) if offset else 0.0
+        assert (column < 0).mean() == pytest.approx(below, abs=0.032 if offset else 0.0)
+        assert (np.abs(column).min() < 0.01) >= bool(offset)
+    assert prior.offsets.sum() == 4
+
+
+@pytest.mark.parametrize("n_deviations", [-2.0, -1.0, 0.0, 0.5, 3.0])
+def test_quantiles_and_draws_are_those_of_the_formula(n_deviations):
+    names = ("rubber_loss", "bogie_gyration", "guidance_damping")
+    mean, covariance = (0.3, -0.2, 0.7), ((0.09, 0.02, 0.0), (0.02, 0.16, 0.03), (0.0, 0.03, 0.25))
+    belief = LogNormal(names, mean, covariance)
+    found = belief.quantile(n_deviations)
+    for i, offset in enumerate((1.0, 0.0, 1.0)):
+        deviation = math.sqrt(covariance[i][i])
+        expected = math.exp(mean[i] + n_deviations * deviation) - offset
+        assert found[i] == pytest.approx(expected, abs=1e-12)
+        assert belief.median[i] == pytest.approx(math.exp(mean[i]) - offset, abs=1e-12)
+    standard = np.array([[0.3, -1.0, n_deviations], [1.0, 2.0, -0.5]])
+    rows = belief.ratios(standard)
+    for row, z in zip(rows, standard, strict=True):
+        logs = [mean[i] + sum(belief.factor[i, j] * z[j] for j in range(3)) for i in range(3)]
+        expected = [math.exp(log) - offset for log, offset in zip(logs, (1, 0, 1), strict=True)]
+        np.testing.assert_allclose(row, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_the_prior_is_of_the_parts_that_there_are():
@@ -464,9 +504,17 @@ def test_ratios_of_the_wrong_shape_are_rejected(n_columns, expected):
 
 
 @pytest.mark.parametrize("value", [0.0, -0.5, math.nan, math.inf])
-@pytest.mark.parametrize("column", [2, 12])
+@pytest.mark.parametrize("column", [2, 12, 5 + UNMEASURED.index("bending_damping")])
 def test_ratios_that_are_not_positive_and_finite_are_rejected(value, column):
     ratios = torch.ones(3, N_ALL)
     ratios[1, column] = value
     with pytest.raises(ValueError, match="`ratios` must be positive and finite"):
         VerticalVehicle(AM96).magnitudes(ratios, FREQUENCIES)
+
+
+@pytest.mark.parametrize("value", [-1.0, -1.5, math.nan, math.inf])
+def test_ratios_of_what_may_be_absent_must_lie_above_minus_one(value):
+    ratios = torch.ones(3, N_ALL)
+    ratios[1, 5 + UNMEASURED.index("rubber_share")] = value
+    with pytest.raises(ValueError, match="`ratios` must be positive and finite"):
+        VerticalVehicle(AM96, parts=("rubber",)).magnitudes(ratios, FREQUENCIES)

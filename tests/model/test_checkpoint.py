@@ -1,5 +1,6 @@
 import hashlib
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,9 @@ from protocols import shipped_protocol
 from vehicles import AM96
 
 from suspnet.data import CurveSettings
-from suspnet.dynamics import QuarterCar
+from suspnet.data.estimates import EstimateSettings
+from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.dynamics.distribution import LogNormal
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.checkpoint import load_model, save_model
@@ -87,6 +90,28 @@ def test_loaded_model_knows_what_it_was_trained_for(saved):
     assert loaded.settings == model.settings
     assert loaded.training == model.training
     np.testing.assert_array_equal(loaded.healthy_features, model.healthy_features)
+
+
+def test_posterior_of_what_may_be_absent_survives_exactly(tmp_path):
+    names = ("rubber_loss", "healthy_k_p", "guidance_damping")
+    posterior = LogNormal(
+        names,
+        (-0.01, 0.1, math.log(1.7)),  # the first ratio is just below 0
+        ((0.01, 0.002, 0.0), (0.002, 0.04, 0.001), (0.0, 0.001, 0.3)),
+    )
+    assert -0.02 < posterior.median[0] < 0
+    generator = VerticalVehicle(AM96, parts=("rubber", "guidance"), distribution=posterior)
+    settings = EstimateSettings(body_high_hz=9.0, cache_dir=None).bound(AM96)
+    model = replace(trained(LinearRegression()), generator=generator, settings=settings)
+    save_model(tmp_path, model)
+    loaded = load_model(tmp_path)
+    assert loaded.generator == generator
+    assert loaded.generator.distribution == posterior
+    assert loaded.settings == settings
+    ratios, frequencies = torch.ones(1, 5), torch.linspace(0.5, 15.0, 20)
+    assert torch.equal(
+        loaded.generator.channels(ratios, frequencies), generator.channels(ratios, frequencies)
+    )
 
 
 @pytest.mark.parametrize("learnt", [True, False])

@@ -16,7 +16,7 @@ from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model import from_spectra as trust
-from suspnet.model.from_curves import corrected
+from suspnet.model.from_curves import corrected, estimate_curves
 from suspnet.model.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_spectra
 from suspnet.theory.information import output_bounds
 from suspnet.uncertainty.conformal import Conformal
@@ -247,6 +247,53 @@ def test_interval_widens_with_level_and_with_fewer_averages(model):
     assert (narrow < wide).all()
     shares = [half_widths(model, share) for share in (0.4, 1.0, 3.0)]
     assert all((a > b).all() for a, b in pairwise(shares))
+
+
+@pytest.mark.parametrize("kind", ["as predicted", "refined"])
+def test_g_s_beyond_its_band_does_not_matter_to_curves(model, kind):
+    one = refined(model) if kind == "refined" else model
+    observer = model.settings.observer(model.generator)
+    ratios, rng = in_range(5, 3), np.random.default_rng(4)
+    curves = observer.observe(ratios, 2)
+    beyond = observer.frequencies_hz > model.settings.body_high_hz + 1e-9
+    assert 5 < int(beyond.sum()) < 50
+    changed, shape = curves.clone(), (5, int(beyond.sum()))
+    other = 10.0 ** rng.uniform(-3, 3, shape) * np.exp(1j * rng.uniform(-np.pi, np.pi, shape))
+    changed[:, 1, beyond] = torch.as_tensor(other)
+    assert torch.equal(observer.for_features(changed), observer.for_features(curves))
+    rows = torch.arange(5)
+    residuals = [observer.misfit(part, ratios)(ratios, rows) for part in (curves, changed)]
+    assert torch.equal(*residuals)
+    assert float(residuals[0].abs().sum()) > 100
+    estimates = [estimate_curves(one, observer, part, LEVEL) for part in (curves, changed)]
+    for name in ("values", "low", "high"):
+        np.testing.assert_array_equal(*(getattr(found, name) for found in estimates))
+    assert estimates[0].flags.reasons == estimates[1].flags.reasons
+
+
+@pytest.mark.parametrize("kind", ["as predicted", "refined"])
+def test_g_s_beyond_its_band_does_not_matter_to_a_trip(model, kind):
+    """Its phase is changed by that of the body, which leaves G_p as it is."""
+    one = refined(model) if kind == "refined" else model
+    spectra = row(drawn(expected(model, ratios_of(WORN)), model, 5))
+    beyond = model.settings.frequencies_hz() > model.settings.body_high_hz + 1e-9
+    phase = torch.as_tensor(np.random.default_rng(6).uniform(-np.pi, np.pi, len(beyond)))
+    turned = spectra.cross.clone()
+    turned[1:] *= torch.polar(beyond.double(), phase) + ~beyond  # axle box and bogie to body
+    other = replace(spectra, cross=turned)
+    both = spectra.responses("IV"), other.responses("IV")
+    torch.testing.assert_close(both[0][0], both[1][0])
+    assert float((both[0][1] - both[1][1]).abs()[beyond].median()) > 1e-3
+    before, after = read(one, spectra), read(one, other)
+    assert before.flags == after.flags
+    if kind == "as predicted":
+        np.testing.assert_allclose(after.values, before.values, rtol=1e-9)
+        # the same noise, drawn otherwise: twice the scatter of two spreads of 64 draws
+        np.testing.assert_allclose(after.half_widths, before.half_widths, rtol=0.34)
+    else:  # the noise of a bin is told by its neighbours too, up to two bins off
+        close = {"rtol": 0, "atol": 0.02 * float(before.half_widths.min())}
+        np.testing.assert_allclose(after.values, before.values, **close)
+        np.testing.assert_allclose(after.half_widths, before.half_widths, **close)
 
 
 @pytest.mark.parametrize(("kind", "share"), [("as predicted", 4.0), ("refined", 0.4)])

@@ -5,16 +5,25 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy import stats
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import PARTS, UNMEASURED
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.simulation import scatter
 from suspnet.simulation.scatter import scattered, true_numbers
 
 FAMILY = VerticalVehicle(AM96, parts=PARTS[:-1], sensor_lateral_m=(1.0, 1.0, 1.0))
+QUANTITY = {quantity.name: quantity for quantity in QUANTITIES}
+ABSENT = [quantity.name for quantity in QUANTITIES if quantity.may_be_absent]
 FREQUENCIES = torch.linspace(0.5, 15, 40).double()
+
+
+def standardised(name, ratio):
+    """Return how many deviations of its logarithm a number lies off nominal."""
+    offset = float(QUANTITY[name].may_be_absent)
+    return math.log((ratio + offset) / (1 + offset)) / QUANTITY[name].deviation
 
 
 # reference
@@ -44,8 +53,9 @@ def test_numbers_are_as_far_off_as_their_priors_say():
     ratios = [true_numbers(scattered(FAMILY, 1.0, seed)) for seed in range(60)]
     standard = np.array(
         [
-            [math.log(one[name]["ratio"]) / deviation for one in ratios]
-            for name, deviation in zip(prior.names, prior.deviations, strict=True)
+            [standardised(name, one[name]["ratio"]) for one in ratios]
+            for name in prior.names
+            if not QUANTITY[name].may_be_absent
         ]
     )
     # 60 draws: standard error 0.13 of a mean, 0.09 of a deviation, five times that; a vehicle that
@@ -54,6 +64,28 @@ def test_numbers_are_as_far_off_as_their_priors_say():
     assert np.abs(standard.std(axis=1) - 1).max() < 0.45
     correlation = np.corrcoef(standard) - np.eye(len(standard))
     assert np.abs(correlation).max() < 0.65
+    for name in ABSENT:
+        found = np.array([one[name]["ratio"] for one in ratios])
+        # a draw below 0 is 0: of these normal numbers only the upper part is compared
+        present = np.sort([standardised(name, ratio) for ratio in found])[-20:]
+        least = -math.log(2) / QUANTITY[name].deviation
+        below = np.mean(found == 0)
+        assert below == pytest.approx(stats.norm.cdf(least), abs=0.19)
+        expected = stats.norm.ppf((np.arange(40, 60) + 0.5) / 60)
+        assert present.mean() == pytest.approx(expected.mean(), abs=0.65)
+
+
+def test_what_may_be_absent_is_never_negative():
+    found = np.array(
+        [
+            [true_numbers(scattered(FAMILY, scale, seed))[name]["ratio"] for name in ABSENT]
+            for scale in (1.0, 3.0)
+            for seed in range(15)
+        ]
+    )
+    assert (found >= 0).all()
+    assert (found == 0).any(axis=0).all()
+    assert (found > 0).any(axis=0).all()
 
 
 def test_quarter_car_has_its_springs_and_dampers_scattered():
@@ -94,7 +126,10 @@ def test_same_seed_draws_the_same_vehicle_and_another_another():
 def test_scatter_multiplies_the_deviations():
     one, half = (true_numbers(scattered(FAMILY, scale, 4)) for scale in (1.0, 0.5))
     for name, number in one.items():
-        assert half[name]["ratio"] == pytest.approx(math.sqrt(number["ratio"]))
+        offset = float(QUANTITY[name].may_be_absent)
+        assert number["ratio"] > 0
+        logs = [math.log((x[name]["ratio"] + offset) / (1 + offset)) for x in (one, half)]
+        assert logs[1] == pytest.approx(logs[0] / 2, abs=1e-12)
 
 
 def test_vehicle_whose_motion_would_grow_is_drawn_anew():
