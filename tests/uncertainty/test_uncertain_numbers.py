@@ -74,6 +74,9 @@ def test_fit_is_that_of_scipy_on_every_number(problem):
         full = optimize.least_squares(residual, first, method="lm", diff_step=1e-6)
         deviations = np.sqrt(np.diag(np.linalg.inv(full.jac.T @ full.jac)))[:5]
         np.testing.assert_allclose(found.deviations[row], deviations, rtol=0.02)
+        alone = np.sqrt(np.diag(np.linalg.inv(full.jac[:, :5].T @ full.jac[:, :5])))
+        np.testing.assert_allclose(found.noise[row], alone, rtol=0.02)
+        assert (alone < 0.99 * deviations).any()
         beside = (np.log(found.ratios[row]) - full.x[:5]) / deviations
         np.testing.assert_allclose(beside, 0.0, atol=0.1)
         points = misfit.observed.shape[2] * 4
