@@ -45,8 +45,8 @@ CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; measured, a fourth changes nothing where the
 speed is within a tenth of that trained for."""
 COMMON = 1.6
-"""Factor on what lasts from trip to trip of a commissioned vehicle: the error that healthy trips leave
-is one draw for all that follow. Without it 90 % intervals hold in 90 % of the trips of many
+"""Factor on what lasts from trip to trip of a commissioned vehicle: the error that healthy trips
+leave is one draw for all that follow. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle whose draw is bad."""
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""

@@ -9,7 +9,7 @@ from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.model.estimate import Estimate
 from suspnet.model.from_curves import estimate_curves
-from suspnet.model.from_spectra import estimate_with_noise
+from suspnet.model.from_spectra import COMMON, estimate_with_noise
 from suspnet.problem import Problem
 from suspnet.runs.calibrate import with_unexplained
 from suspnet.types import FloatArray
@@ -85,8 +85,12 @@ def test_nothing_unexplained_costs_nothing():
     found = with_unexplained(problem, model, Residual(0.99, np.zeros((2, bins), complex)))
     assert (found.unexplained.costs == 0).all()
     assert not found.unexplained.is_incomplete
-    one, other = (estimate_with_noise(m, trip(model), LEVEL)[0] for m in (model, found))
-    np.testing.assert_array_equal(one.half_widths, other.half_widths)
+    one, share = estimate_with_noise(model, trip(model), LEVEL)
+    other, _ = estimate_with_noise(found, trip(model), LEVEL)
+    # what lasts is common to all trips of a commissioned vehicle
+    wider = np.sqrt(share + COMMON**2 * (1 - share))
+    np.testing.assert_allclose(other.half_widths[0], one.half_widths[0] * wider, rtol=1e-9)
+    assert (wider > 1.05).any()
     assert one.flags.reasons == other.flags.reasons == ("",)
 
 
@@ -114,8 +118,8 @@ def test_every_estimate_of_incomplete_physics_is_flagged_and_wider():
     found, less = estimate_with_noise(incomplete(model), spectra, LEVEL)
     factors = model.intervals.conformal
     sigma = COSTS * factors.factors(LEVEL) / factors.factors(0.6827)
-    expected = np.hypot(plain.half_widths[0], sigma)
-    np.testing.assert_allclose(found.half_widths[0], expected, rtol=1e-9)
+    usual = plain.half_widths[0] * np.sqrt(share + COMMON**2 * (1 - share))
+    np.testing.assert_allclose(found.half_widths[0], np.hypot(usual, COMMON * sigma), rtol=1e-9)
     np.testing.assert_array_equal(found.values, plain.values)
     assert (less[:4] < share[:4]).all()  # it is the same in every speed bin
     assert found.flags.found[0].tolist() == [False] * 4 + [True]
