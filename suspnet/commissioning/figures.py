@@ -110,7 +110,8 @@ def _band(
     link: int,
 ) -> None:
     """Shade 95 % around a measured magnitude."""
-    half = np.minimum(BAND * outcome.deviations[group, link], LARGEST_BAND)
+    deviation = outcome.deviations[group, link]  # infinite where a bin is not used: no band there
+    half = np.where(np.isfinite(deviation), np.minimum(BAND * deviation, LARGEST_BAND), np.nan)
     magnitude = np.abs(response)
     low, high = magnitude * np.exp(-half), magnitude * np.exp(half)
     axis.fill_between(frequencies_hz, low, high, color=MEASURED, alpha=0.4, lw=0, label="95 % band")
