@@ -10,7 +10,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.features.side_difference import SIDE_PARAMETERS, _responses, _without, side_difference
-from suspnet.trips.sides import bounce_of
+from suspnet.model.sides import bounce_of
 
 FREQUENCIES_HZ = np.arange(0.5, 10.0, 0.05)
 N_SEGMENTS = 100
