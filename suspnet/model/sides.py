@@ -11,8 +11,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from suspnet.dynamics.motion import LinearSystem
-from suspnet.features.side_difference import Bounce, SideDifference, side_difference
+from suspnet.dynamics import ResponseGenerator
+from suspnet.features.side_difference import (
+    SIDE_PARAMETERS,
+    Bounce,
+    SideDifference,
+    side_difference,
+)
 from suspnet.model.estimate import Estimate
 from suspnet.model.speed_bin import SpeedBin
 from suspnet.recordings.manifest import SIDES
@@ -23,6 +28,8 @@ from suspnet.uncertainty.refine import complete_ratios
 
 SPOKEN = ("primary spring", "primary damper", "secondary spring", "secondary damper")
 """Parts with a left and a right one, in the order of ``SIDE_PARAMETERS``."""
+STEP = 1e-4
+"""Half the step of a central difference along the logarithm of a parameter."""
 CERTAIN = 4.0
 """A difference is named if it exceeds this multiple of its standard deviation: of four parts, by
 chance on one of 4,000 trips."""
@@ -75,50 +82,57 @@ def weaker_sides(
     differences = in_band(difference_segments(recording, segments.welch), segments.frequencies_hz)
     values = torch.cat([segments.values[chosen, 1:2], differences.values[chosen]], dim=1)
     ratios = complete_ratios(method.task, estimates[None])[0]
-    system = method.generator.on("cpu").motion_system(torch.as_tensor(ratios))
     frequencies_hz = segments.frequencies_hz.numpy()
     to_frame, to_body = speed_bin.spectra.responses("IV").numpy()
+    generator, speed = method.generator.on("cpu"), speed_bin.speed_m_per_s
     return side_difference(
         frequencies_hz,
         values.numpy(),
-        bounce_of(system, frequencies_hz, to_frame, to_body, speed_bin.speed_m_per_s),
+        bounce_of(generator, ratios, frequencies_hz, to_frame, to_body, speed),
         speed_bin.spectra.n_averages,
         segments.welch.correlated_bins,
     )
 
 
 def bounce_of(
-    system: LinearSystem,
+    generator: ResponseGenerator,
+    ratios: FloatArray,
     frequencies_hz: FloatArray,
     to_frame: ComplexArray,
     to_body: ComplexArray,
     speed_m_per_s: float,
 ) -> Bounce:
-    """Return the numbers of a bogie side out of a vehicle's equations, with measured responses.
+    """Return the numbers of a bogie side of a vehicle, with measured responses.
 
     Parameters
     ----------
-    system : LinearSystem
-        The frame's bounce is the first coordinate under the frame's sensor.
+    generator : ResponseGenerator
+    ratios : array of shape (5,), [-]
     frequencies_hz : array of shape (n_freq,), [Hz]
     to_frame, to_body : complex arrays of shape (n_freq,), [-]
         Measured G_p and G_s.
     speed_m_per_s : float, [m/s]
     """
-    bounce = int(np.flatnonzero(system.sensors[0])[0])
-    wheels, dampers = system.input_stiffness[bounce], system.input_damping[bounce]
-    k_p, c_p = float(wheels.sum()), float(dampers.sum())
+    one = torch.as_tensor(ratios, dtype=torch.float64)
+    system = generator.motion_system(one)
+    bounce = int(np.flatnonzero(system.sensors[0])[0])  # the first coordinate under the sensor
+    wheels = system.input_stiffness[bounce] / system.input_stiffness[bounce].sum()
     late_s = np.array(system.behind_m) / speed_m_per_s
-    phases = np.exp(-2j * np.pi * late_s[:, None] * frequencies_hz)
+    # central differences along the logarithms of k_p, c_p, k_s and c_s
+    steps = torch.eye(5, dtype=torch.float64)[: len(SIDE_PARAMETERS)] * STEP
+    rows = one * torch.cat([torch.zeros_like(one)[None], steps, -steps]).exp()
+    kappas = generator.dynamic_stiffness(rows, torch.as_tensor(frequencies_hz)).numpy()
+    own = [0, 0, 1, 1]  # kappa_p or kappa_s
+    above, below = (kappas[part][range(4), own] for part in (slice(1, 5), slice(5, 9)))
     return Bounce(
-        k_p=k_p,
-        c_p=c_p,
-        k_s=float(system.stiffness[bounce, bounce]) - k_p,
-        c_s=float(system.damping[bounce, bounce]) - c_p,
+        k_p=float(kappas[0, 0].real.mean()),
+        k_s=float(kappas[0, 1].real.mean()),
         bogie_mass=float(system.mass[bounce, bounce]),
+        kappas=kappas[0],
+        slopes=(above - below) / (2 * STEP),
         box=1 / to_frame,
         body=to_body,
-        wheelsets=wheels @ phases / k_p,
+        wheelsets=wheels @ np.exp(-2j * np.pi * late_s[:, None] * frequencies_hz),
     )
 
 
