@@ -232,7 +232,11 @@ MISTAKES = [
     ((*BODY, "range"), -2.0, r"`channels.body.range` must be a number > 0, got -2.0"),
     ((*BODY, "start_s"), float("-inf"), r"`channels.body.start_s` must be a finite number"),
     ((*BODY, "column"), 3, r"`channels.body.column` must be text"),
-    ((*BODY, "time_unit"), "min", r"`channels.body.time_unit` must be one of \['s', 'ms', 'us', 'ns"),
+    (
+        (*BODY, "time_unit"),
+        "min",
+        r"`channels.body.time_unit` must be one of \['s', 'ms', 'us', 'ns",
+    ),
     ((*BODY, "time_zone"), "Mars/X", r"`channels.body.time_zone` must be one like \"UTC\""),
     ((*BODY, "csv"), ";", r"`channels.body.csv` must be a mapping, got ';'"),
     ((*BODY, "csv"), {"sep": ";"}, r"`channels.body.csv.sep` is not known; allowed are"),
@@ -259,7 +263,10 @@ def test_mistake_is_named(folder, keys, value, message):
         ("a: [1", "is not valid YAML .*line"),
         ("a: {b: 1}: 2", "is not valid YAML"),
         ("!!python/object/apply:os.getcwd []", "is not valid YAML"),
-        ("a: 1\nb: 2\na: 3", r"is not valid YAML \(line 3: the key 'a' is given twice, first in line 1"),
+        (
+            "a: 1\nb: 2\na: 3",
+            r"is not valid YAML \(line 3: the key 'a' is given twice, first in line 1",
+        ),
         ("a: {b: 1, b: 2}", "is not valid YAML .*line 1: the key 'b' is given twice"),
         ("- " * 100_000, "is not valid YAML .*nested more than 20 deep"),
         ("a: !!float 1", "is not valid YAML .*line 1: tags are not allowed"),
@@ -309,7 +316,7 @@ def test_words_stay_words(folder, word):
     path = write(folder, TRIP.replace("car 7, leading bogie, right", word))
     assert read_manifest(path).suspension == word
     for refused in ("0777", "true", "1e5", "null", "0x1F"):
-        with pytest.raises(TripError, match="`suspension` (must be text|is missing)"):
+        with pytest.raises(TripError, match=r"`suspension` (must be text|is missing)"):
             read_manifest(write(folder, TRIP.replace("car 7, leading bogie, right", refused)))
 
 
