@@ -7,7 +7,7 @@ its own. Half their sum is the channel, in which roll cancels; half their differ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import chain
@@ -16,30 +16,20 @@ import numpy as np
 
 from suspnet.checks import check_number
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
-from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    CHANNELS,
-    SIDES,
-    SPEED_UNITS,
-    Channel,
-    SpeedSource,
-    TripError,
-    TripManifest,
-)
+from suspnet.recordings.clocks import offsets_s
+from suspnet.recordings.drifting import clock_faults
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
-from suspnet.recordings.timeline import Timeline, check_rate, check_rising
+from suspnet.recordings.sources import OpenSource, open_source, zero_of
+from suspnet.recordings.speed import read_speed, speed_at
+from suspnet.recordings.timeline import Timeline
 from suspnet.types import BoolArray, FloatArray
+
+MOST_AT_ONCE = 3
+"""Number of sensors that are read at the same time, which bounds the memory that this takes."""
 
 SHORTEST_S = 60.0
 """Least length of a recording, [s]."""
-
-LARGEST_SPEED_M_PER_S = 150.0
-"""Largest speed of a train [m/s]; a larger value counts as unknown."""
-
-LONGEST_SPEED_GAP_S = 10.0
-"""Longest time [s] between two speeds that is interpolated; the speed is unknown in longer
-ones."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +58,8 @@ class Recording:
         Which channels are pairs of sensors, in the order of ``CHANNELS``.
     differences : array of shape (n_pairs, n), [m/s2]
         (left - right) / 2 of each pair, in the order of ``CHANNELS``.
+    words : str
+        How files were read, where that had to be found out, as of CSV files.
     """
 
     manifest: TripManifest
@@ -80,39 +72,30 @@ class Recording:
     start_s: float = 0.0
     paired: tuple[bool, bool, bool] = (False, False, False)
     differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    words: str = ""
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """One sensor after the first stage of resampling."""
+    """One sensor on the common clock, for as long as it recorded.
+
+    Attributes
+    ----------
+    start_s, end_s : float, [s]
+        Of the recording; the low-pass takes off a part of it.
+    first : int
+        Values are of the instants ``(first + arange(n)) / rate_hz``.
+    values, touched : arrays of shape (n,)
+    """
 
     name: str
-    decimated: Decimated
-    rate_hz: float
     start_s: float
-    n_samples: int
+    end_s: float
+    first: int
+    values: FloatArray
+    touched: BoolArray
     faults: tuple[Fault, ...]
-
-    @property
-    def end_s(self) -> float:
-        return self.start_s + self.n_samples / self.rate_hz
-
-    def positions(self, times_s: FloatArray | float) -> FloatArray:
-        """Return instants of the trip's clock in samples after the first stage."""
-        elapsed = (np.asarray(times_s) - self.start_s) * self.rate_hz
-        return np.asarray((elapsed - self.decimated.first) / self.decimated.factor)
-
-    def span_s(self, wanted_hz: float) -> tuple[float, float]:
-        """Return the first and last instant at which the second stage has all that it needs."""
-        half = support(self.oversampling(wanted_hz))
-        ends = np.array([half, len(self.decimated.values) - 1 - half])
-        first, last = self.start_s + (self.decimated.first + ends * self.decimated.factor) / (
-            self.rate_hz
-        )
-        return float(first), float(last)
-
-    def oversampling(self, wanted_hz: float) -> float:
-        return self.rate_hz / self.decimated.factor / wanted_hz
+    words: str
 
 
 def load_recording(
@@ -120,8 +103,9 @@ def load_recording(
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
-    Files are read block by block, the sensors at the same time. Only the time that all sensors
-    cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not complete.
+    Files are read block by block, ``MOST_AT_ONCE`` sensors at the same time. Only the time that
+    all sensors cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not
+    complete.
 
     Parameters
     ----------
@@ -141,23 +125,33 @@ def load_recording(
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
-    with ThreadPoolExecutor(len(sensors)) as pool:
+    track = read_speed(manifest)
+    zeros = {name: zero_of(manifest, one, _where(manifest, name)) for name, one in sensors.items()}
+    offsets = offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
+    with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
         streams = list(
             pool.map(
-                lambda name: _read_sensor(manifest, name, sensors[name], rate_hz, cleaning), sensors
+                lambda name: _read_sensor(manifest, name, offsets[name], rate_hz, cleaning), sensors
             )
         )
-        times_s = _common_times(manifest, streams, rate_hz)
-        resampled = list(pool.map(lambda stream: _resample(stream, times_s, rate_hz), streams))
-    speed = _speed_at(manifest, times_s)
-    faults = tuple(fault for stream in streams for fault in stream.faults)
-    usable = np.isfinite(speed) & ~np.any([touched for _, touched in resampled], axis=0)
+    first, last = _common(manifest, streams, rate_hz)
+    times_s = np.arange(first, last + 1) / rate_hz
+    speed, speed_faults = speed_at(manifest, track, offsets.get("speed", 0.0), times_s)
+    touched = np.zeros(len(times_s), dtype=np.bool_)
+    values = {}
+    for stream in streams:
+        part = slice(first - stream.first, last + 1 - stream.first)
+        values[stream.name] = stream.values[part]
+        touched |= stream.touched[part]
+    usable = np.isfinite(speed) & ~touched
+    faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults)
     if not usable.any():
         raise TripError(
             f"{manifest.path}: at no time are all channels and the speed usable: "
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
-    values = dict(zip(sensors, (values for values, _ in resampled), strict=True))
+    faults += clock_faults(manifest, values, usable, speed, rate_hz)
+    told = [track.words if track else "", *(stream.words for stream in streams)]
     paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz
     return Recording(
@@ -171,6 +165,7 @@ def load_recording(
         float(times_s[0]),
         paired,
         differences,
+        "; ".join(dict.fromkeys(words for words in told if words)),
     )
 
 
@@ -192,49 +187,82 @@ def _combined(
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 
 
+def _where(manifest: TripManifest, name: str) -> str:
+    """Return how errors name a sensor."""
+    return f"{manifest.path}: channel {name!r}"
+
+
 def _read_sensor(
     manifest: TripManifest,
     name: str,
-    channel: Channel,
+    offset_s: float,
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> _Stream:
-    """Read, clean and decimate one sensor as it streams by."""
-    where = f"{manifest.path}: channel {name!r}"
-    unit = ACCELERATION_UNITS[channel.unit]
-    timeline = Timeline(where, channel.rate_hz) if channel.time is not None else None
-    blocks = _values(manifest, channel, timeline)
-    first_block = next(blocks)
-    rate_hz = _known_rate(where, channel.rate_hz, timeline)
-    if rate_hz < 0.99 * wanted_hz:
-        raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
-    full_scale = None if channel.range is None else channel.range * unit
-    cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
-    scaled = (channel.sign * unit * block for block in chain([first_block], blocks))
-    decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
-    start_s = channel.start_s + (0.0 if timeline is None else timeline.first_s)
+    """Read, clean and decimate one sensor as it streams by, and put it on the common clock."""
+    where, channel = _where(manifest, name), manifest.sensors()[name]
+    with open_source(manifest, channel, where, "acceleration") as source:
+        timeline = None if source.times is None else Timeline(where, source.rate_hz)
+        blocks = _values(source, timeline)
+        first_block = next(blocks)
+        rate_hz = _known_rate(where, source.rate_hz, timeline)
+        if rate_hz < 0.99 * wanted_hz:
+            raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
+        cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
+        scaled = (source.size * block for block in chain([first_block], blocks))
+        decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
+    start_s = offset_s + channel.start_s + (0.0 if timeline is None else timeline.first_s)
     faults = cleaner.faults(start_s)
     _check_alive(where, cleaner, faults)
-    rate_hz = _known_rate(where, channel.rate_hz, timeline)
-    return _Stream(name, decimated, rate_hz, start_s, cleaner.n_samples, faults)
+    rate_hz = _known_rate(where, source.rate_hz, timeline)
+    first, values, touched = _resampled(decimated, rate_hz, start_s, wanted_hz)
+    end_s = start_s + cleaner.n_samples / rate_hz
+    return _Stream(name, start_s, end_s, first, values, touched, faults, source.words)
 
 
-def _values(
-    manifest: TripManifest, channel: Channel, timeline: Timeline | None
-) -> Iterator[FloatArray]:
+def _resampled(
+    decimated: Decimated, rate_hz: float, start_s: float, wanted_hz: float
+) -> tuple[int, FloatArray, BoolArray]:
+    """Return the first instant of the common clock, values there, and where a bad one took part.
+
+    Parameters
+    ----------
+    decimated : Decimated
+    rate_hz : float, [Hz]
+        Before decimation.
+    start_s : float, [s]
+        Of the first sample, on the trip's clock.
+    wanted_hz : float, [Hz]
+    """
+    oversampling = rate_hz / decimated.factor / wanted_hz
+    half = support(oversampling)
+    ends = np.array([half, len(decimated.values) - 1 - half])
+    span_s = start_s + (decimated.first + ends * decimated.factor) / rate_hz
+    first = math.ceil(float(span_s[0]) * wanted_hz - 1e-9)
+    last = math.floor(float(span_s[1]) * wanted_hz + 1e-9)
+    if last < first or ends[1] < ends[0]:
+        return first, np.empty(0), np.empty(0, dtype=np.bool_)
+    positions = np.arange(first, last + 1) / wanted_hz
+    positions -= start_s  # in place, as a long trip has many
+    positions *= rate_hz
+    positions -= decimated.first
+    positions /= decimated.factor
+    return first, *interpolate(decimated.values, decimated.touched, positions, oversampling)
+
+
+def _values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
     """Yield a sensor's values in its own unit, evenly sampled."""
-    path = manifest.file_of(channel)
     if timeline is not None:
-        yield from timeline.even(open_columns(path, [channel.time, channel.column]))
+        yield from timeline.even(source.blocks())
     else:
-        for (block,) in open_columns(path, [channel.column]):
+        for (block,) in source.blocks():
             yield block
 
 
 def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
     """Return a sensor's rate as stated or by its time stamps, [Hz]."""
     if timeline is None:
-        assert stated_hz is not None  # the manifest has one or the other
+        assert stated_hz is not None  # a source has times or a rate
         return stated_hz
     if math.isnan(timeline.rate_hz):
         raise TripError(f"{where} has fewer than two samples; its rate is unknown")
@@ -252,8 +280,8 @@ def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> Non
     raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
 
 
-def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float) -> FloatArray:
-    """Return the instants of the common clock, shape (n,), [s]."""
+def _common(manifest: TripManifest, streams: Sequence[_Stream], rate_hz: float) -> tuple[int, int]:
+    """Return the first and the last instant that all sensors have, in samples of the clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = ", ".join(
@@ -263,56 +291,5 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
             f"{manifest.path}: only {max(common_s, 0.0):.1f} s are common to all channels; "
             f"at least {SHORTEST_S:g} s are needed ({spans})"
         )
-    spans_s = [stream.span_s(rate_hz) for stream in streams]
-    first = math.ceil(max(first for first, _ in spans_s) * rate_hz - 1e-9)
-    last = math.floor(min(last for _, last in spans_s) * rate_hz + 1e-9)
-    return np.arange(first, last + 1) / rate_hz
-
-
-def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, BoolArray]:
-    """Return a sensor at instants of the common clock, and where a bad sample took part."""
-    decimated = stream.decimated
-    return interpolate(
-        decimated.values,
-        decimated.touched,
-        stream.positions(times_s),
-        stream.oversampling(rate_hz),
-    )
-
-
-def _speed_at(manifest: TripManifest, times_s: FloatArray) -> FloatArray:
-    """Return the speed at some instants, NaN where unknown, shape (n,), [m/s]."""
-    source = manifest.speed
-    if not isinstance(source, SpeedSource):
-        return np.full(len(times_s), source)
-    known_s, speed = _read_speed(manifest, source)
-    speed = np.where((speed >= 0) & (speed <= LARGEST_SPEED_M_PER_S), speed, np.nan)
-    found = np.interp(times_s, known_s, speed)
-    step_s = np.median(np.diff(known_s)) if len(known_s) > 1 else 1 / (source.rate_hz or np.inf)
-    found[(times_s < known_s[0] - step_s) | (times_s > known_s[-1] + step_s)] = np.nan
-    after = np.clip(np.searchsorted(known_s, times_s), 1, max(len(known_s) - 1, 1))
-    if len(known_s) > 1:
-        found[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
-    if np.isnan(found).all():
-        raise TripError(
-            f"{manifest.path}: `speed` is never between 0 and {LARGEST_SPEED_M_PER_S:g} m/s while "
-            "the channels record; are its unit, time and start_s right?"
-        )
-    return found
-
-
-def _read_speed(manifest: TripManifest, source: SpeedSource) -> tuple[FloatArray, FloatArray]:
-    """Return times on the trip's clock [s] and speeds [m/s], both of shape (n_known,)."""
-    path, where = manifest.file_of(source), f"{manifest.path}: `speed`"
-    columns = [source.column] if source.time is None else [source.time, source.column]
-    blocks = list(open_columns(path, columns))
-    *times, speed = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    if not times:
-        assert source.rate_hz is not None  # the manifest has one or the other
-        known_s = np.arange(len(speed)) / source.rate_hz
-    else:
-        (known_s,) = times
-        check_rising(where, known_s)
-        if len(known_s) > 1:
-            check_rate(where, source.rate_hz, 1 / float(np.median(np.diff(known_s))))
-    return source.start_s + known_s, SPEED_UNITS[source.unit] * speed
+    first = max(stream.first for stream in streams)
+    return first, min(stream.first + len(stream.values) for stream in streams) - 1

@@ -11,9 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
 from suspnet.types import BoolArray, FloatArray, IntArray
@@ -71,17 +73,26 @@ def decimate(
     taps = _first_stage(input_rate_hz, rate_hz, factor)
     reach = len(taps) // 2
     tail, bad_tail = np.empty(0), np.empty(0, dtype=np.bool_)
-    values, touched = [tail], [bad_tail]
+    values, touched = np.empty(0), np.empty(0, dtype=np.bool_)
     for block, bad in blocks:
         tail, bad_tail = np.concatenate([tail, block]), np.concatenate([bad_tail, bad])
         n_new = (len(tail) - 2 * reach - 1) // factor + 1
         if n_new <= 0:
             continue
         skip = 2 * reach // factor  # `reach` is a multiple of `factor`
-        values.append(upfirdn(taps, tail, down=factor)[skip : skip + n_new])
-        touched.append(_touched(bad_tail, factor * np.arange(n_new), len(taps)))
+        _append(values, upfirdn(taps, tail, down=factor)[skip : skip + n_new])
+        _append(touched, _touched(bad_tail, factor * np.arange(n_new), len(taps)))
         tail, bad_tail = tail[n_new * factor :], bad_tail[n_new * factor :]
-    return Decimated(np.concatenate(values), np.concatenate(touched), reach, factor)
+    return Decimated(values, touched, reach, factor)
+
+
+def _append(array: NDArray[Any], block: NDArray[Any]) -> None:
+    """Add a block to the end of an array in place: a list would need twice the memory in the end.
+
+    Nothing else may refer to the array's memory.
+    """
+    array.resize(len(array) + len(block), refcheck=False)
+    array[-len(block) :] = block
 
 
 def support(oversampling: float) -> int:
@@ -110,17 +121,16 @@ def interpolate(
     """
     half = support(oversampling)
     table = _sinc_table(half, oversampling)
-    before = np.floor(positions).astype(np.intp)
-    phase, fraction = np.divmod((positions - before) * PHASES, 1.0)
-    row = phase.astype(np.intp)
     near = sliding_window_view(values, 2 * half)
-    first = before - half + 1
-    out = np.empty(len(positions))
+    out, first = np.empty(len(positions)), np.empty(len(positions), dtype=np.intp)
     for start in range(0, len(positions), BLOCK_ROWS):
         part = slice(start, start + BLOCK_ROWS)
-        windows, weight = near[first[part]], fraction[part]
-        low = np.einsum("ij,ij->i", windows, table[row[part]])
-        high = np.einsum("ij,ij->i", windows, table[row[part] + 1])
+        before = np.floor(positions[part])
+        phase, weight = np.divmod((positions[part] - before) * PHASES, 1.0)
+        first[part] = before.astype(np.intp) - half + 1
+        windows, row = near[first[part]], phase.astype(np.intp)
+        low = np.einsum("ij,ij->i", windows, table[row])
+        high = np.einsum("ij,ij->i", windows, table[row + 1])
         out[part] = low + weight * (high - low)
     return out, _touched(touched, first, 2 * half)
 
@@ -149,5 +159,6 @@ def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:
     """Return which of the windows of `length` samples from `first` hold a bad one."""
     if not bad.any():
         return np.zeros(len(first), dtype=np.bool_)
-    count = np.concatenate([[0], np.cumsum(bad)])
+    count = np.zeros(len(bad) + 1, dtype=np.int32)
+    np.cumsum(bad, out=count[1:])
     return np.asarray(count[first + length] > count[first])
