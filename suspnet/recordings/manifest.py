@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.recordings.checked_mapping import CheckedMapping, TripError
+from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.storage import write_atomically
 
 __all__ = [
@@ -190,7 +192,7 @@ def read_manifest(path: Path) -> TripManifest:
     TripError
         If it cannot be read, holds anything unknown, misses something or has a value of the wrong
         type or out of range, if a data file that it names is missing or not a plain file, or if two
-        sensors are the same column of the same file.
+        sensors are the same column of the same file. Its `problems` are all that is wrong.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -198,25 +200,9 @@ def read_manifest(path: Path) -> TripManifest:
         raise TripError(f"{path}: cannot be read ({error.strerror})") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise TripError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
-    manifest = _parse(path, content)
-    sensors = manifest.sensors()
-    sources: dict[str, Source] = {f"channels.{name}": one for name, one in sensors.items()}
-    if isinstance(manifest.speed, SpeedSource):
-        sources["speed"] = manifest.speed
-    for key, source in sources.items():
-        if not manifest.file_of(source).is_file():
-            raise TripError(
-                f"{path}: `{key}.file` must name an existing plain file, got {source.file!r} "
-                f"(looked in {path.parent})"
-            )
-    places: dict[tuple[Path, str | None], str] = {}
-    for name, one in sensors.items():
-        other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
-        if other != name:
-            raise TripError(
-                f"{path}: two `channels` have the same file and column, {other} and {name}; each "
-                "is one sensor"
-            )
+    manifest: TripManifest
+    manifest, _ = all_of([lambda: _parse(path, content), lambda: _check_files(path, content)])
+    _check_places(manifest)
     return manifest
 
 
@@ -295,21 +281,57 @@ def _parse(path: Path, content: Any) -> TripManifest:
     """Return the manifest of a YAML file's content."""
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
     top = CheckedMapping(path, "", content, required, ("start", "truth", "bogie", "side"))
-    top.choice("format", [FORMAT])
-    channels = CheckedMapping(path, "channels", content["channels"], CHANNELS, ()).content
-    return TripManifest(
-        path=path,
-        name=path.stem,
-        vehicle=top.text("vehicle"),
-        suspension=top.text("suspension"),
-        mileage_km=top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)),
-        start=_parse_start(top) if top.has("start") else None,
-        speed=_parse_speed(top),
-        channels={name: _parse_channels(path, name, channels[name]) for name in CHANNELS},
-        truth=_parse_truth(path, content["truth"]) if top.has("truth") else {},
-        bogie=top.choice("bogie", BOGIES) if top.has("bogie") else None,
-        side=top.choice("side", SIDES) if top.has("side") else None,
+    found = top.read(
+        {
+            "format": lambda: top.choice("format", [FORMAT]),
+            "vehicle": lambda: top.text("vehicle"),
+            "suspension": lambda: top.text("suspension"),
+            "mileage_km": lambda: top.number(
+                "mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)
+            ),
+            "start": lambda: _parse_start(top) if top.has("start") else None,
+            "speed": lambda: _parse_speed(top),
+            "channels": lambda: _parse_channels(path, content["channels"]),
+            "truth": lambda: _parse_truth(path, content["truth"]) if top.has("truth") else {},
+            "bogie": lambda: top.choice("bogie", BOGIES) if top.has("bogie") else None,
+            "side": lambda: top.choice("side", SIDES) if top.has("side") else None,
+        }
     )
+    del found["format"]
+    return TripManifest(path=path, name=path.stem, **found)
+
+
+def _check_files(path: Path, content: Any) -> None:
+    """Raise TripError if a file that a manifest names is missing, whatever else is wrong in it."""
+    if not isinstance(content, dict):
+        return
+    sources, channels = {"speed": content.get("speed")}, content.get("channels")
+    for name, one in channels.items() if isinstance(channels, dict) else ():
+        several = one if isinstance(one, list) else []
+        sources[f"channels.{name}"] = one
+        sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
+    problems = [
+        f"{path}: `{key}.file` must name an existing plain file, got {source['file']!r} "
+        f"(looked in {path.parent})"
+        for key, source in sources.items()
+        if isinstance(source, dict)
+        and isinstance(source.get("file"), str)
+        and not os.path.isfile(path.parent / source["file"])  # a name too long is none either
+    ]
+    if problems:
+        raise TripError(*problems)
+
+
+def _check_places(manifest: TripManifest) -> None:
+    """Raise TripError if two sensors are the same column of the same file."""
+    places: dict[tuple[Path, str | None], str] = {}
+    for name, one in manifest.sensors().items():
+        other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
+        if other != name:
+            raise TripError(
+                f"{manifest.path}: two `channels` have the same file and column, {other} and "
+                f"{name}; each is one sensor"
+            )
 
 
 def _parse_start(top: CheckedMapping) -> datetime:
@@ -328,10 +350,19 @@ def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
     if not isinstance(top.content["speed"], dict):
         return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
     section = CheckedMapping(top.path, "speed", top.content["speed"], ("file", "unit"), _SOURCE)
-    return SpeedSource(unit=section.choice("unit", list(SPEED_UNITS)), **_parse_source(section))
+    unit = {"unit": lambda: section.choice("unit", list(SPEED_UNITS))}
+    return SpeedSource(**section.read(unit | _parse_source(section)))
 
 
-def _parse_channels(path: Path, name: str, content: Any) -> Channel | Pair:
+def _parse_channels(path: Path, content: Any) -> dict[str, Channel | Pair]:
+    """Return where the accelerometers of every channel are stored."""
+    channels = CheckedMapping(path, "channels", content, CHANNELS, ())
+    return channels.read(
+        {name: partial(_parse_place, path, name, channels.content.get(name)) for name in CHANNELS}
+    )
+
+
+def _parse_place(path: Path, name: str, content: Any) -> Channel | Pair:
     """Return where the one accelerometer of a channel, or the left and the right, are stored."""
     if not isinstance(content, list):
         return _parse_channel(path, f"channels.{name}", content)
@@ -340,7 +371,9 @@ def _parse_channels(path: Path, name: str, content: Any) -> Channel | Pair:
             f"{path}: `channels.{name}` must be a sensor, or a list of one on the left and one on "
             f"the right, got a list of {len(content)}"
         )
-    found = [_parse_channel(path, f"channels.{name}[{i}]", one) for i, one in enumerate(content)]
+    found: list[Channel] = all_of(
+        partial(_parse_channel, path, f"channels.{name}[{i}]", one) for i, one in enumerate(content)
+    )
     if len(found) == 1:
         return found[0]
     first, second = found
@@ -361,35 +394,47 @@ def _parse_channel(path: Path, where: str, content: Any) -> Channel:
     """Return where one accelerometer is stored."""
     optional = (*_SOURCE, "sign", "range", "side")
     section = CheckedMapping(path, where, content, ("file", "unit"), optional)
-    sign = section.number("sign", "1 or -1") if section.has("sign") else 1.0
+    found = section.read(
+        {
+            "unit": lambda: section.choice("unit", list(ACCELERATION_UNITS)),
+            "sign": lambda: _parse_sign(section) if section.has("sign") else 1,
+            "range": lambda: section.positive("range") if section.has("range") else None,
+            "side": lambda: section.choice("side", SIDES) if section.has("side") else None,
+        }
+        | _parse_source(section)
+    )
+    return Channel(**found)
+
+
+def _parse_sign(section: CheckedMapping) -> int:
+    """Return 1 or -1."""
+    sign = section.number("sign", "1 or -1")
     if sign not in (1.0, -1.0):
         raise section.refuse("sign", "1 or -1")
-    return Channel(
-        unit=section.choice("unit", list(ACCELERATION_UNITS)),
-        sign=int(sign),
-        range=section.positive("range") if section.has("range") else None,
-        side=section.choice("side", SIDES) if section.has("side") else None,
-        **_parse_source(section),
-    )
+    return int(sign)
 
 
-def _parse_source(section: CheckedMapping) -> dict[str, Any]:
-    """Return the fields that a channel and the speed have in common."""
+def _parse_source(section: CheckedMapping) -> dict[str, Callable[[], Any]]:
+    """Return what reads the fields that a channel and the speed have in common."""
     if not section.has("rate_hz") and not section.has("time"):
-        raise TripError(f"{section.path}: `{section.where}` needs `rate_hz` or `time` (a column)")
+        section.problems.append(
+            f"{section.path}: `{section.where}` needs `rate_hz` or `time` (a column)"
+        )
     return {
-        "file": section.text("file"),
-        "column": section.text("column") if section.has("column") else None,
-        "rate_hz": section.positive("rate_hz") if section.has("rate_hz") else None,
-        "time": section.text("time") if section.has("time") else None,
-        "start_s": section.number("start_s") if section.has("start_s") else 0.0,
+        "file": lambda: section.text("file"),
+        "column": lambda: section.text("column") if section.has("column") else None,
+        "rate_hz": lambda: section.positive("rate_hz") if section.has("rate_hz") else None,
+        "time": lambda: section.text("time") if section.has("time") else None,
+        "start_s": lambda: section.number("start_s") if section.has("start_s") else 0.0,
     }
 
 
 def _parse_truth(path: Path, content: Any) -> dict[str, float]:
     """Return the known parameters of a simulated trip."""
     section = CheckedMapping(path, "truth", content, (), PARAMETERS)
-    return {key: section.positive(key) for key in section.content}
+    return section.read(
+        {key: partial(section.positive, key) for key in PARAMETERS if section.has(key)}
+    )
 
 
 def _without_none(content: dict[str, Any]) -> dict[str, Any]:

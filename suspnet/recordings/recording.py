@@ -15,6 +15,7 @@ from itertools import chain
 import numpy as np
 
 from suspnet.checks import check_number
+from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import (
@@ -135,21 +136,22 @@ def load_recording(
     TripError
         If a file cannot be read, a rate is lower than `rate_hz`, a sensor is constant or has no
         usable sample, fewer than ``SHORTEST_S`` are common to all sensors, times are wrong, or
-        the speed is unknown throughout.
+        the speed is unknown throughout. Its `problems` are those of all sensors and the speed.
     ValueError
         If `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
-    with ThreadPoolExecutor(len(sensors)) as pool:
-        streams = list(
-            pool.map(
-                lambda name: _read_sensor(manifest, name, sensors[name], rate_hz, cleaning), sensors
-            )
-        )
+    with ThreadPoolExecutor(len(sensors) + 1) as pool:
+        read = [
+            pool.submit(_read_sensor, manifest, name, one, rate_hz, cleaning)
+            for name, one in sensors.items()
+        ]
+        speeds = pool.submit(_known_speed, manifest)
+        *streams, known = all_of([*(one.result for one in read), speeds.result])
         times_s = _common_times(manifest, streams, rate_hz)
         resampled = list(pool.map(lambda stream: _resample(stream, times_s, rate_hz), streams))
-    speed = _speed_at(manifest, times_s)
+    speed = _speed_at(manifest, known, times_s)
     faults = tuple(fault for stream in streams for fault in stream.faults)
     usable = np.isfinite(speed) & ~np.any([touched for _, touched in resampled], axis=0)
     if not usable.any():
@@ -280,12 +282,20 @@ def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[Flo
     )
 
 
-def _speed_at(manifest: TripManifest, times_s: FloatArray) -> FloatArray:
+def _known_speed(manifest: TripManifest) -> tuple[FloatArray, FloatArray] | None:
+    """Return what `_read_speed` does; None if the speed is one number."""
+    source = manifest.speed
+    return _read_speed(manifest, source) if isinstance(source, SpeedSource) else None
+
+
+def _speed_at(
+    manifest: TripManifest, known: tuple[FloatArray, FloatArray] | None, times_s: FloatArray
+) -> FloatArray:
     """Return the speed at some instants, NaN where unknown, shape (n,), [m/s]."""
     source = manifest.speed
-    if not isinstance(source, SpeedSource):
+    if known is None or not isinstance(source, SpeedSource):
         return np.full(len(times_s), source)
-    known_s, speed = _read_speed(manifest, source)
+    known_s, speed = known
     speed = np.where((speed >= 0) & (speed <= LARGEST_SPEED_M_PER_S), speed, np.nan)
     found = np.interp(times_s, known_s, speed)
     step_s = np.median(np.diff(known_s)) if len(known_s) > 1 else 1 / (source.rate_hz or np.inf)
