@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
+from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of, load_yaml
 from suspnet.storage import write_atomically
 
 __all__ = [
@@ -194,16 +194,41 @@ def read_manifest(path: Path) -> TripManifest:
         type or out of range, if a data file that it names is missing or not a plain file, or if two
         sensors are the same column of the same file. Its `problems` are all that is wrong.
     """
+    return parse_manifest(path, read_content(path))
+
+
+def read_content(path: Path) -> Any:
+    """Return what the YAML file of a manifest holds, unchecked; TripError if it is none."""
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return load_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise TripError(f"{path}: cannot be read ({error.strerror})") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise TripError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
+
+
+def parse_manifest(path: Path, content: Any) -> TripManifest:
+    """Return the manifest that the content of a file makes; raises as `read_manifest`."""
     manifest: TripManifest
     manifest, _ = all_of([lambda: _parse(path, content), lambda: _check_files(path, content)])
     _check_places(manifest)
     return manifest
+
+
+def named_sources(content: Any) -> dict[str, dict[str, Any]]:
+    """Return each mapping of a manifest's content that names a file, whatever else is wrong."""
+    if not isinstance(content, dict):
+        return {}
+    sources, channels = {"speed": content.get("speed")}, content.get("channels")
+    for name, one in channels.items() if isinstance(channels, dict) else ():
+        several = one if isinstance(one, list) else []
+        sources[f"channels.{name}"] = one
+        sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
+    return {
+        key: source
+        for key, source in sources.items()
+        if isinstance(source, dict) and isinstance(source.get("file"), str)
+    }
 
 
 def read_place(path: Path) -> Place | None:
@@ -212,7 +237,7 @@ def read_place(path: Path) -> Place | None:
     Nothing else of it is checked, so that a faulty trip stays with the others of its suspension.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError, ValueError, RecursionError):
         return None
     if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
@@ -303,20 +328,11 @@ def _parse(path: Path, content: Any) -> TripManifest:
 
 def _check_files(path: Path, content: Any) -> None:
     """Raise TripError if a file that a manifest names is missing, whatever else is wrong in it."""
-    if not isinstance(content, dict):
-        return
-    sources, channels = {"speed": content.get("speed")}, content.get("channels")
-    for name, one in channels.items() if isinstance(channels, dict) else ():
-        several = one if isinstance(one, list) else []
-        sources[f"channels.{name}"] = one
-        sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
     problems = [
         f"{path}: `{key}.file` must name an existing plain file, got {source['file']!r} "
         f"(looked in {path.parent})"
-        for key, source in sources.items()
-        if isinstance(source, dict)
-        and isinstance(source.get("file"), str)
-        and not os.path.isfile(path.parent / source["file"])  # a name too long is none either
+        for key, source in named_sources(content).items()
+        if not os.path.isfile(path.parent / source["file"])  # a name too long is none either
     ]
     if problems:
         raise TripError(*problems)
