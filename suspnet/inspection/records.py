@@ -88,8 +88,8 @@ class TripCheck:
 
     @property
     def name(self) -> str:
-        """Name of the trip."""
-        return self.manifest.stem
+        """Name of the trip; bytes that are not UTF-8 stand in hex."""
+        return _printable(self.manifest.stem)
 
     @property
     def n_averages(self) -> float:
@@ -106,4 +106,12 @@ class TripCheck:
 
     def row(self) -> dict[str, Any]:
         """Return the check as JSON-able values."""
-        return asdict(self) | {"manifest": str(self.manifest), "n_averages": self.n_averages}
+        return asdict(self) | {
+            "manifest": _printable(str(self.manifest)),
+            "n_averages": self.n_averages,
+        }
+
+
+def _printable(name: str) -> str:
+    """Return a file's name as text that can be printed."""
+    return name.encode("utf-8", "backslashreplace").decode()
