@@ -66,8 +66,7 @@ def init(arguments: Namespace) -> None:
     except TripError as error:
         raise ValueError("; ".join(error.problems)) from error
     signals = [one for found, _ in seen for one in found]
-    words = [f"{file.name}: {how}" for file, (_, how) in zip(files, seen, strict=True) if how]
-    found = template(signals, path, words)
+    found = template(signals, path, [how for _, how in seen if how])
     write_atomically(path, found.text)
     print(
         f"-> {path}: {len(signals)} columns of {len(files)} files\n"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from suspnet.inspection import guess
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Column, OpenFile
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import TIME_UNITS
+from suspnet.recordings.manifest import SIDES, TIME_UNITS
 from suspnet.recordings.units import size_of, unit_in_name
 from suspnet.types import FloatArray
 
@@ -37,8 +38,10 @@ class Signal:
         Column of its times; empty if it has none, or the file says the rate.
     time_unit : str
         Unit of its times, where only their column's name says it; otherwise empty.
-    mean, deviation, largest : float, [unit]
+    mean, deviation : float, [unit]
         Of the first samples.
+    names : tuple of str
+        By which its meaning is guessed: its own, and that of a file with no more than two columns.
     """
 
     file: Path
@@ -49,7 +52,8 @@ class Signal:
     time_unit: str
     mean: float
     deviation: float
-    largest: float
+
+    names: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -59,11 +63,16 @@ class Signal:
     @property
     def meaning(self) -> str:
         """What it is: one of the channels or the speed; empty if its names and unit do not say."""
-        found = guess.meaning(self.name, self.file)
-        is_speed = size_of(SPEED, self.unit) is not None
-        if is_speed or (found == guess.SPEED and size_of(ACCELERATION, self.unit) is not None):
-            return guess.SPEED if is_speed else ""
-        return found
+        found = guess.meaning(*self.names)
+        if size_of(SPEED, self.unit) is not None:
+            return guess.SPEED
+        is_acceleration = size_of(ACCELERATION, self.unit) is not None
+        return "" if found == guess.SPEED and is_acceleration else found
+
+    @property
+    def side(self) -> str:
+        """Side of the vehicle, by names; empty if they do not say it."""
+        return guess.side(*self.names)
 
 
 def look_into(file: Path) -> tuple[list[Signal], str]:
@@ -88,12 +97,14 @@ def look_into(file: Path) -> tuple[list[Signal], str]:
     signals = [one for one in found if one is not None]
     if not signals:
         raise TripError(f"{file} holds no column of numbers")
+    if len(signals) <= len(SIDES):
+        signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
     return signals, opened.words
 
 
 def _is_time(column: Column) -> bool:
     """Return whether a column may hold times."""
-    return column.is_time or guess.meaning(column.name, Path()) == guess.TIME
+    return column.is_time or guess.is_time(column.name)
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
@@ -134,7 +145,7 @@ def _signal(
         time_unit=time_unit,
         mean=float(values.mean()) if len(values) else np.nan,
         deviation=float(values.std()) if len(values) else np.nan,
-        largest=float(np.abs(values).max()) if len(values) else np.nan,
+        names=(column.name,),
     )
 
 
@@ -151,6 +162,7 @@ def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
 def _unit_word(name: str) -> str:
     """Return the unit that is a word of a column's name of its own; empty if there is none."""
     units = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"}
-    units |= {"kmh": "km/h", "kph": "km/h", "m/s2": "m/s2", "m/s": "m/s", "km/h": "km/h"}
+    units |= {"kmh": "km/h", "kph": "km/h"}
     found = [units[word] for word in guess.words_of(name)[1:] if word in units]
-    return found[-1] if found else ""
+    written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
+    return (written or found or [""])[-1]

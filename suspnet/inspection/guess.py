@@ -1,69 +1,65 @@
-"""Guesses of what a column is from its name and that of its file, in English and German."""
+"""Guesses of what a column is from names, its own and that of its file, in English and German."""
 
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
-from suspnet.recordings.manifest import CHANNELS, SIDES
+from suspnet.recordings.manifest import SIDES
 
-SPEED, TIME = "speed", "time"
+SPEED = "speed"
 """What a column may be besides a channel."""
 
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    SPEED: (
-        ("speed", "veloc", "geschwind", "tempo"),
-        ("v", "vel", "kmh", "kph", "km/h", "mps", "vzug"),
-    ),
+    SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (
         ("axle", "achs", "radsatz", "wheelset", "lager", "bearing", "journal"),
-        ("box", "ab", "al", "rs"),
+        ("box", "ab"),
     ),
-    "bogie": (("bogie", "drehgestell", "rahmen", "frame", "gestell"), ("dg", "truck")),
-    "body": (
-        ("body", "kasten", "carbody", "coach", "chassis", "boden", "floor"),
-        ("car", "wk", "wagen", "cabin"),
-    ),
+    "bogie": (("bogie", "drehgestell", "rahmen", "frame"), ("dg", "truck")),
+    "body": (("body", "kasten", "coach", "floor", "boden"), ("car", "wk", "wagen", "cb")),
 }
 """For each meaning, parts of words that have it and whole words that have it; the first fit counts:
 an axle box is also on a bogie, a bogie also of a car."""
 _SIDES = {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")}
-_TIMES = ("t", "time", "zeit", "timestamp", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
+_TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
+_TIME_BEGINS = ("time", "zeit")
 _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
 
 
 def words_of(name: str) -> list[str]:
-    """Return the words of a name in small letters: those of "ABoxLeft_1 [g]" are abox, left, 1, g.
+    """Return the words of a name in small letters, without a unit in brackets at its end.
 
-    >>> words_of("AxleBoxLeft_2 [m/s2]")
-    ['axle', 'box', 'left', '2', 'm/s2']
+    >>> words_of("Run1/AxleBoxLeft_2 [m/s2]")
+    ['run1', 'axle', 'box', 'left', '2']
     """
-    spaced = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
-    return [
-        word.strip("./") for word in re.split(r"[^\w./]+|_", spaced.lower()) if word.strip("./")
-    ]
+    bare = re.sub(r"[\[(][^\[\]()]*[\])]\s*$", "", name)
+    spaced = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    return [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
 
 
-def meaning(column: str, file: Path) -> str:
-    """Return what a column is by its name, or else by that of its file; empty if neither says it.
+def meaning(*names: str) -> str:
+    """Return what a column is by the first of some names that says it; empty if none does.
 
     Returns
     -------
     str
-        One of ``CHANNELS``, ``SPEED``, ``TIME``, or empty.
+        One of ``CHANNELS``, ``SPEED``, or empty.
     """
-    if set(words_of(column)) & set(_TIMES):
-        return TIME
-    for words in (words_of(column), words_of(file.stem)):
+    for words in map(words_of, names):
         for what, (parts, wholes) in _WORDS.items():
             if any(word in wholes or any(part in word for part in parts) for word in words):
                 return what
     return ""
 
 
-def side(column: str, file: Path) -> str:
-    """Return "left" or "right" by the name of a column, or else of its file; else empty."""
-    for words in (words_of(column), words_of(file.stem)):
+def is_time(name: str) -> bool:
+    """Return whether a column's name says that it holds times."""
+    return any(word in _TIMES or word.startswith(_TIME_BEGINS) for word in words_of(name))
+
+
+def side(*names: str) -> str:
+    """Return "left" or "right" by the first of some names that says it; empty if none does."""
+    for words in map(words_of, names):
         found = [one for one in SIDES if set(words) & set(_SIDES[one])]
         if len(found) == 1:
             return found[0]
@@ -73,8 +69,3 @@ def side(column: str, file: Path) -> str:
 def is_of_another_direction(column: str) -> bool:
     """Return whether a column's name says that it is not vertical."""
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
-
-
-def is_channel(what: str) -> bool:
-    """Return whether a meaning is one of the three places."""
-    return what in CHANNELS

@@ -82,8 +82,13 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
     lines += writer.speed(by_meaning.get(guess.SPEED, []), rest)
     lines += ["", "channels:"]
     for name in CHANNELS:
-        lines += writer.channel(name, by_meaning.get(name, []), rest)
-    return Template("\n".join(lines) + "\n", tuple(writer.blanks), tuple(writer.guesses))
+        lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
+    if rest:
+        more = f" and {len(rest) - LISTED} more" if len(rest) > LISTED else ""
+        names = ", ".join(json.dumps(one.name, ensure_ascii=False) for one in rest[:LISTED])
+        lines += ["", f"# columns whose names say nothing: {names}{more}"]
+    blanks = tuple(dict.fromkeys(writer.blanks))
+    return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
 
 
 class _Writer:
@@ -110,7 +115,7 @@ class _Writer:
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel, of which `found` are by their names."""
         vertical = [one for one in found if not guess.is_of_another_direction(one.name)] or found
-        sides = [guess.side(one.name, one.file) for one in vertical]
+        sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
             self.guesses.append(f"channels.{name}")
             lines = [f"  {name}:  # guess by the name"]
@@ -132,7 +137,7 @@ class _Writer:
         """Return a comment for each column that the user may choose."""
         lines = []
         for one in signals[:LISTED]:
-            entry, _, words = self._entry(one, kind, guess.side(one.name, one.file))
+            entry, _, words = self._entry(one, kind, one.side)
             lines.append(f"{mark}{entry}  # {words}")
         more = len(signals) - LISTED
         return lines + ([f"    # and {more} more columns"] if more > 0 else [])
