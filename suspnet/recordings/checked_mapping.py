@@ -8,11 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-DEEPEST = 50
-"""Most levels of lists and mappings within each other in a YAML file; a manifest has four."""
-
 
 class TripError(ValueError):
     """Something is wrong with one trip: its manifest, or the files that it names.
@@ -49,26 +44,6 @@ def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> 
     if told:
         raise TripError(*told)
     return found
-
-
-def load_yaml(text: str) -> Any:
-    """Return what a YAML text holds, as plain values, by the parser in C where there is one.
-
-    That parser is 8 times faster, but nesting without end overflows its stack.
-
-    Raises
-    ------
-    yaml.YAMLError, ValueError, RecursionError
-        If it is not valid YAML, or nested deeper than ``DEEPEST``.
-    """
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    depth = 0
-    for event in yaml.parse(text, Loader=loader):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEEPEST:
-            raise ValueError(f"it is nested more than {DEEPEST} deep")
-    return yaml.load(text, Loader=loader)
 
 
 class CheckedMapping:
@@ -109,18 +84,19 @@ class CheckedMapping:
             for key in content
             if key not in allowed
         ]
-        self._missing = [key for key in required if content.get(key) is None]
-        self.problems += [f"{path}: {self._name(key)} is missing" for key in self._missing]
+        self.problems += [
+            f"{path}: {self._name(key)} is missing" for key in required if not self.has(key)
+        ]
 
     def read(self, parts: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
-        """Return what the function of each key returns.
+        """Return what the function of each key that is there returns.
 
         Raises
         ------
         TripError
             With every problem: unknown and missing keys, and what the functions of the others find.
         """
-        there = {key: part for key, part in parts.items() if key not in self._missing}
+        there = {key: part for key, part in parts.items() if self.has(key)}
         return dict(zip(there, all_of(there.values(), self.problems), strict=True))
 
     def has(self, key: str) -> bool:

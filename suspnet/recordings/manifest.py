@@ -6,25 +6,28 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from datetime import date, datetime
+from datetime import UTC, datetime, tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import yaml
+from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of, load_yaml
+from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
+from suspnet.recordings.core_yaml import dump_yaml, parse_yaml
 from suspnet.storage import write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",
     "BOGIES",
     "CHANNELS",
+    "DELIMITERS",
     "FORMAT",
     "SIDES",
     "SPEED_UNITS",
+    "TIME_UNITS",
     "Channel",
+    "CsvDialect",
     "Pair",
     "Place",
     "Source",
@@ -47,6 +50,12 @@ ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
 
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
 """Size of each unit in m/s."""
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Size of each unit in s."""
+
+DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
+"""Delimiters of CSV files by their names in manifests; "space" is any number of blanks."""
 
 BOGIES = ("leading", "trailing")
 """Bogies of a vehicle, in the direction of travel."""
@@ -79,6 +88,28 @@ class Place:
 
 
 @dataclass(frozen=True)
+class CsvDialect:
+    """How a CSV file is written; None is found out.
+
+    Parameters
+    ----------
+    delimiter : str, optional
+        One of the values of ``DELIMITERS``.
+    decimal : {".", ","}, optional
+    header_line : int, optional
+        Line of the names of the columns, counted from 1; 0 if there are none, and the columns are
+        "column_1" and so on.
+    encoding : str, optional
+        As Python names it.
+    """
+
+    delimiter: str | None = None
+    decimal: str | None = None
+    header_line: int | None = None
+    encoding: str | None = None
+
+
+@dataclass(frozen=True)
 class Source:
     """Where one measured quantity is stored.
 
@@ -86,24 +117,35 @@ class Source:
     ----------
     file : str
         Absolute, or relative to the manifest's folder.
-    unit : str
-        One of ``ACCELERATION_UNITS``, or for the speed of ``SPEED_UNITS``.
+    unit : str, optional
+        One of ``ACCELERATION_UNITS``, or for the speed of ``SPEED_UNITS``; None: the file says it.
     column : str, optional
         Column, MAT or HDF5 variable, or TDMS "group/channel"; None if the file has only one.
     rate_hz : float, optional, [Hz]
-        Sampling rate. If `time` is given too, the two must agree within 1 %.
+        Sampling rate. If `time` is given too, the two must agree within 1 %. Without both, the
+        file says the rate.
     time : str, optional
-        Name of a column of times [s]; a time step may be missing there, and is then a gap.
+        Name of a column of times: numbers, or time stamps; a time step may be missing there, and
+        is then a gap.
     start_s : float, [s]
         Time of the first sample on the trip's clock; with `time`, what is added to those times.
+    time_unit : str, optional
+        Unit of the numbers in `time`, one of ``TIME_UNITS``; None: the file says it, or they are
+        so large that they must be counted from 1970, or they are seconds.
+    time_zone : str, optional
+        Zone of time stamps that name none: "UTC", "+02:00" or "Europe/Berlin".
+    csv : CsvDialect, optional
     """
 
     file: str
-    unit: str
+    unit: str | None = None
     column: str | None = None
     rate_hz: float | None = None
     time: str | None = None
     start_s: float = 0.0
+    time_unit: str | None = None
+    time_zone: str | None = None
+    csv: CsvDialect | None = None
 
 
 @dataclass(frozen=True)
@@ -148,6 +190,7 @@ class TripManifest:
         Which vehicle, and which of its suspensions, in free text.
     mileage_km : float, [km]
     start : datetime or None
+        Zero of the trip's clock, where some sources have absolute times and others have not.
     speed : float, [m/s], or SpeedSource
     channels : dict of Channel, or of Pair
         One sensor, or one on the left and one on the right, for each of ``CHANNELS``.
@@ -200,11 +243,11 @@ def read_manifest(path: Path) -> TripManifest:
 def read_content(path: Path) -> Any:
     """Return what the YAML file of a manifest holds, unchecked; TripError if it is none."""
     try:
-        return load_yaml(path.read_text(encoding="utf-8"))
+        return parse_yaml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise TripError(f"{path}: cannot be read ({error.strerror})") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise TripError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
+    except ValueError as error:
+        raise TripError(f"{path}: is not valid YAML ({error})") from error
 
 
 def parse_manifest(path: Path, content: Any) -> TripManifest:
@@ -237,8 +280,8 @@ def read_place(path: Path) -> Place | None:
     Nothing else of it is checked, so that a faulty trip stays with the others of its suspension.
     """
     try:
-        content = load_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, ValueError, RecursionError):
+        content = read_content(path)
+    except TripError:
         return None
     if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
         return None
@@ -279,8 +322,7 @@ def write_manifest(manifest: TripManifest) -> Path:
     content = _without_none(content)
     if _parse(manifest.path, content).name != manifest.name:
         raise TripError(f"{manifest.path}: `name` must be that of the file, got {manifest.name!r}")
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
-    return write_atomically(manifest.path, text)
+    return write_atomically(manifest.path, dump_yaml(content))
 
 
 def find_manifests(folder: Path) -> list[Path]:
@@ -299,7 +341,7 @@ def find_manifests(folder: Path) -> list[Path]:
     return manifests
 
 
-_SOURCE = ("column", "rate_hz", "time", "start_s")
+_SOURCE = ("unit", "column", "rate_hz", "time", "start_s", "time_unit", "time_zone", "csv")
 
 
 def _parse(path: Path, content: Any) -> TripManifest:
@@ -314,16 +356,16 @@ def _parse(path: Path, content: Any) -> TripManifest:
             "mileage_km": lambda: top.number(
                 "mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)
             ),
-            "start": lambda: _parse_start(top) if top.has("start") else None,
+            "start": lambda: _parse_start(top),
             "speed": lambda: _parse_speed(top),
             "channels": lambda: _parse_channels(path, content["channels"]),
-            "truth": lambda: _parse_truth(path, content["truth"]) if top.has("truth") else {},
-            "bogie": lambda: top.choice("bogie", BOGIES) if top.has("bogie") else None,
-            "side": lambda: top.choice("side", SIDES) if top.has("side") else None,
+            "truth": lambda: _parse_truth(path, content["truth"]),
+            "bogie": lambda: top.choice("bogie", BOGIES),
+            "side": lambda: top.choice("side", SIDES),
         }
     )
     del found["format"]
-    return TripManifest(path=path, name=path.stem, **found)
+    return TripManifest(path=path, name=path.stem, **({"start": None} | found))
 
 
 def _check_files(path: Path, content: Any) -> None:
@@ -351,10 +393,8 @@ def _check_places(manifest: TripManifest) -> None:
 
 
 def _parse_start(top: CheckedMapping) -> datetime:
-    """Return the start of a trip from a date or text."""
+    """Return the start of a trip from text, or from the datetime of a manifest to be written."""
     value = top.content["start"]
-    if isinstance(value, date) and not isinstance(value, datetime):
-        return datetime(value.year, value.month, value.day)
     try:
         return value if isinstance(value, datetime) else datetime.fromisoformat(value)
     except (TypeError, ValueError) as error:
@@ -365,9 +405,8 @@ def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
     """Return a constant speed [m/s] or where the speed is stored."""
     if not isinstance(top.content["speed"], dict):
         return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
-    section = CheckedMapping(top.path, "speed", top.content["speed"], ("file", "unit"), _SOURCE)
-    unit = {"unit": lambda: section.choice("unit", list(SPEED_UNITS))}
-    return SpeedSource(**section.read(unit | _parse_source(section)))
+    section = CheckedMapping(top.path, "speed", top.content["speed"], ("file",), _SOURCE)
+    return SpeedSource(**section.read(_parse_source(section, SPEED_UNITS)))
 
 
 def _parse_channels(path: Path, content: Any) -> dict[str, Channel | Pair]:
@@ -409,15 +448,14 @@ def _parse_place(path: Path, name: str, content: Any) -> Channel | Pair:
 def _parse_channel(path: Path, where: str, content: Any) -> Channel:
     """Return where one accelerometer is stored."""
     optional = (*_SOURCE, "sign", "range", "side")
-    section = CheckedMapping(path, where, content, ("file", "unit"), optional)
+    section = CheckedMapping(path, where, content, ("file",), optional)
     found = section.read(
         {
-            "unit": lambda: section.choice("unit", list(ACCELERATION_UNITS)),
-            "sign": lambda: _parse_sign(section) if section.has("sign") else 1,
-            "range": lambda: section.positive("range") if section.has("range") else None,
-            "side": lambda: section.choice("side", SIDES) if section.has("side") else None,
+            "sign": lambda: _parse_sign(section),
+            "range": lambda: section.positive("range"),
+            "side": lambda: section.choice("side", SIDES),
         }
-        | _parse_source(section)
+        | _parse_source(section, ACCELERATION_UNITS)
     )
     return Channel(**found)
 
@@ -430,29 +468,98 @@ def _parse_sign(section: CheckedMapping) -> int:
     return int(sign)
 
 
-def _parse_source(section: CheckedMapping) -> dict[str, Callable[[], Any]]:
+def _parse_source(
+    section: CheckedMapping, units: Mapping[str, float]
+) -> dict[str, Callable[[], Any]]:
     """Return what reads the fields that a channel and the speed have in common."""
-    if not section.has("rate_hz") and not section.has("time"):
-        section.problems.append(
-            f"{section.path}: `{section.where}` needs `rate_hz` or `time` (a column)"
-        )
     return {
         "file": lambda: section.text("file"),
-        "column": lambda: section.text("column") if section.has("column") else None,
-        "rate_hz": lambda: section.positive("rate_hz") if section.has("rate_hz") else None,
-        "time": lambda: section.text("time") if section.has("time") else None,
-        "start_s": lambda: section.number("start_s") if section.has("start_s") else 0.0,
+        "unit": lambda: section.choice("unit", list(units)),
+        "column": lambda: section.text("column"),
+        "rate_hz": lambda: section.positive("rate_hz"),
+        "time": lambda: section.text("time"),
+        "start_s": lambda: section.number("start_s"),
+        "time_unit": lambda: section.choice("time_unit", list(TIME_UNITS)),
+        "time_zone": lambda: _parse_zone(section),
+        "csv": lambda: _parse_csv(section),
     }
+
+
+def _parse_zone(section: CheckedMapping) -> str:
+    """Return the name of a time zone that is known here."""
+    name = section.text("time_zone")
+    try:
+        time_zone(name)
+    except ValueError as error:
+        raise section.refuse("time_zone", 'one like "UTC", "+02:00" or "Europe/Berlin"') from error
+    return name
+
+
+def time_zone(name: str) -> tzinfo:
+    """Return a time zone by its name or its offset from UTC.
+
+    Raises
+    ------
+    ValueError
+        If it is not known.
+    """
+    if name == "UTC":
+        return UTC
+    try:
+        if name[:1] in ("+", "-"):
+            zone = datetime.strptime(name, "%z").tzinfo
+            assert zone is not None  # the format asks for one
+            return zone
+        return ZoneInfo(name)
+    except (KeyError, OSError) as error:
+        raise ValueError(f"the time zone {name!r} is not known") from error
+
+
+def _parse_csv(source: CheckedMapping) -> CsvDialect:
+    """Return how a CSV file is said to be written."""
+    keys = ("delimiter", "decimal", "header_line", "encoding")
+    where = f"{source.where}.csv"
+    section = CheckedMapping(source.path, where, source.content["csv"], (), keys)
+    names = {**DELIMITERS, **{sign: sign for sign in DELIMITERS.values()}}
+    found = section.read(
+        {
+            "delimiter": lambda: names[section.choice("delimiter", list(names))],
+            "decimal": lambda: section.choice("decimal", [".", ","]),
+            "header_line": lambda: _parse_header_line(section),
+            "encoding": lambda: _parse_encoding(section),
+        }
+    )
+    return CsvDialect(**found)
+
+
+def _parse_header_line(section: CheckedMapping) -> int:
+    """Return the number of a line, or 0."""
+    line = section.content["header_line"]
+    if isinstance(line, bool) or not isinstance(line, int) or line < 0:
+        raise section.refuse("header_line", "a line counted from 1, or 0 if there are no names")
+    return line
+
+
+def _parse_encoding(section: CheckedMapping) -> str:
+    """Return the name of an encoding that is known here."""
+    encoding = section.text("encoding")
+    try:
+        "a;1".encode(encoding)
+    except (LookupError, ValueError) as error:
+        raise section.refuse("encoding", "one like utf-8, utf-16 or latin-1") from error
+    return encoding
 
 
 def _parse_truth(path: Path, content: Any) -> dict[str, float]:
     """Return the known parameters of a simulated trip."""
     section = CheckedMapping(path, "truth", content, (), PARAMETERS)
-    return section.read(
-        {key: partial(section.positive, key) for key in PARAMETERS if section.has(key)}
-    )
+    return section.read({key: partial(section.positive, key) for key in PARAMETERS})
 
 
 def _without_none(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a mapping without the keys whose value is None."""
-    return {key: value for key, value in content.items() if value is not None}
+    """Return a mapping without the keys whose value is None, in the mappings within it too."""
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in content.items()
+        if value is not None
+    }

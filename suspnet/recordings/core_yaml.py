@@ -1,0 +1,169 @@
+"""YAML as the core schema of YAML 1.2 reads it: no surprises, no duplicate keys, bounded depth.
+
+YAML 1.1, which PyYAML follows, takes ``no`` for false, ``12:30:45`` for 45045 and ``0777`` for 511.
+Here these are the text "no", the text "12:30:45" and the number 777.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import yaml
+
+DEEPEST = 20
+"""Largest depth of nested lists and mappings."""
+
+LONGEST = 2**20
+"""Largest number of characters."""
+
+_NULL = ("", "~", "null", "Null", "NULL")
+_BOOLEANS = {
+    word: value
+    for value, words in ((True, ("true", "True", "TRUE")), (False, ("false", "False", "FALSE")))
+    for word in words
+}
+_INTEGER = re.compile(r"[-+]?[0-9]{1,4000}")
+_BASED = re.compile(r"0o[0-7]{1,1000}|0x[0-9a-fA-F]{1,1000}")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Puts text in quotes that YAML 1.1 or the core schema would take for anything else."""
+
+
+def _text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
+    """Return text as a node: with escapes where it holds what some readers take for a line end."""
+    style = '"' if re.search("[\x85\u2028\u2029\ufeff]", value) else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
+
+
+_Dumper.add_representer(str, _text)
+for _pattern in (_BASED, _FLOAT):
+    _Dumper.add_implicit_resolver(
+        "tag:yaml.org,2002:float", re.compile(rf"^(?:{_pattern.pattern})$"), list("-+.0123456789")
+    )
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the content of a YAML document: mappings, lists, text, numbers, booleans, None.
+
+    Aliases and merge keys (``<<``) are followed; tags are refused.
+
+    Raises
+    ------
+    ValueError
+        If it is not YAML, holds a key twice, a tag or a second document, is nested more than
+        ``DEEPEST`` or longer than ``LONGEST``. The message, of one line, names the line.
+    """
+    if len(text) > LONGEST:
+        raise ValueError(f"it has {len(text)} characters; at most {LONGEST} are read")
+    try:
+        return _Builder().document(yaml.parse(text, Loader=_LOADER))
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from error
+
+
+def dump_yaml(content: Any) -> str:
+    """Return YAML that `parse_yaml`, and any YAML 1.1 reader, read back as it was."""
+    return str(
+        yaml.dump(
+            content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None
+        )
+    )
+
+
+class _Builder:
+    """Makes content of the events of a parser, one after the other."""
+
+    def __init__(self) -> None:
+        self.anchors: dict[str, Any] = {}
+
+    def document(self, events: Iterator[yaml.Event]) -> Any:
+        """Return the content of the only document."""
+        content, n_documents = None, 0
+        for event in events:
+            if isinstance(event, yaml.DocumentStartEvent):
+                n_documents += 1
+                if n_documents > 1:
+                    raise ValueError(f"line {_line(event)}: a second document begins")
+                content = self._node(next(events), events, 0)
+        return content
+
+    def _node(self, event: yaml.Event, events: Iterator[yaml.Event], depth: int) -> Any:
+        """Return the content of the node that an event begins."""
+        if depth > DEEPEST:
+            raise ValueError(f"line {_line(event)}: it is nested more than {DEEPEST} deep")
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in self.anchors:
+                raise ValueError(f"line {_line(event)}: the alias {event.anchor!r} is unknown")
+            return self.anchors[event.anchor]
+        if event.tag not in (None, "!", "tag:yaml.org,2002:str"):
+            raise ValueError(f"line {_line(event)}: tags are not allowed, got {event.tag!r}")
+        content: Any
+        if isinstance(event, yaml.ScalarEvent):
+            content = _scalar(event)
+        elif isinstance(event, yaml.SequenceStartEvent):
+            content = []
+            for item in events:  # ends with the sequence, or with the parser's error
+                if isinstance(item, yaml.SequenceEndEvent):
+                    break
+                content.append(self._node(item, events, depth + 1))
+        else:
+            content = self._mapping(events, depth)
+        if event.anchor is not None:
+            self.anchors[event.anchor] = content
+        return content
+
+    def _mapping(self, events: Iterator[yaml.Event], depth: int) -> dict[Any, Any]:
+        """Return a mapping; ValueError if it holds a key twice."""
+        content: dict[Any, Any] = {}
+        merged: list[Any] = []
+        lines: dict[Any, int] = {}
+        for event in events:
+            if isinstance(event, yaml.MappingEndEvent):
+                break
+            key, line = self._node(event, events, depth + 1), _line(event)
+            if isinstance(key, dict | list):
+                raise ValueError(f"line {line}: a key must be text, not a list or mapping")
+            if key in lines:
+                raise ValueError(
+                    f"line {line}: the key {key!r} is given twice, first in line {lines[key]}"
+                )
+            lines[key] = line
+            value = self._node(next(events), events, depth + 1)
+            if key == "<<" and event.implicit[0]:
+                merged += value if isinstance(value, list) else [value]
+                if not all(isinstance(one, dict) for one in merged):
+                    raise ValueError(f"line {line}: `<<` must be followed by mappings")
+            else:
+                content[key] = value
+        for one in merged:
+            content = one | content
+        return content
+
+
+def _scalar(event: yaml.ScalarEvent) -> Any:
+    """Return the value of a scalar by the core schema; what stands in quotes is text."""
+    text = str(event.value)
+    if not event.implicit[0]:
+        return text
+    if text in _NULL:
+        return None
+    if text in _BOOLEANS:
+        return _BOOLEANS[text]
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    if _BASED.fullmatch(text):
+        return int(text, 0)
+    if _FLOAT.fullmatch(text):
+        return float(text)
+    return float(text.replace(".", "", 1)) if _SPECIAL.fullmatch(text) else text
+
+
+def _line(event: yaml.Event) -> int:
+    """Return the line in which an event begins, counted from 1."""
+    return int(event.start_mark.line) + 1
