@@ -47,8 +47,8 @@ UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
 
 
-Opened = dict[tuple[Path | str, ...], tuple[str, ...]]
-"""Why columns of a file cannot be opened, by file and columns; empty if they can."""
+Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
+"""Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +144,13 @@ def _check_columns(path: Path, content: Any, opened: Opened) -> None:
     """
     told: dict[str, None] = {}
     for source in named_sources(content).values():
-        columns = [name for name in (source.get("time"), source.get("column")) if name is not None]
-        key = (path.parent / source["file"], *map(str, columns))
-        if not os.path.isfile(key[0]) or not all(isinstance(name, str) for name in columns):
-            continue
+        file, time, column = path.parent / source["file"], source.get("time"), source.get("column")
+        named = all(one is None or isinstance(one, str) for one in (time, column))
+        if not named or source.get("csv") is not None or not os.path.isfile(file):
+            continue  # told by others; how a CSV file is written is known when all is parsed
+        key = (file, time, column)
         if key not in opened:
-            opened[key] = _opening(key[0], columns if "column" in source else [*columns, None])
+            opened[key] = _opening(file, [column] if time is None else [time, column])
         told |= dict.fromkeys(opened[key])
     if told:
         raise TripError(*told)

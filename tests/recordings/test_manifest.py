@@ -378,7 +378,6 @@ def test_all_mistakes_are_told_at_once(folder):
             "vehicel",
             "suspension",
             "mileage_km",
-            "speed",
             "speed.unit",
             "channels.bogie[0].rate_hz",
         ),
