@@ -22,7 +22,8 @@ from suspnet.recordings.faults import (
 )
 from suspnet.types import BoolArray, FloatArray
 
-KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift")
+KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "clock")
+"""Kinds of faults; the last three are found in the speed and between channels."""
 
 CORE_SAMPLES = 2**18
 """Approximate number of samples that are checked at once; few enough to stay in cache."""
@@ -81,7 +82,7 @@ class Fault:
     Parameters
     ----------
     channel, kind : str
-        `kind` is one of ``KINDS``.
+        `kind` is one of ``KINDS``; the channel may be "speed".
     n_samples : int
     seconds, first_s : float, [s]
         How long together, and when first on the trip's clock.
@@ -90,6 +91,8 @@ class Fault:
         fault (offset and drift); False where they are marked as unusable.
     size_m_per_s2 : float or None, [m/s2]
         The mean, or the change of level; None for other kinds.
+    words : str
+        What is wrong, of a clock; empty for other kinds.
     """
 
     channel: str
@@ -99,8 +102,11 @@ class Fault:
     first_s: float
     repaired: bool
     size_m_per_s2: float | None = None
+    words: str = ""
 
     def __str__(self) -> str:
+        if self.words:
+            return f"{self.channel}: {self.kind} {self.words}"
         if self.size_m_per_s2 is not None:
             return f"{self.channel}: {self.kind} of {self.size_m_per_s2:.3g} m/s2, harmless"
         fate = "repaired" if self.repaired else "not usable"

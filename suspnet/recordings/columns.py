@@ -46,6 +46,8 @@ class Column:
         Its time stamps are in UTC; otherwise in an unknown zone.
     is_part : bool
         One column of a matrix; it is read by its name only.
+    is_whole_rate : bool
+        The format keeps the rate as a whole number.
     full_scale : float or None
         Of integers that stand for a fraction of the range: the largest value.
     """
@@ -58,6 +60,7 @@ class Column:
     is_time: bool = False
     is_zoned: bool = False
     is_part: bool = False
+    is_whole_rate: bool = False
     full_scale: float | None = None
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -17,30 +17,17 @@ import numpy as np
 from suspnet.checks import check_number
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
-from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    CHANNELS,
-    SIDES,
-    SPEED_UNITS,
-    Channel,
-    SpeedSource,
-    TripError,
-    TripManifest,
-)
+from suspnet.recordings.clocks import Zero, offsets_s
+from suspnet.recordings.drifting import clock_faults
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
-from suspnet.recordings.timeline import Timeline, check_rate, check_rising
+from suspnet.recordings.sources import OpenSource, open_source
+from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
+from suspnet.recordings.timeline import Timeline
 from suspnet.types import BoolArray, FloatArray
 
 SHORTEST_S = 60.0
 """Least length of a recording, [s]."""
-
-LARGEST_SPEED_M_PER_S = 150.0
-"""Largest speed of a train [m/s]; a larger value counts as unknown."""
-
-LONGEST_SPEED_GAP_S = 10.0
-"""Longest time [s] between two speeds that is interpolated; the speed is unknown in longer
-ones."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +56,8 @@ class Recording:
         Which channels are pairs of sensors, in the order of ``CHANNELS``.
     differences : array of shape (n_pairs, n), [m/s2]
         (left - right) / 2 of each pair, in the order of ``CHANNELS``.
+    words : str
+        How files were read, where that had to be found out, as of CSV files.
     """
 
     manifest: TripManifest
@@ -81,6 +70,7 @@ class Recording:
     start_s: float = 0.0
     paired: tuple[bool, bool, bool] = (False, False, False)
     differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    words: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,6 +83,13 @@ class _Stream:
     start_s: float
     n_samples: int
     faults: tuple[Fault, ...]
+    zero: Zero
+    words: str
+
+    def shifted(self, seconds: float) -> _Stream:
+        """Return the sensor with its times on another clock."""
+        faults = tuple(replace(one, first_s=one.first_s + seconds) for one in self.faults)
+        return replace(self, start_s=self.start_s + seconds, faults=faults)
 
     @property
     def end_s(self) -> float:
@@ -143,23 +140,25 @@ def load_recording(
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
     with ThreadPoolExecutor(len(sensors) + 1) as pool:
-        read = [
-            pool.submit(_read_sensor, manifest, name, one, rate_hz, cleaning)
-            for name, one in sensors.items()
-        ]
-        speeds = pool.submit(_known_speed, manifest)
-        *streams, known = all_of([*(one.result for one in read), speeds.result])
+        streams, track = _read(manifest, rate_hz, cleaning, pool)
+        zeros = {stream.name: stream.zero for stream in streams}
+        offsets = offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
+        streams = [stream.shifted(offsets[stream.name]) for stream in streams]
         times_s = _common_times(manifest, streams, rate_hz)
         resampled = list(pool.map(lambda stream: _resample(stream, times_s, rate_hz), streams))
-    speed = _speed_at(manifest, known, times_s)
+    told = [track.words if track else "", *(stream.words for stream in streams)]
     faults = tuple(fault for stream in streams for fault in stream.faults)
+    del streams
+    speed, speed_faults = speed_at(manifest, track, offsets.get("speed", 0.0), times_s)
     usable = np.isfinite(speed) & ~np.any([touched for _, touched in resampled], axis=0)
+    faults += speed_faults
     if not usable.any():
         raise TripError(
             f"{manifest.path}: at no time are all channels and the speed usable: "
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
     values = dict(zip(sensors, (values for values, _ in resampled), strict=True))
+    faults += clock_faults(manifest, values, usable, speed, rate_hz)
     paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz
     return Recording(
@@ -173,7 +172,24 @@ def load_recording(
         float(times_s[0]),
         paired,
         differences,
+        "; ".join(dict.fromkeys(words for words in told if words)),
     )
+
+
+def _read(
+    manifest: TripManifest,
+    rate_hz: float,
+    cleaning: CleaningSettings | None,
+    pool: ThreadPoolExecutor,
+) -> tuple[list[_Stream], SpeedTrack | None]:
+    """Return all sensors and the speed, read at the same time; TripError has all their problems."""
+    read = [
+        pool.submit(_read_sensor, manifest, name, one, rate_hz, cleaning)
+        for name, one in manifest.sensors().items()
+    ]
+    speed = pool.submit(read_speed, manifest)
+    *streams, track = all_of([*(one.result for one in read), speed.result])
+    return streams, track
 
 
 def _combined(
@@ -203,40 +219,42 @@ def _read_sensor(
 ) -> _Stream:
     """Read, clean and decimate one sensor as it streams by."""
     where = f"{manifest.path}: channel {name!r}"
-    unit = ACCELERATION_UNITS[channel.unit]
-    timeline = Timeline(where, channel.rate_hz) if channel.time is not None else None
-    blocks = _values(manifest, channel, timeline)
-    first_block = next(blocks)
-    rate_hz = _known_rate(where, channel.rate_hz, timeline)
-    if rate_hz < 0.99 * wanted_hz:
-        raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
-    full_scale = None if channel.range is None else channel.range * unit
-    cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
-    scaled = (channel.sign * unit * block for block in chain([first_block], blocks))
-    decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
+    with open_source(manifest, channel, where, "acceleration") as source:
+        timeline = None if source.times is None else Timeline(where, source.rate_hz)
+        blocks = _values(source, timeline)
+        first_block = next(blocks)
+        rate_hz = _known_rate(where, source.rate_hz, timeline)
+        if rate_hz < 0.99 * wanted_hz:
+            raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
+        size = source.size
+        full_scale = None if channel.range is None else channel.range * abs(size)
+        if full_scale is not None and source.is_fraction:
+            full_scale = abs(size)
+        cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
+        scaled = (size * block for block in chain([first_block], blocks))
+        decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
     start_s = channel.start_s + (0.0 if timeline is None else timeline.first_s)
     faults = cleaner.faults(start_s)
     _check_alive(where, cleaner, faults)
-    rate_hz = _known_rate(where, channel.rate_hz, timeline)
-    return _Stream(name, decimated, rate_hz, start_s, cleaner.n_samples, faults)
+    rate_hz = _known_rate(where, source.rate_hz, timeline)
+    return _Stream(
+        name, decimated, rate_hz, start_s, cleaner.n_samples, faults, source.zero, source.words
+    )
 
 
-def _values(
-    manifest: TripManifest, channel: Channel, timeline: Timeline | None
-) -> Iterator[FloatArray]:
+def _values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
     """Yield a sensor's values in its own unit, evenly sampled."""
-    path = manifest.file_of(channel)
     if timeline is not None:
-        yield from timeline.even(open_columns(path, [channel.time, channel.column]))
+        yield from timeline.even(source.blocks())
     else:
-        for (block,) in open_columns(path, [channel.column]):
+        for (block,) in source.blocks():
             yield block
 
 
 def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
     """Return a sensor's rate as stated or by its time stamps, [Hz]."""
     if timeline is None:
-        assert stated_hz is not None  # the manifest has one or the other
+        assert stated_hz is not None  # a source has times or a rate
         return stated_hz
     if math.isnan(timeline.rate_hz):
         raise TripError(f"{where} has fewer than two samples; its rate is unknown")
@@ -280,49 +298,3 @@ def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[Flo
         stream.positions(times_s),
         stream.oversampling(rate_hz),
     )
-
-
-def _known_speed(manifest: TripManifest) -> tuple[FloatArray, FloatArray] | None:
-    """Return what `_read_speed` does; None if the speed is one number."""
-    source = manifest.speed
-    return _read_speed(manifest, source) if isinstance(source, SpeedSource) else None
-
-
-def _speed_at(
-    manifest: TripManifest, known: tuple[FloatArray, FloatArray] | None, times_s: FloatArray
-) -> FloatArray:
-    """Return the speed at some instants, NaN where unknown, shape (n,), [m/s]."""
-    source = manifest.speed
-    if known is None or not isinstance(source, SpeedSource):
-        return np.full(len(times_s), source)
-    known_s, speed = known
-    speed = np.where((speed >= 0) & (speed <= LARGEST_SPEED_M_PER_S), speed, np.nan)
-    found = np.interp(times_s, known_s, speed)
-    step_s = np.median(np.diff(known_s)) if len(known_s) > 1 else 1 / (source.rate_hz or np.inf)
-    found[(times_s < known_s[0] - step_s) | (times_s > known_s[-1] + step_s)] = np.nan
-    after = np.clip(np.searchsorted(known_s, times_s), 1, max(len(known_s) - 1, 1))
-    if len(known_s) > 1:
-        found[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
-    if np.isnan(found).all():
-        raise TripError(
-            f"{manifest.path}: `speed` is never between 0 and {LARGEST_SPEED_M_PER_S:g} m/s while "
-            "the channels record; are its unit, time and start_s right?"
-        )
-    return found
-
-
-def _read_speed(manifest: TripManifest, source: SpeedSource) -> tuple[FloatArray, FloatArray]:
-    """Return times on the trip's clock [s] and speeds [m/s], both of shape (n_known,)."""
-    path, where = manifest.file_of(source), f"{manifest.path}: `speed`"
-    columns = [source.column] if source.time is None else [source.time, source.column]
-    blocks = list(open_columns(path, columns))
-    *times, speed = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    if not times:
-        assert source.rate_hz is not None  # the manifest has one or the other
-        known_s = np.arange(len(speed)) / source.rate_hz
-    else:
-        (known_s,) = times
-        check_rising(where, known_s)
-        if len(known_s) > 1:
-            check_rate(where, source.rate_hz, 1 / float(np.median(np.diff(known_s))))
-    return source.start_s + known_s, SPEED_UNITS[source.unit] * speed

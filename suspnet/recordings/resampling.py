@@ -11,9 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
 from suspnet.types import BoolArray, FloatArray, IntArray
@@ -71,17 +73,26 @@ def decimate(
     taps = _first_stage(input_rate_hz, rate_hz, factor)
     reach = len(taps) // 2
     tail, bad_tail = np.empty(0), np.empty(0, dtype=np.bool_)
-    values, touched = [tail], [bad_tail]
+    values, touched = np.empty(0), np.empty(0, dtype=np.bool_)
     for block, bad in blocks:
         tail, bad_tail = np.concatenate([tail, block]), np.concatenate([bad_tail, bad])
         n_new = (len(tail) - 2 * reach - 1) // factor + 1
         if n_new <= 0:
             continue
         skip = 2 * reach // factor  # `reach` is a multiple of `factor`
-        values.append(upfirdn(taps, tail, down=factor)[skip : skip + n_new])
-        touched.append(_touched(bad_tail, factor * np.arange(n_new), len(taps)))
+        _append(values, upfirdn(taps, tail, down=factor)[skip : skip + n_new])
+        _append(touched, _touched(bad_tail, factor * np.arange(n_new), len(taps)))
         tail, bad_tail = tail[n_new * factor :], bad_tail[n_new * factor :]
-    return Decimated(np.concatenate(values), np.concatenate(touched), reach, factor)
+    return Decimated(values, touched, reach, factor)
+
+
+def _append(array: NDArray[Any], block: NDArray[Any]) -> None:
+    """Add a block to the end of an array in place: a list would need twice the memory in the end.
+
+    Nothing else may refer to the array's memory.
+    """
+    array.resize(len(array) + len(block), refcheck=False)
+    array[-len(block) :] = block
 
 
 def support(oversampling: float) -> int:

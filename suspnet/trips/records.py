@@ -42,7 +42,9 @@ class Quality:
         Each bin with its averages.
     features_found : str
     faults : str
-        What cleaning found in each channel.
+        What cleaning found in each channel, the speed and the clocks.
+    read_as : str
+        How files were read, where that had to be found out, as of CSV files.
     warnings : str
     """
 
@@ -57,6 +59,7 @@ class Quality:
     speed_bins: str = ""
     features_found: str = ""
     faults: str = ""
+    read_as: str = ""
     warnings: str = ""
 
 

@@ -84,6 +84,7 @@ def _estimated(
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
         faults="; ".join(str(fault) for fault in recording.faults),
+        read_as=recording.words,
     )
     welches = [trip_settings(model).welch for model in models]
     segments = {welch: recording_segments(recording, welch) for welch in welches}

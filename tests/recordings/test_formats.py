@@ -1,7 +1,7 @@
 """Columns come out of every format as they went in, and damaged files are named."""
 
-import csv
 import pickle
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from recording_files import WRITERS, write_csv
 from scipy.io import savemat
 
-from suspnet.recordings import formats
-from suspnet.recordings.formats import open_columns
+from suspnet.recordings import columns as columns_module
+from suspnet.recordings import csv_files, formats
+from suspnet.recordings.formats import CSV_SUFFIXES, open_columns
 from suspnet.recordings.manifest import TripError
 
 
@@ -25,48 +27,10 @@ def read(path: Path, *columns: str | None) -> list[np.ndarray]:
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
 
 
-def write_parquet(path: Path, columns: dict) -> None:
-    pq.write_table(pa.table(columns), path, row_group_size=7)
-
-
-def write_csv(path: Path, columns: dict) -> None:
-    with path.open("w", newline="") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(columns)
-        rows.writerows(zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True))
-
-
-def write_mat(path: Path, columns: dict) -> None:
-    savemat(path, columns)
-
-
-def write_hdf5(path: Path, columns: dict) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w") as file:
-        for name, values in columns.items():
-            file[name] = np.asarray(values)[None, :]  # as MATLAB 7.3 does
-
-
-def write_tdms(path: Path, columns: dict) -> None:
-    nptdms = pytest.importorskip("nptdms")
-    with nptdms.TdmsWriter(path) as writer:
-        for part in (slice(0, 5), slice(5, None)):  # two segments
-            writer.write_segment(
-                [nptdms.ChannelObject("g", n, np.asarray(v)[part]) for n, v in columns.items()]
-            )
-
-
-WRITERS = {
-    ".parquet": write_parquet,
-    ".csv": write_csv,
-    ".mat": write_mat,
-    ".h5": write_hdf5,
-    ".hdf5": write_hdf5,
-    ".tdms": write_tdms,
-}
-
-
-def named(suffix: str, name: str) -> str:
+def named(suffix: str, name: str, place: int = 0) -> str:
+    """Return how a file calls the column that was written as `name`, as the nth of the file."""
+    if suffix == ".wav":
+        return f"channel_{place + 1}"
     return f"g/{name}" if suffix == ".tdms" else name
 
 
@@ -77,11 +41,11 @@ def test_every_format_is_tested():
 @pytest.mark.parametrize("kind", ["float64", "float32", "int16", "uint8", "int64"])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_columns_are_read_in_the_order_asked_for(tmp_path, monkeypatch, suffix, kind):
-    monkeypatch.setattr(formats, "BLOCK", 4)
+    monkeypatch.setattr(columns_module, "BLOCK", 4)
     a, t = np.arange(11).astype(kind), np.arange(11) * 0.5
     path = tmp_path / f"data{suffix.upper()}"
     WRITERS[suffix](path, {"t": t, "a": a, "other": t})
-    got_a, got_t = read(path, named(suffix, "a"), named(suffix, "t"))
+    got_a, got_t = read(path, named(suffix, "a", 1), named(suffix, "t"))
     np.testing.assert_array_equal(got_a, a.astype(np.float64))
     np.testing.assert_array_equal(got_t, t)
 
@@ -92,7 +56,7 @@ def test_column_may_be_left_out_if_it_is_the_only_one(tmp_path, suffix):
     WRITERS[suffix](path, {"t": np.arange(9.0), "a": -np.arange(9.0)})
     np.testing.assert_array_equal(read(path, named(suffix, "t"), None)[1], -np.arange(9.0))
     with pytest.raises(
-        TripError, match=r"say which `column` to read; there are \['.*[ta]', '.*[ta]'\]"
+        TripError, match=r"say which `column` to read; there are \['.*[ta1]', '.*[ta2]'\]"
     ):
         read(path, None)
 
@@ -102,7 +66,7 @@ def test_missing_column_is_named(tmp_path, suffix):
     path = tmp_path / f"data{suffix}"
     WRITERS[suffix](path, {"t": np.arange(9.0), "a": np.arange(9.0)})
     with pytest.raises(
-        TripError, match=r"data.* has no column 'b' .*it has \['.*[ta]', '.*[ta]'\]"
+        TripError, match=r"data.* has no column 'b' .*it has \[.*'.*[ta1]', '.*[ta2]'\]"
     ):
         read(path, "b")
 
@@ -132,7 +96,7 @@ def test_nulls_become_nan(tmp_path, kind):
 
 
 def test_large_csv_comes_in_blocks(tmp_path, monkeypatch):
-    monkeypatch.setattr(formats, "CSV_BLOCK_BYTES", 2**12)
+    monkeypatch.setattr(csv_files, "BLOCK_BYTES", 2**12)
     values = np.arange(5000) / 8
     write_csv(tmp_path / "data.csv", {"a": values, "b": values})
     blocks = list(open_columns(tmp_path / "data.csv", ["a"]))
@@ -161,15 +125,15 @@ def test_mat_7_3_is_read_as_hdf5(tmp_path, monkeypatch):
     with path.open("r+b") as stream:
         stream.write(header)
     np.testing.assert_array_equal(read(path, "body")[0], np.arange(6))
-    monkeypatch.setattr(formats, "h5py", None)
+    monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(TripError, match=r'needs h5py; run: pip install "suspnet\[hdf5\]"'):
         read(path, "body")
 
 
 def test_missing_extras_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(formats, "nptdms", None)
+    monkeypatch.setitem(sys.modules, "nptdms", None)
     (tmp_path / "data.tdms").write_bytes(b"TDSm")
-    with pytest.raises(TripError, match=r'needs npTDMS; run: pip install "suspnet\[tdms\]"'):
+    with pytest.raises(TripError, match=r'needs nptdms; run: pip install "suspnet\[tdms\]"'):
         read(tmp_path / "data.tdms", "g/a")
 
 
@@ -221,7 +185,7 @@ def test_foreign_files_are_refused(tmp_path, suffix, content):
         read(path, named(suffix, "a"))
 
 
-@pytest.mark.parametrize("suffix", [suffix for suffix in WRITERS if suffix not in (".csv",)])
+@pytest.mark.parametrize("suffix", [suffix for suffix in WRITERS if suffix not in CSV_SUFFIXES])
 @pytest.mark.parametrize("kept", [0.1, 0.5, 0.9])
 def test_truncated_files_are_refused(tmp_path, suffix, kept):
     path = tmp_path / f"data{suffix}"
@@ -232,7 +196,7 @@ def test_truncated_files_are_refused(tmp_path, suffix, kept):
         read(path, named(suffix, "a"))
 
 
-@given(st.randoms(use_true_random=False), st.sampled_from([".parquet", ".mat", ".h5", ".tdms"]))
+@given(st.randoms(use_true_random=False), st.sampled_from([".parquet", ".mat", ".h5", ".tdms", ".mf4", ".uff", ".wav"]))
 def test_damaged_files_raise_nothing_else(tmp_path_factory, random, suffix):
     path = tmp_path_factory.mktemp("damage") / f"data{suffix}"
     WRITERS[suffix](path, {"a": np.arange(50.0)})
@@ -249,7 +213,7 @@ def test_damaged_files_raise_nothing_else(tmp_path_factory, random, suffix):
 def test_missing_and_unknown_files_are_refused(tmp_path):
     with pytest.raises(TripError, match=r"gone\.csv: there is no such file"):
         read(tmp_path / "gone.csv", "a")
-    with pytest.raises(TripError, match=r"files of type '\.xls' cannot be read; give \['\.csv'"):
+    with pytest.raises(TripError, match=r"files of type '\.xls' cannot be read; give \['\.asc', '\.csv'"):
         read(tmp_path / "data.xls", "a")
 
 

@@ -1,0 +1,127 @@
+"""Columns of CSV files of any dialect, a block at a time."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute
+import pyarrow.csv
+
+from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.columns import Block, Column, OpenFile, as_block
+from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.types import FloatArray
+
+BLOCK_BYTES = 2**21
+"""Number of bytes that are parsed at once."""
+
+
+@contextmanager
+def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
+    """Open a CSV file; how it is written is found out, as far as it is not given."""
+    found = find_dialect(path, given)
+    columns = tuple(
+        Column(name, unit=unit or None, is_time=bool(stamp), is_zoned=stamp == "utc")
+        for name, unit, stamp in zip(found.names, found.units, found.stamps, strict=True)
+    )
+
+    def read(names: Sequence[str]) -> Iterator[Block]:
+        return _blocks(path, found, names)
+
+    yield OpenFile(columns, read, f"{path.name}: {found}")
+
+
+def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
+    """Yield columns of a CSV file."""
+    stamps = dict(zip(found.names, found.stamps, strict=True))
+    types = {name: pa.string() if stamps[name] else pa.float64() for name in names}
+    convert = pa.csv.ConvertOptions(
+        include_columns=list(types),
+        column_types=types,
+        decimal_point=found.decimal,
+        null_values=sorted(MISSING),
+        strings_can_be_null=True,
+    )
+    # Only without threads do messages count rows.
+    read = pa.csv.ReadOptions(
+        use_threads=False,
+        block_size=BLOCK_BYTES,
+        skip_rows=found.first_line - 1,
+        column_names=list(found.names),
+    )
+    delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
+    parse = pa.csv.ParseOptions(delimiter=delimiter)
+    with path.open("rb") as stream:
+        source: Any = stream
+        if found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
+            source = pa.transcoding_input_stream(source, found.encoding, "utf8")
+        if found.delimiter == " ":
+            source = pa.PythonFile(_Collapsed(source), mode="r")
+        try:
+            with pa.csv.open_csv(source, read, parse, convert) as reader:
+                for batch in reader:
+                    yield tuple(
+                        _stamps(batch.column(name), stamps[name])
+                        if stamps[name]
+                        else to_float(batch.column(name))
+                        for name in names
+                    )
+        except pa.ArrowInvalid as error:
+            if "Failed to parse string" in str(error):
+                raise TripError(f"{path}: a time stamp is not like the first ({error})") from error
+            if "conversion error" not in str(error):
+                raise
+            raise TripError(
+                f"{path}: text in a column of numbers, one of {list(names)} ({error}); the decimal "
+                f"sign is taken to be {found.decimal!r}"
+            ) from error
+
+
+def to_float(column: Any) -> FloatArray:
+    """Return an Arrow column as float64, NaN where a value is missing."""
+    return as_block(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+
+
+def _stamps(column: Any, kind: str) -> Any:
+    """Return texts of time stamps as datetime64[ns], in UTC if they have a zone."""
+    if isinstance(column.type, pa.TimestampType):
+        return as_block(column.to_numpy(zero_copy_only=False))
+    plain = pa.compute.replace_substring(pa.compute.utf8_trim_whitespace(column), ",", ".")
+    zone = "UTC" if kind == "utc" else None
+    return as_block(plain.cast(pa.timestamp("ns", zone)).to_numpy(zero_copy_only=False))
+
+
+@dataclass
+class _Collapsed(io.RawIOBase):
+    """A stream of lines whose cells are parted by single tabs instead of any blanks."""
+
+    source: Any
+    _rest: bytes = b""
+    _done: bytes = field(default=b"")
+    _ended: bool = False
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """Return at most `size` bytes; none at the end."""
+        while not self._done and not self._ended:  # each round reads on, until the end
+            block = self.source.read(BLOCK_BYTES)
+            self._ended = not block
+            whole, line_end, rest = (self._rest + block).rpartition(b"\n")
+            if self._ended:
+                whole, line_end, rest = self._rest, b"", b""
+            self._rest = rest
+            text = re.sub(rb"[ \t]+", b"\t", whole + line_end)
+            self._done = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", text)
+        size = len(self._done) if size < 0 else size
+        part, self._done = self._done[:size], self._done[size:]
+        return part

@@ -1,0 +1,206 @@
+"""The speed of the train on the trip's clock, and what is missing or wrong in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.cleaning import Fault
+from suspnet.recordings.clocks import Zero
+from suspnet.recordings.faults import runs
+from suspnet.recordings.manifest import SpeedSource, TripManifest
+from suspnet.recordings.sources import OpenSource, open_source
+from suspnet.recordings.timeline import GAP_STEPS, check_rate, check_rising
+from suspnet.types import BoolArray, FloatArray
+
+LARGEST_SPEED_M_PER_S = 150.0
+"""Largest speed of a train [m/s]; a larger value counts as unknown."""
+
+LONGEST_SPEED_GAP_S = 10.0
+"""Longest time [s] between two speeds that is interpolated; the speed is unknown in longer
+ones."""
+
+HIGHEST_RATE_HZ = 20.0
+"""Speeds that come at twice this rate or faster are averaged to it, to save memory."""
+
+LARGEST_ACCELERATION, LARGEST_STEP = 5.0, 2.0
+"""Largest change of a train's speed, [m/s2] times the time step plus [m/s] for resolution."""
+
+STANDING_M_PER_S = 0.5
+"""A receiver that has lost its satellites gives a speed below this."""
+
+
+@dataclass(frozen=True)
+class SpeedTrack:
+    """Speeds as they were recorded.
+
+    Attributes
+    ----------
+    seconds : array of shape (n_known,), [s]
+        Since `zero`, with the manifest's `start_s`.
+    speeds : array of shape (n_known,), [m/s]
+    zero : Zero
+    step_s : float, [s]
+        Usual time between two of them; infinite if there is only one and no rate.
+    words : str
+        How its file is read.
+    """
+
+    seconds: FloatArray
+    speeds: FloatArray
+    zero: Zero
+    step_s: float
+    words: str
+
+
+def read_speed(manifest: TripManifest) -> SpeedTrack | None:
+    """Return the speeds of a trip; None if the manifest gives one number.
+
+    Raises
+    ------
+    TripError
+        If they cannot be read, or their times are wrong.
+    """
+    source = manifest.speed
+    if not isinstance(source, SpeedSource):
+        return None
+    where = f"{manifest.path}: `speed`"
+    with open_source(manifest, source, where, "speed") as file:
+        parts = list(_thinned(_timed(file, where)))
+        seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
+        step_s = 1 / (file.rate_hz or np.inf)
+        if len(seconds) > 1:
+            step_s = float(np.median(np.diff(seconds)))
+        return SpeedTrack(source.start_s + seconds, file.size * speeds, file.zero, step_s, file.words)
+
+
+def speed_at(
+    manifest: TripManifest, track: SpeedTrack | None, offset_s: float, times_s: FloatArray
+) -> tuple[FloatArray, tuple[Fault, ...]]:
+    """Return the speed at some instants of the trip's clock, NaN where unknown, and its faults.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+    track : SpeedTrack or None
+    offset_s : float, [s]
+        Zero of the speed's times on the trip's clock.
+    times_s : array of shape (n,), [s]
+
+    Returns
+    -------
+    speed : array of shape (n,), [m/s]
+    faults : tuple of Fault
+        Of the time that `times_s` cover.
+
+    Raises
+    ------
+    TripError
+        If it is never known.
+    """
+    if track is None:
+        assert isinstance(manifest.speed, float)  # otherwise there is a track
+        return np.full(len(times_s), manifest.speed), ()
+    known_s = track.seconds + offset_s
+    missing = ~((track.speeds >= 0) & (track.speeds <= LARGEST_SPEED_M_PER_S))
+    zero, jump = find_wrong_speeds(known_s, np.where(missing, np.nan, track.speeds))
+    speed = np.where(missing | zero | jump, np.nan, track.speeds)
+    found = np.interp(times_s, known_s, speed)
+    found[(times_s < known_s[0] - track.step_s) | (times_s > known_s[-1] + track.step_s)] = np.nan
+    if len(known_s) > 1:
+        after = np.clip(np.searchsorted(known_s, times_s), 1, len(known_s) - 1)
+        found[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
+    if np.isnan(found).all():
+        raise TripError(
+            f"{manifest.path}: `speed` is never between 0 and {LARGEST_SPEED_M_PER_S:g} m/s while "
+            "the channels record; are its unit, time and start_s right?"
+        )
+    inside = (known_s >= times_s[0]) & (known_s <= times_s[-1])
+    faults = [
+        Fault("speed", kind, n, n * track.step_s, float(known_s[mask & inside][0]), False)
+        for kind, mask in (("gap", missing), ("zero", zero), ("jump", jump))
+        if (n := int(np.count_nonzero(mask & inside)))
+    ]
+    return found, (*_lost_rows(known_s, inside, track.step_s), *faults)
+
+
+def find_wrong_speeds(known_s: FloatArray, speeds: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Return where a speed is a zero that stands for none, and where it jumps; both (n_known,).
+
+    A train cannot stop or start at once, so that a run of zeros with an impossible step at one of
+    its ends is none of a train at rest. Other runs of at most ``LONGEST_SPEED_GAP_S`` between two
+    impossible steps are jumps.
+
+    Parameters
+    ----------
+    known_s : array of shape (n_known,), [s]
+    speeds : array of shape (n_known,), [m/s]
+        NaN where missing.
+    """
+    zero, jump = (np.zeros(len(speeds), dtype=np.bool_) for _ in range(2))
+    at = np.flatnonzero(np.isfinite(speeds))
+    starts, stops = runs(speeds[at] < STANDING_M_PER_S)
+    if len(starts):
+        bad = np.concatenate([[False], _impossible(known_s[at], speeds[at]), [False]])
+        for start, stop in zip(starts, stops, strict=True):
+            zero[at[start:stop]] = bad[start] or bad[stop]
+    at = at[~zero[at]]
+    borders = np.flatnonzero(_impossible(known_s[at], speeds[at])) + 1
+    for start, stop in zip(borders[:-1], borders[1:], strict=True):
+        part = at[start:stop]
+        jump[part] = known_s[part[-1]] - known_s[part[0]] <= LONGEST_SPEED_GAP_S
+    return zero, jump
+
+
+def _impossible(known_s: FloatArray, speeds: FloatArray) -> BoolArray:
+    """Return which steps from one speed to the next no train can make, shape (n - 1,)."""
+    most = LARGEST_STEP + LARGEST_ACCELERATION * np.diff(known_s)
+    return np.asarray(np.abs(np.diff(speeds)) > most)
+
+
+def _lost_rows(known_s: FloatArray, inside: BoolArray, step_s: float) -> Iterator[Fault]:
+    """Yield the faults of missing rows: those that are interpolated, and the longer ones."""
+    steps = np.diff(known_s)
+    lost = (steps > GAP_STEPS * step_s) & inside[:-1] & inside[1:]
+    short = steps <= LONGEST_SPEED_GAP_S
+    for repaired, mask in ((True, lost & short), (False, lost & ~short)):
+        if mask.any():
+            n_samples = int(np.round(steps[mask] / step_s - 1).clip(min=1).sum())
+            first_s = float(known_s[:-1][mask][0])
+            yield Fault("speed", "gap", n_samples, n_samples * step_s, first_s, repaired)
+
+
+def _timed(file: OpenSource, where: str) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield times [s] and speeds, with times that rise and agree with the rate."""
+    last_s: float | None = None
+    n_before = 0
+    for *times, speeds in file.blocks():
+        if times:
+            (seconds,) = times
+            check_rising(where, seconds, last_s)
+            if last_s is None and len(seconds) > 1:
+                check_rate(where, file.rate_hz, 1 / float(np.median(np.diff(seconds))))
+            last_s = float(seconds[-1])
+        else:
+            assert file.rate_hz is not None  # it has times or a rate
+            seconds = (n_before + np.arange(len(speeds))) / file.rate_hz
+            n_before += len(speeds)
+        yield seconds, speeds
+
+
+def _thinned(
+    blocks: Iterable[tuple[FloatArray, FloatArray]],
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield blocks of times and speeds, averaged where they come faster than needed."""
+    for seconds, speeds in blocks:
+        steps = np.diff(seconds)
+        size = int(1 / (HIGHEST_RATE_HZ * np.median(steps))) if len(steps) else 1
+        if size < 2:
+            yield seconds, speeds
+            continue
+        starts = np.arange(0, len(seconds), size)
+        counts = np.diff(starts, append=len(seconds))
+        yield np.add.reduceat(seconds, starts) / counts, np.add.reduceat(speeds, starts) / counts

@@ -1,0 +1,110 @@
+"""Columns written in every format that recordings are read from."""
+
+import csv
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat, wavfile
+
+from suspnet.recordings.formats import CSV_SUFFIXES
+
+
+def write_parquet(path: Path, columns: Mapping, **_) -> None:
+    pq.write_table(pa.table(dict(columns)), path, row_group_size=7)
+
+
+def write_csv(path: Path, columns: Mapping, **_) -> None:
+    with path.open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(columns)
+        rows.writerows(zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True))
+
+
+def write_mat(path: Path, columns: Mapping, **_) -> None:
+    savemat(path, dict(columns))
+
+
+def write_hdf5(path: Path, columns: Mapping, **said) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file[name] = np.asarray(values)[None, :]  # as MATLAB 7.3 does
+            for key, value in said.items():
+                file[name].attrs[key] = value
+
+
+def write_tdms(path: Path, columns: Mapping, **said) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    properties = {"wf_increment": 1 / said["rate_hz"]} if "rate_hz" in said else {}
+    properties |= {"unit_string": said["unit"]} if "unit" in said else {}
+    properties |= {"wf_start_time": said["start"]} if "start" in said else {}
+    with nptdms.TdmsWriter(path) as writer:
+        for part in (slice(0, 5), slice(5, None)):  # two segments
+            writer.write_segment(
+                [
+                    nptdms.ChannelObject("g", n, np.asarray(v)[part], properties=properties)
+                    for n, v in columns.items()
+                ]
+            )
+
+
+def write_mdf(path: Path, columns: Mapping, **said) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        at = np.arange(len(next(iter(columns.values())))) / said.get("rate_hz", 1.0)
+        file.append(
+            [
+                asammdf.Signal(np.asarray(values), at, name=name, unit=said.get("unit", ""))
+                for name, values in columns.items()
+            ]
+        )
+        if "start" in said:
+            file.start_time = said["start"]
+        written = file.save(path.with_suffix(".new.mf4"), overwrite=True)
+    written.rename(path)
+
+
+def write_uff(path: Path, columns: Mapping, **said) -> None:
+    pyuff = pytest.importorskip("pyuff")
+    if not len(next(iter(columns.values()))):
+        path.write_text("")
+        return
+    for name, values in columns.items():
+        at = np.arange(len(values)) / said.get("rate_hz", 1.0)
+        values = np.asarray(values).astype(np.float64)
+        record = pyuff.prepare_58(
+            binary=1, func_type=1, id1=name, rsp_node=1, rsp_dir=3, ref_node=1, ref_dir=3,
+            data=values, x=at, num_pts=len(values), abscissa_spacing=1, abscissa_min=0.0,
+            abscissa_inc=1 / said.get("rate_hz", 1.0), ordinate_spec_data_type=12,
+            ordinate_axis_units_lab=said.get("unit", ""), return_full_dict=True,
+        )  # fmt: skip
+        empty = {key: 0 for key, value in record.items() if value is None and key[-4:] != "_lab"}
+        texts = {key: "NONE" for key in record if key.endswith(("_lab", "_name")) and not record[key]}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves its files open
+            pyuff.UFF(str(path)).write_sets(record | empty | texts | {"ord_data_type": 4}, "add")
+
+
+def write_wav(path: Path, columns: Mapping, **said) -> None:
+    values = np.stack([np.asarray(v).astype(np.float64) for v in columns.values()], axis=1)
+    wavfile.write(path, round(said.get("rate_hz", 1.0)), values)
+
+
+WRITERS = {
+    ".parquet": write_parquet,
+    **dict.fromkeys(CSV_SUFFIXES, write_csv),
+    ".mat": write_mat,
+    ".h5": write_hdf5,
+    ".hdf5": write_hdf5,
+    ".tdms": write_tdms,
+    ".mf4": write_mdf,
+    ".mdf": write_mdf,
+    ".uff": write_uff,
+    ".unv": write_uff,
+    ".wav": write_wav,
+}
