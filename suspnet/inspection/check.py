@@ -206,7 +206,7 @@ def _inspected(
         remarks.append(f"the speed is unknown for {unknown:.2g} % of the time")
     result = replace(
         result,
-        remarks=(*map(str, recording.faults), *remarks),
+        remarks=(*filter(None, [recording.words]), *map(str, recording.faults), *remarks),
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
         band_hz=(estimate.low_hz, estimate.high_hz),

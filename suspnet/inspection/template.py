@@ -64,7 +64,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
     writer = _Writer(path.parent)
     lines = [
         HEAD + path.name,
-        *(f"# {words}" for words in read_as),
+        *(f"# {_on_one_line(words)}" for words in read_as),
         f"format: {FORMAT}",
         f"vehicle:          # {BLANK}: as the model's, e.g. am96",
         f"suspension:       # {BLANK}: in your words; trips of one suspension say the same",
@@ -85,7 +85,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
     if rest:
         more = f" and {len(rest) - LISTED} more" if len(rest) > LISTED else ""
-        names = ", ".join(json.dumps(one.name, ensure_ascii=False) for one in rest[:LISTED])
+        names = ", ".join(_yaml(one.name) for one in rest[:LISTED])
         lines += ["", f"# columns whose names say nothing: {names}{more}"]
     blanks = tuple(dict.fromkeys(writer.blanks))
     return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
@@ -178,7 +178,7 @@ class _Writer:
             words.append("vertical?")
         blanks = [key for key, value in content.items() if value is BLANK]
         inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in content.items())
-        return f"{{{inside}}}", blanks, "; ".join(words)
+        return f"{{{inside}}}", blanks, _on_one_line("; ".join(words))
 
     def _relative(self, file: Path) -> str:
         """Return a file's path from the folder of the manifest."""
@@ -190,7 +190,14 @@ class _Writer:
 
 def _yaml(value: object) -> str:
     """Return a value in YAML's flow style; text always in quotes, but for blanks."""
-    return BLANK if value is BLANK else json.dumps(value, ensure_ascii=False)
+    if value is BLANK:
+        return BLANK
+    return json.dumps(value, ensure_ascii=not str(value).isprintable())
+
+
+def _on_one_line(words: str) -> str:
+    """Return words that end no comment."""
+    return "".join(letter if letter.isprintable() else " " for letter in words)
 
 
 def _gravity(one: Signal, kind: str) -> str:
