@@ -41,7 +41,8 @@ class Signal:
     mean, deviation : float, [unit]
         Of the first samples.
     names : tuple of str
-        By which its meaning is guessed: its own, and that of a file with no more than two columns.
+        By which its meaning is guessed: its own, without and with the group that it is in, and that
+        of a file with no more than two columns.
     """
 
     file: Path
@@ -145,7 +146,7 @@ def _signal(
         time_unit=time_unit,
         mean=float(values.mean()) if len(values) else np.nan,
         deviation=float(values.std()) if len(values) else np.nan,
-        names=(column.name,),
+        names=(column.name.rpartition("/")[2], column.name),
     )
 
 

@@ -107,10 +107,9 @@ class _Writer:
             self.guesses.append("speed")
             return [f"speed: {entry}  # guess by the name; {words}"]
         self.blanks.append("speed")
-        return [
-            f"speed:            # {BLANK}: one number in m/s, or one of the lines without its #",
-            *self._offers(found or rest, SPEED, "  # "),
-        ]
+        offers = self._offers(found or rest, SPEED, "  # ")
+        other = "one of these without the #" if offers else "a source like that of a channel"
+        return [f"speed:            # {BLANK}: one number in m/s, or {other}", *offers]
 
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel, of which `found` are by their names."""

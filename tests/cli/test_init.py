@@ -9,6 +9,7 @@ import pytest
 import scipy.io.wavfile
 import yaml
 from cli_runner import typed
+from recording_files import WRITERS
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init
@@ -77,7 +78,7 @@ def assert_ready(tmp_path):
         (["car 7 bogie"], "bogie", ""),
         (["Wagenkasten"], "body", ""),
         (["car body left"], "body", "left"),
-        (["Run 3/CarBody_R"], "body", "right"),
+        (["CarBody_R", "axle speed/CarBody_R"], "body", "right"),
         (["left", "axle_box"], "axle_box", "left"),
         (["v_kmh"], "speed", ""),
         (["Geschwindigkeit [km/h]"], "speed", ""),
@@ -128,6 +129,18 @@ def test_rate_of_a_wav_file_is_found(tmp_path):
     scipy.io.wavfile.write(tmp_path / "bogie.wav", 2000, np.ones(4000, dtype=np.float32))
     (one,), _ = look_into(tmp_path / "bogie.wav")
     assert (one.rate_hz, one.time, one.meaning) == (2000.0, "", "bogie")
+
+
+@pytest.mark.parametrize("suffix", [".tdms", ".mf4", ".uff"])
+def test_units_and_rates_of_logger_files_are_found(tmp_path, suffix):
+    rng = np.random.default_rng(0)
+    columns = {name: rng.normal(size=500) for name in ("Achslager", "Drehgestell")}
+    WRITERS[suffix](tmp_path / f"run{suffix}", columns, unit="g", rate_hz=500.0)
+    found, _ = look_into(tmp_path / f"run{suffix}")
+    assert [one.meaning for one in found] == ["axle_box", "bogie"]
+    assert [one.unit for one in found] == ["g", "g"]
+    assert [one.rate_hz for one in found] == pytest.approx([500.0, 500.0], rel=1e-3)
+    assert [one.mean for one in found] == pytest.approx([v.mean() for v in columns.values()])
 
 
 def test_rate_by_times_and_their_unit(tmp_path):
