@@ -84,7 +84,9 @@ def write_uff(path: Path, columns: Mapping, **said) -> None:
             ordinate_axis_units_lab=said.get("unit", ""), return_full_dict=True,
         )  # fmt: skip
         empty = {key: 0 for key, value in record.items() if value is None and key[-4:] != "_lab"}
-        texts = {key: "NONE" for key in record if key.endswith(("_lab", "_name")) and not record[key]}
+        texts = {
+            key: "NONE" for key in record if key.endswith(("_lab", "_name")) and not record[key]
+        }
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves its files open
             pyuff.UFF(str(path)).write_sets(record | empty | texts | {"ord_data_type": 4}, "add")

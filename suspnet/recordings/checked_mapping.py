@@ -33,7 +33,7 @@ def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> 
     Raises
     ------
     TripError
-        With `problems` and those of every function, if there are any.
+        With `problems` and those of every function, each once, if there are any.
     """
     found, told = [], list(problems)
     for part in parts:
@@ -42,7 +42,7 @@ def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> 
         except TripError as error:
             told += error.problems
     if told:
-        raise TripError(*told)
+        raise TripError(*dict.fromkeys(told))
     return found
 
 

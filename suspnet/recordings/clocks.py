@@ -85,7 +85,9 @@ class Times:
             (self._begin_stamps if times.dtype.kind == "M" else self._begin_numbers)(times)
         if times.dtype.kind == "M":
             stamps = times.astype("datetime64[ns]")
-            elapsed = (stamps - np.datetime64(int(self._first), "ns")).astype(np.float64) / SECOND_NS
+            elapsed = (stamps - np.datetime64(int(self._first), "ns")).astype(
+                np.float64
+            ) / SECOND_NS
             elapsed[np.isnat(stamps)] = np.nan
             return np.asarray(elapsed)
         return np.asarray((times.astype(np.float64) - self._first) * self._size)
@@ -164,8 +166,8 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     if others:
         if manifest.start is None:
             raise TripError(
-                f"{manifest.path}: {_names(dated)} have absolute times, {_names(others)} have not; "
-                f"give `start`, the time at which {_names(others)} begin"
+                f"{manifest.path}: {', '.join(dated)} have absolute times, {', '.join(others)} "
+                f"have not; give `start`, the time at which {', '.join(others)} begin"
             )
         start, is_zoned = manifest.start, manifest.start.tzinfo is not None
         whole = start.replace(tzinfo=start.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)
@@ -173,20 +175,15 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     local = [name for name, zero in dated.items() if not zero.is_zoned]
     if local and (len(local) < len(dated) or is_zoned):
         raise TripError(
-            f"{manifest.path}: the times of {_names(local)} name no time zone, others do; give "
+            f"{manifest.path}: the times of {', '.join(local)} name no time zone, others do; give "
             'their `time_zone`, like "UTC", "+02:00" or "Europe/Berlin"'
         )
     if not local and is_zoned is False:
         raise TripError(
-            f"{manifest.path}: the times of {_names(dated)} are in UTC; write the time zone into "
-            "`start` too, like 2015-08-03T08:00:00+02:00"
+            f"{manifest.path}: the times of {', '.join(dated)} are in UTC; write the time zone "
+            "into `start` too, like 2015-08-03T08:00:00+02:00"
         )
     return {
         name: 0.0 if zero.ns is None else (zero.ns - first) / SECOND_NS
         for name, zero in zeros.items()
     }
-
-
-def _names(names: object) -> str:
-    """Return names for a message."""
-    return ", ".join(names)  # type: ignore[call-overload, no-any-return]

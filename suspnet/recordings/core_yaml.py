@@ -82,7 +82,7 @@ class _Builder:
     def __init__(self) -> None:
         self.anchors: dict[str, Any] = {}
 
-    def document(self, events: Iterator[yaml.Event]) -> Any:
+    def document(self, events: Iterator[Any]) -> Any:
         """Return the content of the only document."""
         content, n_documents = None, 0
         for event in events:
@@ -93,7 +93,7 @@ class _Builder:
                 content = self._node(next(events), events, 0)
         return content
 
-    def _node(self, event: yaml.Event, events: Iterator[yaml.Event], depth: int) -> Any:
+    def _node(self, event: Any, events: Iterator[Any], depth: int) -> Any:
         """Return the content of the node that an event begins."""
         if depth > DEEPEST:
             raise ValueError(f"line {_line(event)}: it is nested more than {DEEPEST} deep")
@@ -118,7 +118,7 @@ class _Builder:
             self.anchors[event.anchor] = content
         return content
 
-    def _mapping(self, events: Iterator[yaml.Event], depth: int) -> dict[Any, Any]:
+    def _mapping(self, events: Iterator[Any], depth: int) -> dict[Any, Any]:
         """Return a mapping; ValueError if it holds a key twice."""
         content: dict[Any, Any] = {}
         merged: list[Any] = []
@@ -164,6 +164,6 @@ def _scalar(event: yaml.ScalarEvent) -> Any:
     return float(text.replace(".", "", 1)) if _SPECIAL.fullmatch(text) else text
 
 
-def _line(event: yaml.Event) -> int:
+def _line(event: Any) -> int:
     """Return the line in which an event begins, counted from 1."""
     return int(event.start_mark.line) + 1

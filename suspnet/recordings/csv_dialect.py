@@ -240,9 +240,7 @@ def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
     return [one for one in found if one.n_broken == fewest]
 
 
-def _read(
-    delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others: int
-) -> _Candidate:
+def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others: int) -> _Candidate:
     """Return what rows hold if they are read with a delimiter and a decimal sign."""
     numeric, stamped, n_broken = [], [], n_others
     commas: list[str] = []

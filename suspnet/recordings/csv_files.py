@@ -20,8 +20,8 @@ from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
 from suspnet.recordings.manifest import CsvDialect
 from suspnet.types import FloatArray
 
-BLOCK_BYTES = 2**21
-"""Number of bytes that are parsed at once."""
+BLOCK_BYTES = 2**19
+"""Number of bytes that are parsed at once; Arrow reads 32 such blocks ahead."""
 
 
 @contextmanager

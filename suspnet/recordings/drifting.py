@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import get_window
 
 from suspnet.recordings.checked_mapping import TripError
@@ -31,8 +32,8 @@ LEAST_WINDOWS = 6
 LEAST_CORRELATION = 0.4
 """Least correlation of a window's cross-spectrum with the common one for its peak to be clear."""
 
-OVERSAMPLING = 8
-"""Number of points between samples on which the peak of the cross-correlation is sought."""
+NEWTON_STEPS = 3
+"""Number of steps from the highest sample of the cross-correlation to its peak."""
 
 MEMORY = 0.2
 """Weight of the newest window in the common cross-spectrum that follows a drifting clock."""
@@ -105,7 +106,9 @@ def clock_faults(
                 "column of `time`"
             )
         if size_s > TOLD_S:
-            faults.append(Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words))
+            faults.append(
+                Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words)
+            )
     return tuple(faults)
 
 
@@ -117,7 +120,7 @@ def _compared(manifest: TripManifest) -> list[tuple[str, str]]:
     }
     firsts = [sides[name][0] for name in CHANNELS]
     pairs = [(sides[name][0], sides[name][1]) for name in CHANNELS if len(sides[name]) == 2]
-    return [*zip(firsts, firsts[1:], strict=False), *pairs]
+    return [*pairwise(firsts), *pairs]
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
@@ -163,35 +166,37 @@ def find_drift(
     if n_windows < LEAST_WINDOWS:
         return None
     whole = slice(0, n_windows * size)
-    good = usable[whole].reshape(n_windows, size).all(axis=1)
+    good = np.asarray(usable[whole].reshape(n_windows, size).all(axis=1))
     if np.count_nonzero(good) < LEAST_WINDOWS:
         return None
     spectra = _cross_spectra(first[whole], second[whole], good, size, rate_hz)
     delays_s, clear = _delays(spectra, size, rate_hz)
     if np.count_nonzero(clear) < LEAST_WINDOWS:
         return None
-    middles_s = ((np.flatnonzero(good) + 0.5) * WINDOW_S)[clear]
+    middles_s = WINDOW_S * (np.flatnonzero(good)[clear] + 0.5)
     slowness = 1 / speed_m_per_s[whole].reshape(n_windows, size)[good].mean(axis=1)[clear]
-    return _fitted(middles_s, delays_s[clear], slowness)
+    return _fitted(np.asarray(middles_s), delays_s[clear], slowness)
 
 
 def _cross_spectra(
     first: FloatArray, second: FloatArray, good: BoolArray, size: int, rate_hz: float
 ) -> ComplexArray:
-    """Return conj(X) Y of each good window, each bin over its mean size, 0 outside the band."""
+    """Return conj(X) Y of each good window in the band, each bin over its mean size."""
     window = get_window("hann", size)
-    n_fft = next_fast_len(2 * size, real=True)
+    n_fft = 2 * size
+    band = _band(n_fft, rate_hz)
     x, y = (
-        rfft(window * signal.reshape(-1, size)[good], n_fft, axis=1) for signal in (first, second)
+        rfft(window * signal.reshape(-1, size)[good], n_fft, axis=1)[:, band]
+        for signal in (first, second)
     )
-    frequencies = rfftfreq(n_fft, 1 / rate_hz)
-    outside = (frequencies < BAND_HZ[0]) | (frequencies > BAND_HZ[1])
-    powers = [np.sqrt((np.abs(one) ** 2).mean(axis=0)) for one in (x, y)]
-    cross = x.conj() * y
-    scale = powers[0] * powers[1]
-    cross[:, outside | (scale == 0)] = 0.0
-    cross /= np.where(scale == 0, 1.0, scale)
-    return np.asarray(cross)
+    scale = np.sqrt((np.abs(x) ** 2).mean(axis=0) * (np.abs(y) ** 2).mean(axis=0))
+    return np.asarray(x.conj() * y / np.where(scale == 0, 1.0, scale))
+
+
+def _band(n_fft: int, rate_hz: float) -> slice:
+    """Return the bins of the band."""
+    low, high = (round(edge * n_fft / rate_hz) for edge in BAND_HZ)
+    return slice(low, high + 1)
 
 
 def _delays(spectra: ComplexArray, size: int, rate_hz: float) -> tuple[FloatArray, BoolArray]:
@@ -200,36 +205,39 @@ def _delays(spectra: ComplexArray, size: int, rate_hz: float) -> tuple[FloatArra
     The common spectrum first follows the windows one after the other, whatever the drift. Then it
     is the mean of all windows, each without its delay.
     """
-    n_fft = 2 * (spectra.shape[1] - 1)
-    omega = 2 * np.pi * rfftfreq(n_fft, 1 / rate_hz)
+    n_fft = 2 * size
+    omega = (2 * np.pi * rfftfreq(n_fft, 1 / rate_hz))[_band(n_fft, rate_hz)]
     common = spectra[0]
     delays = np.zeros(len(spectra))
     for k in range(1, len(spectra)):
-        delays[k] = _peak(spectra[k : k + 1] * common.conj(), n_fft, rate_hz)[0]
+        delays[k] = _peak(spectra[k : k + 1] * common.conj(), omega, n_fft, rate_hz)[0]
         aligned = spectra[k] * np.exp(1j * omega * delays[k])
         common = (1 - MEMORY) * common + MEMORY * aligned
     for _ in range(2):
         aligned = spectra * np.exp(1j * omega * delays[:, None])
         common = aligned.mean(axis=0)
-        delays += _peak(aligned * common.conj(), n_fft, rate_hz)
+        delays += _peak(aligned * common.conj(), omega, n_fft, rate_hz)
     aligned = spectra * np.exp(1j * omega * delays[:, None])
     matched = (aligned * common.conj()).real.sum(axis=1)
     sizes = np.sqrt((np.abs(spectra) ** 2).sum(axis=1) * (np.abs(common) ** 2).sum())
     return delays, matched > LEAST_CORRELATION * np.where(sizes > 0, sizes, np.inf)
 
 
-def _peak(spectra: ComplexArray, n_fft: int, rate_hz: float) -> FloatArray:
-    """Return the delay of the peak of each correlation with these spectra, shape (n,), [s]."""
-    n_fine = OVERSAMPLING * n_fft
-    found = np.empty(len(spectra))
-    for k, spectrum in enumerate(spectra):
-        correlation = irfft(spectrum, n_fine)
-        top = int(np.argmax(correlation))
-        before, at, after = correlation[[top - 1, top, (top + 1) % n_fine]]
-        bend = before - 2 * at + after
-        place = top + (0.5 * (before - after) / bend if bend < 0 else 0.0)
-        found[k] = (place - n_fine if top > n_fine // 2 else place) / (OVERSAMPLING * rate_hz)
-    return found
+def _peak(spectra: ComplexArray, omega: FloatArray, n_fft: int, rate_hz: float) -> FloatArray:
+    """Return the delay at the peak of the correlation of each of these spectra, (n,), [s].
+
+    The peak of the sampled correlation is where Newton's method starts on Re sum G exp(i w t).
+    """
+    whole = np.zeros((len(spectra), n_fft // 2 + 1), dtype=np.complex128)
+    whole[:, _band(n_fft, rate_hz)] = spectra
+    top = irfft(whole, n_fft, axis=1).argmax(axis=1)
+    delays = np.where(top > n_fft // 2, top - n_fft, top) / rate_hz
+    for _ in range(NEWTON_STEPS):
+        turned = spectra * np.exp(1j * omega * delays[:, None])
+        slope, bend = -(turned.imag @ omega), turned.real @ omega**2
+        step = np.divide(slope, bend, out=np.zeros(len(slope)), where=bend > 0)
+        delays += step.clip(-0.5 / rate_hz, 0.5 / rate_hz)
+    return np.asarray(delays)
 
 
 def _fitted(middles_s: FloatArray, delays_s: FloatArray, slowness: FloatArray) -> Drift:

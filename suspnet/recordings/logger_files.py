@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -131,7 +130,7 @@ def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
         # The destructor of what could not be opened would print a traceback.
         for frame, _ in walk_tb(error.__traceback__):
             opened = frame.f_locals.get("self")
-            if hasattr(opened, "_tempfile") and not getattr(opened, "_closed", True):
+            if opened is not None and not getattr(opened, "_closed", True):
                 opened._tempfile.close()
                 opened._closed = True
         raise ValueError(f"{type(error).__name__}: {error}") from error
@@ -248,7 +247,7 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Return what a function of asammdf or pyuff returns, which raise any error on damaged files."""
+    """Return what a function of asammdf or pyuff returns; on damage they raise any error."""
     try:
         return read(*arguments, **named)
     except Exception as error:

@@ -7,9 +7,10 @@ its own. Half their sum is the channel, in which roll cancels; half their differ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -17,14 +18,17 @@ import numpy as np
 from suspnet.checks import check_number
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
-from suspnet.recordings.clocks import Zero, offsets_s
+from suspnet.recordings.clocks import offsets_s
 from suspnet.recordings.drifting import clock_faults
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
-from suspnet.recordings.sources import OpenSource, open_source
+from suspnet.recordings.sources import OpenSource, open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 from suspnet.recordings.timeline import Timeline
 from suspnet.types import BoolArray, FloatArray
+
+MOST_AT_ONCE = 3
+"""Number of sensors that are read at the same time, which bounds the memory that this takes."""
 
 SHORTEST_S = 60.0
 """Least length of a recording, [s]."""
@@ -75,42 +79,25 @@ class Recording:
 
 @dataclass(frozen=True)
 class _Stream:
-    """One sensor after the first stage of resampling."""
+    """One sensor on the common clock, for as long as it recorded.
+
+    Attributes
+    ----------
+    start_s, end_s : float, [s]
+        Of the recording; the low-pass takes off a part of it.
+    first : int
+        Values are of the instants ``(first + arange(n)) / rate_hz``.
+    values, touched : arrays of shape (n,)
+    """
 
     name: str
-    decimated: Decimated
-    rate_hz: float
     start_s: float
-    n_samples: int
+    end_s: float
+    first: int
+    values: FloatArray
+    touched: BoolArray
     faults: tuple[Fault, ...]
-    zero: Zero
     words: str
-
-    def shifted(self, seconds: float) -> _Stream:
-        """Return the sensor with its times on another clock."""
-        faults = tuple(replace(one, first_s=one.first_s + seconds) for one in self.faults)
-        return replace(self, start_s=self.start_s + seconds, faults=faults)
-
-    @property
-    def end_s(self) -> float:
-        return self.start_s + self.n_samples / self.rate_hz
-
-    def positions(self, times_s: FloatArray | float) -> FloatArray:
-        """Return instants of the trip's clock in samples after the first stage."""
-        elapsed = (np.asarray(times_s) - self.start_s) * self.rate_hz
-        return np.asarray((elapsed - self.decimated.first) / self.decimated.factor)
-
-    def span_s(self, wanted_hz: float) -> tuple[float, float]:
-        """Return the first and last instant at which the second stage has all that it needs."""
-        half = support(self.oversampling(wanted_hz))
-        ends = np.array([half, len(self.decimated.values) - 1 - half])
-        first, last = self.start_s + (self.decimated.first + ends * self.decimated.factor) / (
-            self.rate_hz
-        )
-        return float(first), float(last)
-
-    def oversampling(self, wanted_hz: float) -> float:
-        return self.rate_hz / self.decimated.factor / wanted_hz
 
 
 def load_recording(
@@ -118,8 +105,9 @@ def load_recording(
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
-    Files are read block by block, the sensors at the same time. Only the time that all sensors
-    cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not complete.
+    Files are read block by block, ``MOST_AT_ONCE`` sensors at the same time. Only the time that
+    all sensors cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not
+    complete.
 
     Parameters
     ----------
@@ -139,26 +127,36 @@ def load_recording(
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
-    with ThreadPoolExecutor(len(sensors) + 1) as pool:
-        streams, track = _read(manifest, rate_hz, cleaning, pool)
-        zeros = {stream.name: stream.zero for stream in streams}
-        offsets = offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
-        streams = [stream.shifted(offsets[stream.name]) for stream in streams]
-        times_s = _common_times(manifest, streams, rate_hz)
-        resampled = list(pool.map(lambda stream: _resample(stream, times_s, rate_hz), streams))
-    told = [track.words if track else "", *(stream.words for stream in streams)]
-    faults = tuple(fault for stream in streams for fault in stream.faults)
-    del streams
+    problems: tuple[str, ...] = ()
+    try:
+        track, offsets = _clocks(manifest)
+    except TripError as error:  # the sensors are read all the same: they may have problems too
+        track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
+    with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
+        read = [
+            pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz, cleaning)
+            for name in sensors
+        ]
+        streams: list[_Stream] = all_of([one.result for one in read], problems)
+    del read
+    first, last = _common(manifest, streams, rate_hz)
+    times_s = np.arange(first, last + 1) / rate_hz
     speed, speed_faults = speed_at(manifest, track, offsets.get("speed", 0.0), times_s)
-    usable = np.isfinite(speed) & ~np.any([touched for _, touched in resampled], axis=0)
-    faults += speed_faults
+    touched = np.zeros(len(times_s), dtype=np.bool_)
+    values = {}
+    for stream in streams:
+        part = slice(first - stream.first, last + 1 - stream.first)
+        values[stream.name] = stream.values[part]
+        touched |= stream.touched[part]
+    usable = np.isfinite(speed) & ~touched
+    faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults)
     if not usable.any():
         raise TripError(
             f"{manifest.path}: at no time are all channels and the speed usable: "
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
-    values = dict(zip(sensors, (values for values, _ in resampled), strict=True))
     faults += clock_faults(manifest, values, usable, speed, rate_hz)
+    told = [track.words if track else "", *(stream.words for stream in streams)]
     paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz
     return Recording(
@@ -176,20 +174,17 @@ def load_recording(
     )
 
 
-def _read(
-    manifest: TripManifest,
-    rate_hz: float,
-    cleaning: CleaningSettings | None,
-    pool: ThreadPoolExecutor,
-) -> tuple[list[_Stream], SpeedTrack | None]:
-    """Return all sensors and the speed, read at the same time; TripError has all their problems."""
-    read = [
-        pool.submit(_read_sensor, manifest, name, one, rate_hz, cleaning)
-        for name, one in manifest.sensors().items()
-    ]
-    speed = pool.submit(read_speed, manifest)
-    *streams, track = all_of([*(one.result for one in read), speed.result])
-    return streams, track
+def _clocks(manifest: TripManifest) -> tuple[SpeedTrack | None, dict[str, float]]:
+    """Return the speeds, and what is added to the times of each sensor and of the speed, [s]."""
+    sensors = manifest.sensors()
+    track, *found = all_of(
+        [
+            partial(read_speed, manifest),
+            *(partial(zero_of, manifest, one, _where(manifest, n)) for n, one in sensors.items()),
+        ]
+    )
+    zeros = dict(zip(sensors, found, strict=True))
+    return track, offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
 
 
 def _combined(
@@ -210,15 +205,20 @@ def _combined(
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 
 
+def _where(manifest: TripManifest, name: str) -> str:
+    """Return how errors name a sensor."""
+    return f"{manifest.path}: channel {name!r}"
+
+
 def _read_sensor(
     manifest: TripManifest,
     name: str,
-    channel: Channel,
+    offset_s: float,
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> _Stream:
-    """Read, clean and decimate one sensor as it streams by."""
-    where = f"{manifest.path}: channel {name!r}"
+    """Read, clean and decimate one sensor as it streams by, and put it on the common clock."""
+    where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
         timeline = None if source.times is None else Timeline(where, source.rate_hz)
         blocks = _values(source, timeline)
@@ -226,20 +226,46 @@ def _read_sensor(
         rate_hz = _known_rate(where, source.rate_hz, timeline)
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
-        size = source.size
-        full_scale = None if channel.range is None else channel.range * abs(size)
-        if full_scale is not None and source.is_fraction:
-            full_scale = abs(size)
-        cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
-        scaled = (size * block for block in chain([first_block], blocks))
+        cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
+        scaled = (source.size * block for block in chain([first_block], blocks))
         decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
-    start_s = channel.start_s + (0.0 if timeline is None else timeline.first_s)
+    start_s = offset_s + channel.start_s + (0.0 if timeline is None else timeline.first_s)
     faults = cleaner.faults(start_s)
     _check_alive(where, cleaner, faults)
     rate_hz = _known_rate(where, source.rate_hz, timeline)
-    return _Stream(
-        name, decimated, rate_hz, start_s, cleaner.n_samples, faults, source.zero, source.words
-    )
+    first, values, touched = _resampled(decimated, rate_hz, start_s, wanted_hz)
+    end_s = start_s + cleaner.n_samples / rate_hz
+    return _Stream(name, start_s, end_s, first, values, touched, faults, source.words)
+
+
+def _resampled(
+    decimated: Decimated, rate_hz: float, start_s: float, wanted_hz: float
+) -> tuple[int, FloatArray, BoolArray]:
+    """Return the first instant of the common clock, values there, and where a bad one took part.
+
+    Parameters
+    ----------
+    decimated : Decimated
+    rate_hz : float, [Hz]
+        Before decimation.
+    start_s : float, [s]
+        Of the first sample, on the trip's clock.
+    wanted_hz : float, [Hz]
+    """
+    oversampling = rate_hz / decimated.factor / wanted_hz
+    half = support(oversampling)
+    ends = np.array([half, len(decimated.values) - 1 - half])
+    span_s = start_s + (decimated.first + ends * decimated.factor) / rate_hz
+    first = math.ceil(float(span_s[0]) * wanted_hz - 1e-9)
+    last = math.floor(float(span_s[1]) * wanted_hz + 1e-9)
+    if last < first or ends[1] < ends[0]:
+        return first, np.empty(0), np.empty(0, dtype=np.bool_)
+    positions = np.arange(first, last + 1) / wanted_hz
+    positions -= start_s  # in place, as a long trip has many
+    positions *= rate_hz
+    positions -= decimated.first
+    positions /= decimated.factor
+    return first, *interpolate(decimated.values, decimated.touched, positions, oversampling)
 
 
 def _values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
@@ -272,8 +298,8 @@ def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> Non
     raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
 
 
-def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float) -> FloatArray:
-    """Return the instants of the common clock, shape (n,), [s]."""
+def _common(manifest: TripManifest, streams: Sequence[_Stream], rate_hz: float) -> tuple[int, int]:
+    """Return the first and the last instant that all sensors have, in samples of the clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = ", ".join(
@@ -283,18 +309,5 @@ def _common_times(manifest: TripManifest, streams: list[_Stream], rate_hz: float
             f"{manifest.path}: only {max(common_s, 0.0):.1f} s are common to all channels; "
             f"at least {SHORTEST_S:g} s are needed ({spans})"
         )
-    spans_s = [stream.span_s(rate_hz) for stream in streams]
-    first = math.ceil(max(first for first, _ in spans_s) * rate_hz - 1e-9)
-    last = math.floor(min(last for _, last in spans_s) * rate_hz + 1e-9)
-    return np.arange(first, last + 1) / rate_hz
-
-
-def _resample(stream: _Stream, times_s: FloatArray, rate_hz: float) -> tuple[FloatArray, BoolArray]:
-    """Return a sensor at instants of the common clock, and where a bad sample took part."""
-    decimated = stream.decimated
-    return interpolate(
-        decimated.values,
-        decimated.touched,
-        stream.positions(times_s),
-        stream.oversampling(rate_hz),
-    )
+    first = max(stream.first for stream in streams)
+    return first, min(stream.first + len(stream.values) for stream in streams) - 1

@@ -121,17 +121,16 @@ def interpolate(
     """
     half = support(oversampling)
     table = _sinc_table(half, oversampling)
-    before = np.floor(positions).astype(np.intp)
-    phase, fraction = np.divmod((positions - before) * PHASES, 1.0)
-    row = phase.astype(np.intp)
     near = sliding_window_view(values, 2 * half)
-    first = before - half + 1
-    out = np.empty(len(positions))
+    out, first = np.empty(len(positions)), np.empty(len(positions), dtype=np.intp)
     for start in range(0, len(positions), BLOCK_ROWS):
         part = slice(start, start + BLOCK_ROWS)
-        windows, weight = near[first[part]], fraction[part]
-        low = np.einsum("ij,ij->i", windows, table[row[part]])
-        high = np.einsum("ij,ij->i", windows, table[row[part] + 1])
+        before = np.floor(positions[part])
+        phase, weight = np.divmod((positions[part] - before) * PHASES, 1.0)
+        first[part] = before.astype(np.intp) - half + 1
+        windows, row = near[first[part]], phase.astype(np.intp)
+        low = np.einsum("ij,ij->i", windows, table[row])
+        high = np.einsum("ij,ij->i", windows, table[row + 1])
         out[part] = low + weight * (high - low)
     return out, _touched(touched, first, 2 * half)
 
@@ -160,5 +159,6 @@ def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:
     """Return which of the windows of `length` samples from `first` hold a bad one."""
     if not bad.any():
         return np.zeros(len(first), dtype=np.bool_)
-    count = np.concatenate([[0], np.cumsum(bad)])
+    count = np.zeros(len(bad) + 1, dtype=np.int32)
+    np.cumsum(bad, out=count[1:])
     return np.asarray(count[first + length] > count[first])

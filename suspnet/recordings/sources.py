@@ -37,10 +37,10 @@ class OpenSource:
         Those of its blocks; None if it is evenly sampled from `zero` on.
     zero : Zero
         With `times`, known after the first block.
+    full_scale : float or None, [m/s2]
+        Largest magnitude of an acceleration.
     words : str
         How its file is read.
-    is_fraction : bool
-        Its values are fractions of full scale.
     """
 
     path: Path
@@ -50,8 +50,8 @@ class OpenSource:
     rate_hz: float | None
     times: Times | None
     stated: Zero
+    full_scale: float | None
     words: str
-    is_fraction: bool
 
     @property
     def zero(self) -> Zero:
@@ -102,6 +102,9 @@ def open_source(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
             )
         size, words = _size(where, kind, source, column)
+        full_scale = getattr(source, "range", None)
+        if full_scale is not None:
+            full_scale = abs(size) * (1.0 if column.full_scale is not None else full_scale)
         times = None
         if time is not None:
             choose(path, file, [time])
@@ -116,8 +119,8 @@ def open_source(
             rate_hz,
             times,
             Zero(column.start_ns, is_stated=True),
+            full_scale,
             "; ".join(part for part in (file.words, words) if part),
-            column.full_scale is not None,
         )
 
 
@@ -156,3 +159,13 @@ def _size(where: str, kind: str, source: Source, column: Column) -> tuple[float,
             )
         size *= source.range
     return size * (source.sign if isinstance(source, Channel) else 1), words
+
+
+def zero_of(manifest: TripManifest, source: Source, where: str) -> Zero:
+    """Return what the times of a channel are counted from; TripError if it cannot be read."""
+    with open_source(manifest, source, where, "acceleration") as opened:
+        if opened.times is not None:
+            for times in read_columns(opened.path, opened.file, opened.names[:1]):
+                opened.times.seconds(times[0])
+                break
+        return opened.zero

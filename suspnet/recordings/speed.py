@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -74,7 +75,9 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
         step_s = 1 / (file.rate_hz or np.inf)
         if len(seconds) > 1:
             step_s = float(np.median(np.diff(seconds)))
-        return SpeedTrack(source.start_s + seconds, file.size * speeds, file.zero, step_s, file.words)
+        return SpeedTrack(
+            source.start_s + seconds, file.size * speeds, file.zero, step_s, file.words
+        )
 
 
 def speed_at(
@@ -149,7 +152,7 @@ def find_wrong_speeds(known_s: FloatArray, speeds: FloatArray) -> tuple[BoolArra
             zero[at[start:stop]] = bad[start] or bad[stop]
     at = at[~zero[at]]
     borders = np.flatnonzero(_impossible(known_s[at], speeds[at])) + 1
-    for start, stop in zip(borders[:-1], borders[1:], strict=True):
+    for start, stop in pairwise(borders):
         part = at[start:stop]
         jump[part] = known_s[part[-1]] - known_s[part[0]] <= LONGEST_SPEED_GAP_S
     return zero, jump

@@ -196,7 +196,10 @@ def test_truncated_files_are_refused(tmp_path, suffix, kept):
         read(path, named(suffix, "a"))
 
 
-@given(st.randoms(use_true_random=False), st.sampled_from([".parquet", ".mat", ".h5", ".tdms", ".mf4", ".uff", ".wav"]))
+@given(
+    st.randoms(use_true_random=False),
+    st.sampled_from([".parquet", ".mat", ".h5", ".tdms", ".mf4", ".uff", ".wav"]),
+)
 def test_damaged_files_raise_nothing_else(tmp_path_factory, random, suffix):
     path = tmp_path_factory.mktemp("damage") / f"data{suffix}"
     WRITERS[suffix](path, {"a": np.arange(50.0)})
@@ -213,7 +216,9 @@ def test_damaged_files_raise_nothing_else(tmp_path_factory, random, suffix):
 def test_missing_and_unknown_files_are_refused(tmp_path):
     with pytest.raises(TripError, match=r"gone\.csv: there is no such file"):
         read(tmp_path / "gone.csv", "a")
-    with pytest.raises(TripError, match=r"files of type '\.xls' cannot be read; give \['\.asc', '\.csv'"):
+    with pytest.raises(
+        TripError, match=r"files of type '\.xls' cannot be read; give \['\.asc', '\.csv'"
+    ):
         read(tmp_path / "data.xls", "a")
 
 

@@ -316,7 +316,7 @@ def test_words_stay_words(folder, word):
     path = write(folder, TRIP.replace("car 7, leading bogie, right", word))
     assert read_manifest(path).suspension == word
     for refused in ("0777", "true", "1e5", "null", "0x1F"):
-        with pytest.raises(TripError, match="`suspension` (must be text|is missing)"):
+        with pytest.raises(TripError, match=r"`suspension` (must be text|is missing)"):
             read_manifest(write(folder, TRIP.replace("car 7, leading bogie, right", refused)))
 
 
