@@ -181,6 +181,28 @@ def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]
     return groups
 
 
+def steady_groups(band: SegmentSpectra, speeds: Tensor, settings: TripSettings) -> list[Tensor]:
+    """Return what can be used of the segments at each steady speed, the largest group first.
+
+    Parameters
+    ----------
+    band : SegmentSpectra
+        On the bins of an estimate, where loud and incoherent segments are left out.
+    speeds : tensor of shape (n_segments, n_samples), [m/s]
+    settings : TripSettings
+
+    Returns
+    -------
+    list of bool tensors of shape (n_segments,)
+    """
+    steady = steady_segments(speeds, settings.speed_tolerance)
+    steady &= speeds.mean(dim=1) >= settings.min_speed_m_per_s
+    return [
+        without_incoherent(band, without_loud(band, group), settings.min_coherence)[0]
+        for group in same_speed(speeds, steady, settings.speed_tolerance)
+    ]
+
+
 def _speed_bin(
     method: FittedMethod,
     recording: Recording,

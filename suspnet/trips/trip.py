@@ -20,14 +20,13 @@ from suspnet.model.sides import with_sides
 from suspnet.model.speed_bin import SpeedBin, combined
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
+from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.trips.commissionings import models_at, since_km
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 
 log = logging.getLogger(__name__)
-WINDOWS = 600
-"""Number of windows of a trip's overview."""
 
 
 def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
@@ -180,18 +179,15 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
     """Return the curves and the overview of signals behind an estimate."""
     method = trip_settings(best.method).method
-    n_windows = min(WINDOWS, recording.signals.shape[1])
-    size = recording.signals.shape[1] // n_windows
-    windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)
-    speed = recording.speed_m_per_s[: n_windows * size].reshape(n_windows, size)
+    seen = overview(recording)
     return TripCurves(
         frequencies_hz=best.segments.frequencies_hz.numpy(),
         responses=best.spectra.responses(method).numpy(),
         coherences=best.spectra.coherences().numpy(),
         deviations=best.spectra.deviations(method).numpy(),
-        overview_s=np.arange(n_windows) * size / recording.rate_hz,
-        overview_low=windows.min(axis=2),
-        overview_high=windows.max(axis=2),
-        overview_mean=windows.mean(axis=2),
-        overview_speed=speed.mean(axis=1),
+        overview_s=seen.times_s,
+        overview_low=seen.low,
+        overview_high=seen.high,
+        overview_mean=seen.mean,
+        overview_speed=seen.speed_m_per_s,
     )
