@@ -26,6 +26,7 @@ from sklearn.exceptions import ConvergenceWarning
 from suspnet.checks import check_number
 from suspnet.cli import configs, naming
 from suspnet.cli.trusted import CheckedLoader, check_configuration
+from suspnet.cli.values import read_values
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
 
@@ -36,6 +37,7 @@ MISTAKES = (
     ValueError,
     TypeError,
     OSError,
+    MemoryError,
     RecursionError,
     yaml.YAMLError,
     HydraException,
@@ -132,13 +134,14 @@ def join_ranks(device: str) -> None:
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
-    """Wrap a Hydra task function: check what it may build, end with one line on a mistake."""
+    """Wrap a Hydra task function: check its objects and values, end with one line on a mistake."""
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> Any:
         warnings.simplefilter("always", ConvergenceWarning)
         try:
             check_configuration(config)
+            read_values(config)
             return function(config)
         except MISTAKES as error:
             if _debugging:
@@ -156,6 +159,8 @@ def one_line(error: BaseException) -> str:
     words = str(error)
     if isinstance(error, RecursionError):
         words = "the configuration is nested too deeply, or refers to itself"
+    if isinstance(error, MemoryError):
+        words = f"not enough memory: {words or 'ask for less at a time'}"
     for noise in ("Config search path", "full_key:", "To append to your "):
         words = words.split(noise)[0]
     if words.startswith("Could not override"):
@@ -186,7 +191,7 @@ def n_threads(wanted: int | None) -> int:
     """
     if wanted is None:
         return torch.get_num_threads()
-    check_number("threads", wanted, low=1, whole=True, optional=True)
+    check_number("threads", wanted, low=1, high=1024, whole=True, optional=True)
     torch.set_num_threads(wanted)
     return wanted
 

@@ -74,7 +74,9 @@ class Vehicle:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name not in ("name", "source"):
-                check_number(field.name, value, above=0, optional=field.name in GEOMETRY)
+                is_length = field.name in GEOMETRY
+                largest = 100 if is_length else 1e12
+                check_number(field.name, value, above=0, below=largest, optional=is_length)
         _check_frequency(self, "primary", self.primary_frequency_hz)
         _check_frequency(self, "secondary", self.secondary_frequency_hz)
         _check_damping(self, "primary", self.primary_damping_ratio)
