@@ -21,6 +21,7 @@ def check_number(
     below: float | None = None,
     whole: bool = False,
     optional: bool = False,
+    most: float = LARGEST,
 ) -> None:
     """Raise unless `value` is a finite number within the bounds given.
 
@@ -37,13 +38,16 @@ def check_number(
         Only whole numbers.
     optional : bool
         Allow None too.
+    most : float
+        Magnitude that no sensible value has, which would ask for too much time or memory, or
+        overflow.
 
     Raises
     ------
     TypeError
         If it is not a number, or not a whole one where it must be.
     ValueError
-        If it is NaN, infinite, beyond `LARGEST` or out of range.
+        If it is NaN, infinite, beyond `most` or out of range.
     """
     if optional and value is None:
         return
@@ -58,8 +62,8 @@ def check_number(
         number = float(value)
     except OverflowError:
         number = math.inf
-    if LARGEST < abs(number) < math.inf:
-        raise ValueError(f"`{name}` must be at most {LARGEST:g} in magnitude, got {value}")
+    if most < abs(number) < math.inf:
+        raise ValueError(f"`{name}` must be at most {most:g} in magnitude, got {value}")
     inside = (
         math.isfinite(number)
         and (low is None or number >= low)

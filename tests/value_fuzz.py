@@ -111,9 +111,8 @@ def outcome(module, config):
             limited(SECONDS),
             redirect_stdout(io.StringIO()),
             redirect_stderr(io.StringIO()),
-            warnings.catch_warnings(),
+            warnings.catch_warnings(record=True),
         ):
-            warnings.simplefilter("ignore")
             module.compose(config)
     except AtWork:
         return "at work", ""

@@ -191,7 +191,7 @@ def n_threads(wanted: int | None) -> int:
     """
     if wanted is None:
         return torch.get_num_threads()
-    check_number("threads", wanted, low=1, high=1024, whole=True, optional=True)
+    check_number("threads", wanted, low=1, most=1024, whole=True, optional=True)
     torch.set_num_threads(wanted)
     return wanted
 

@@ -23,7 +23,7 @@ def compose(config: DictConfig) -> None:
     folder = Path(config.out)
     if folder.exists() and any(folder.glob("*.yaml")):
         raise ValueError(f"out={folder} already holds trips; give another folder")
-    check_number("workers", config.workers, low=1, high=1024, whole=True)
+    check_number("workers", config.workers, low=1, most=1024, whole=True)
     manifests = write_fleet(
         folder,
         instantiate(config.fleet),

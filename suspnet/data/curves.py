@@ -60,7 +60,7 @@ class CurveSettings:
         check_counts(self)
         check_number("data.snr_db", self.snr_db, low=-20, high=200)
         for name in ("step_hz", "low_hz", "high_hz"):
-            check_number(f"data.{name}", getattr(self, name), above=0, high=1e4)
+            check_number(f"data.{name}", getattr(self, name), above=0, most=1e4)
         if not self.step_hz <= self.low_hz < self.high_hz:
             raise ValueError(
                 "need data.step_hz <= data.low_hz < data.high_hz, got "

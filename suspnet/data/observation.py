@@ -161,12 +161,12 @@ def check_counts(settings: Observation) -> None:
     for name in ("n_train", "n_test"):
         value = getattr(settings, name)
         if value != "all":
-            check_number(f"data.{name}", value, low=1, high=MOST_CURVES, whole=True)
+            check_number(f"data.{name}", value, low=1, most=MOST_CURVES, whole=True)
     check_number(
         "data.n_calibrate",
         settings.n_calibrate,
         low=LEAST_CALIBRATION,
-        high=MOST_CURVES,
+        most=MOST_CURVES,
         whole=True,
         optional=True,
     )

@@ -218,12 +218,12 @@ class Protocol:
         check_choice("sampling", self.sampling, ("grid", "sobol"))
         check_choice("feature_set", self.feature_set, ("peaks", "curve"))
         check_number("lower", self.lower, above=0, below=1)
-        check_number("upper", self.upper, above=1, high=100)
+        check_number("upper", self.upper, above=1, most=100)
         low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
-        check_number("mass_upper", high, above=1, high=100)
-        check_number("step", self.step, low=1e-5, high=100)
-        check_number("mass_step", self.mass_step, low=1e-5, high=100)
+        check_number("mass_upper", high, above=1, most=100)
+        check_number("step", self.step, above=0, most=100)
+        check_number("mass_step", self.mass_step, above=0, most=100)
         for name in ("mass_known", "estimate_mass", "log_ratios"):
             check_flag(name, getattr(self, name))
         if self.mass_known and self.estimate_mass:

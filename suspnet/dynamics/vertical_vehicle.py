@@ -93,8 +93,8 @@ class VerticalVehicle:
         check_choice("axle", self.axle, SIDES)
         check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
         check_choice("other_bogie", self.other_bogie, ("healthy", "same"))
-        check_number("speed_m_per_s", self.speed_m_per_s, above=0, high=200)
-        check_number("body_sensor_m", self.body_sensor_m, low=-100, high=100)
+        check_number("speed_m_per_s", self.speed_m_per_s, above=0)
+        check_number("body_sensor_m", self.body_sensor_m, most=100)
         for part in self.parts:
             check_choice("parts", part, PARTS)
         object.__setattr__(self, "parts", tuple(p for p in PARTS if p in self.parts))

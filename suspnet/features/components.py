@@ -105,7 +105,7 @@ class CurveFeatures:
 
     def __post_init__(self) -> None:
         check_number(
-            "n_components", self.n_components, low=1, high=10_000, whole=True, optional=True
+            "n_components", self.n_components, low=1, most=10_000, whole=True, optional=True
         )
         check_number("explained", self.explained, above=0, below=1)
 

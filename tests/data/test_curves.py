@@ -351,11 +351,7 @@ def test_cache_name_does_not_change_with_how_the_features_are_made(source, cache
             "`data.snr_db` must be a finite number >= -20 and <= 200",
         ),
         ({"snr_db": 201}, ValueError, "`data.snr_db` must be a finite number >= -20 and <= 200"),
-        (
-            {"n_train": 0},
-            ValueError,
-            r"`data.n_train` must be a whole number >= 1 and <= 1e\+08, got 0",
-        ),
+        ({"n_train": 0}, ValueError, "`data.n_train` must be a whole number >= 1, got 0"),
         ({"n_test": -1}, ValueError, "`data.n_test` must be a whole number >= 1, got -1"),
         (
             {"n_calibrate": 99},
