@@ -81,7 +81,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         check_number("seed", self.seed, low=0, whole=True)
-        check_number("threads", self.threads, low=1, whole=True)
+        check_number("threads", self.threads, low=1, most=1024, whole=True)
         object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
 
     @property

@@ -13,6 +13,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
+import yaml
+from hydra._internal import hydra as hydra_application
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
@@ -22,13 +25,24 @@ from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.checks import check_number
 from suspnet.cli import configs, naming
+from suspnet.cli.trusted import CheckedLoader, check_configuration
+from suspnet.cli.values import read_values
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
 
 CONFIGS = configs.CONFIGS
 """Absolute path of the folder that Hydra composes from."""
 DEBUG = "HYDRA_FULL_ERROR"
-MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
+MISTAKES = (
+    ValueError,
+    TypeError,
+    OSError,
+    MemoryError,
+    RecursionError,
+    yaml.YAMLError,
+    HydraException,
+    OmegaConfBaseException,
+)
 NO_SLURM = 'Could not detect "srun"'
 """Begin of submitit's message where there is no Slurm cluster."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
@@ -44,7 +58,7 @@ def run(main: Callable[[], Any]) -> None:
     """
     os.environ[DEBUG] = "1"
     try:
-        with _one_writer():
+        with _one_writer(), _checked_loader():
             main()
     except KeyboardInterrupt:
         print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
@@ -60,6 +74,20 @@ def run(main: Callable[[], Any]) -> None:
         if _debugging or NO_SLURM not in str(error):
             raise
         sys.exit(one_line(error))
+
+
+@contextmanager
+def _checked_loader() -> Iterator[None]:
+    """Let Hydra compose trusted configurations only, and read no pickle."""
+    if get_args_parser().parse_known_args()[0].experimental_rerun is not None:
+        raise ValueError("--experimental-rerun reads a pickle, which can run any code: not allowed")
+    names = vars(hydra_application)
+    loader = names["ConfigLoaderImpl"]
+    names["ConfigLoaderImpl"] = CheckedLoader
+    try:
+        yield
+    finally:
+        names["ConfigLoaderImpl"] = loader
 
 
 @contextmanager
@@ -106,13 +134,14 @@ def join_ranks(device: str) -> None:
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
-    """Wrap a Hydra task function: check its targets, end with one line on a mistake."""
+    """Wrap a Hydra task function: check its objects and values, end with one line on a mistake."""
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> Any:
         warnings.simplefilter("always", ConvergenceWarning)
         try:
-            check_targets(config)
+            check_configuration(config)
+            read_values(config)
             return function(config)
         except MISTAKES as error:
             if _debugging:
@@ -128,6 +157,10 @@ def one_line(error: BaseException) -> str:
     while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
         error = error.__cause__
     words = str(error)
+    if isinstance(error, RecursionError):
+        words = "the configuration is nested too deeply, or refers to itself"
+    if isinstance(error, MemoryError):
+        words = f"not enough memory: {words or 'ask for less at a time'}"
     for noise in ("Config search path", "full_key:", "To append to your "):
         words = words.split(noise)[0]
     if words.startswith("Could not override"):
@@ -141,20 +174,6 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())
-
-
-def check_targets(config: DictConfig) -> None:
-    """Raise ValueError if a `_target_` lies outside suspnet."""
-    stack: list[Any] = [OmegaConf.to_container(config, resolve=False)]
-    while stack:  # a configuration is a tree: each node is taken off once
-        node = stack.pop()
-        if isinstance(node, dict):
-            target = node.get("_target_", "suspnet.")
-            if not str(target).startswith("suspnet."):
-                raise ValueError(f"`_target_` must lie in suspnet, got {target!r}")
-            stack.extend(node.values())
-        elif isinstance(node, list):
-            stack.extend(node)
 
 
 def run_folder() -> Path:
@@ -172,7 +191,7 @@ def n_threads(wanted: int | None) -> int:
     """
     if wanted is None:
         return torch.get_num_threads()
-    check_number("threads", wanted, low=1, whole=True, optional=True)
+    check_number("threads", wanted, low=1, most=1024, whole=True, optional=True)
     torch.set_num_threads(wanted)
     return wanted
 

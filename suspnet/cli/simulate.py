@@ -9,6 +9,7 @@ import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.simulation.writing import write_fleet
 
@@ -22,6 +23,7 @@ def compose(config: DictConfig) -> None:
     folder = Path(config.out)
     if folder.exists() and any(folder.glob("*.yaml")):
         raise ValueError(f"out={folder} already holds trips; give another folder")
+    check_number("workers", config.workers, low=1, most=1024, whole=True)
     manifests = write_fleet(
         folder,
         instantiate(config.fleet),

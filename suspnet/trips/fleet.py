@@ -86,7 +86,7 @@ class FleetSettings:
     def __post_init__(self) -> None:
         check_choice("reference", self.reference, ("vehicle", "first_trips"))
         for name in ("n_reference", "workers"):
-            check_number(name, getattr(self, name), low=1, whole=True)
+            check_number(name, getattr(self, name), low=1, most=1024, whole=True)
         object.__setattr__(self, "limits", read_limits(self.limits))
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
