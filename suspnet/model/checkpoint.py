@@ -21,6 +21,7 @@ from suspnet.storage import (
     DamagedFileError,
     content_hash,
     dump_arrays,
+    locked,
     read_arrays,
     read_json,
     write_atomically,
@@ -43,7 +44,7 @@ UNITS = {
 
 
 def save_model(folder: Path, model: TrainedModel) -> None:
-    """Write model.safetensors, then model.json, each atomically.
+    """Write model.safetensors, then model.json, each atomically, and no other model's between.
 
     Raises
     ------
@@ -73,8 +74,9 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     }
     description = _plain(description)
     description["description_sha256"] = content_hash(description)
-    write_atomically(folder / "model.safetensors", content)
-    write_json(folder / "model.json", description)
+    with locked(folder):
+        write_atomically(folder / "model.safetensors", content)
+        write_json(folder / "model.json", description)
 
 
 def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:
