@@ -56,7 +56,7 @@ class Cache:
             log.warning("ignoring a damaged cache file: %s", " ".join(str(error).split()))
             return None
         except OSError as error:
-            _warn_once(str(self.folder), "read", str(error.strerror))
+            _warn_once(str(self.folder), "read", str(error.strerror or error))
             return None
         if about.get("sha256") != _checksum(arrays, about.get("made_from"), about.get("notes")):
             log.warning("ignoring a damaged cache file: %s does not match its checksum", path)
@@ -77,7 +77,7 @@ class Cache:
         try:
             write_atomically(self.path(made_from), content)
         except OSError as error:
-            _warn_once(str(self.folder), "written", str(error.strerror))
+            _warn_once(str(self.folder), "written", str(error.strerror or error))
 
     def path(self, made_from: Any) -> Path:
         """Return the file of what was made from a description."""
@@ -103,7 +103,7 @@ def _checksum(arrays: Arrays, made_from: Any, notes: Any) -> str:
     for name in sorted(arrays):
         array = arrays[name]
         digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
 
 

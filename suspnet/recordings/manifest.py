@@ -13,7 +13,7 @@ import yaml
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError
-from suspnet.storage import write_atomically
+from suspnet.storage import printable, write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",
@@ -51,6 +51,10 @@ BOGIES = ("leading", "trailing")
 
 SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
+
+
+HIGHEST_KM = 1e9
+"""Mileage that no vehicle reaches [km]."""
 
 
 @dataclass(frozen=True, order=True)
@@ -233,7 +237,7 @@ def read_place(path: Path) -> Place | None:
         return None
     named = {"bogie": BOGIES, "side": SIDES}
     where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
-    return Place(content["suspension"].strip(), **where)
+    return Place(printable(content["suspension"].strip()), **where)
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -302,7 +306,9 @@ def _parse(path: Path, content: Any) -> TripManifest:
         name=path.stem,
         vehicle=top.text("vehicle"),
         suspension=top.text("suspension"),
-        mileage_km=top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)),
+        mileage_km=top.number(
+            "mileage_km", "a number >= 0, below 1e9", math.nextafter(0.0, -1.0), HIGHEST_KM
+        ),
         start=_parse_start(top) if top.has("start") else None,
         speed=_parse_speed(top),
         channels={name: _parse_channels(path, name, channels[name]) for name in CHANNELS},

@@ -34,6 +34,9 @@ from suspnet.types import BoolArray, FloatArray
 SHORTEST_S = 60.0
 """Least length of a recording, [s]."""
 
+HIGHEST_HZ = 1e6
+"""Highest rate of a sensor [Hz]; the filter that decimates it is as long as the rate is high."""
+
 LARGEST_SPEED_M_PER_S = 150.0
 """Largest speed of a train [m/s]; a larger value counts as unknown."""
 
@@ -208,6 +211,8 @@ def _read_sensor(
     rate_hz = _known_rate(where, channel.rate_hz, timeline)
     if rate_hz < 0.99 * wanted_hz:
         raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
+    if rate_hz > HIGHEST_HZ:
+        raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
     full_scale = None if channel.range is None else channel.range * unit
     cleaner = Cleaner(name, rate_hz, full_scale, cleaning)
     scaled = (channel.sign * unit * block for block in chain([first_block], blocks))
