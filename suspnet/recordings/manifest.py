@@ -13,7 +13,7 @@ import yaml
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError
-from suspnet.storage import printable, write_atomically
+from suspnet.storage import printable, read_json, write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",
@@ -292,6 +292,22 @@ def find_manifests(folder: Path) -> list[Path]:
     return manifests
 
 
+UNFINISHED = "unfinished.json"
+"""Name of the file in a folder of simulated trips that are not all written yet."""
+
+
+def partial_words(folder: Path) -> str:
+    """Return in words how many trips a folder lacks whose simulation was interrupted; or ""."""
+    if not (folder / UNFINISHED).is_file():
+        return ""
+    n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
+    try:
+        wanted = f" of {int(read_json(folder / UNFINISHED)['n_trips'])}"
+    except (OSError, ValueError, LookupError, TypeError):
+        wanted = ""
+    return f"partial: {n_written}{wanted} trips are simulated"
+
+
 _SOURCE = ("column", "rate_hz", "time", "start_s")
 
 
@@ -307,7 +323,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
         vehicle=top.text("vehicle"),
         suspension=top.text("suspension"),
         mileage_km=top.number(
-            "mileage_km", "a number >= 0, below 1e9", math.nextafter(0.0, -1.0), HIGHEST_KM
+            "mileage_km", "a number >= 0 and below 1e9", math.nextafter(0.0, -1.0), HIGHEST_KM
         ),
         start=_parse_start(top) if top.has("start") else None,
         speed=_parse_speed(top),

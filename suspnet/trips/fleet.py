@@ -20,7 +20,8 @@ from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
-from suspnet.recordings.manifest import Place, read_manifest
+from suspnet.recordings.manifest import Place, partial_words, read_manifest
+from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.commissionings import (
     check_one_reference,
@@ -245,6 +246,10 @@ def _evaluate_group(
     write_tables(results, outputs, output)
     found = _assessments(of_last_era(results, states), outputs, fitting, settings.limits)
     details = _details(group.folder, fitting, settings, results)
+    partial = partial_words(group.folder)
+    if partial:
+        log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
+        details["trips"] += f" ({partial})"
     options = settings.trips.level, settings.limits, states
     write_pages(results, outputs, found, output, details, *options)
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, spoken(found), output)
@@ -343,7 +348,7 @@ def _details(
         if flagged:
             reference += f", {flagged} of them flagged"
     return {
-        "trips": str(folder),
+        "trips": printable(str(folder)),
         "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
         "suspnet": __version__,
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
