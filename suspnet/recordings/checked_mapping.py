@@ -70,18 +70,12 @@ class CheckedMapping:
             raise self.refuse(key, f"one of {list(allowed)}")
         return str(self.content[key])
 
-    def number(
-        self,
-        key: str,
-        rule: str = "a finite number",
-        low: float = -math.inf,
-        high: float = math.inf,
-    ) -> float:
-        """Return a finite number between two; `rule` is what the message says of it."""
+    def number(self, key: str, rule: str = "a finite number", low: float = -math.inf) -> float:
+        """Return a finite number above `low`; `rule` is what the message says of it."""
         value = self.content[key]
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refuse(key, f"{rule} (written like 5000.0)")
-        if not low < value < high or abs(value) > 1e300:
+        if not low < value < math.inf or abs(value) > 1e300:
             raise self.refuse(key, rule)
         return float(value)
 

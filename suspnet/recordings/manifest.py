@@ -322,9 +322,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
         name=path.stem,
         vehicle=top.text("vehicle"),
         suspension=top.text("suspension"),
-        mileage_km=top.number(
-            "mileage_km", "a number >= 0 and below 1e9", math.nextafter(0.0, -1.0), HIGHEST_KM
-        ),
+        mileage_km=_parse_mileage(top),
         start=_parse_start(top) if top.has("start") else None,
         speed=_parse_speed(top),
         channels={name: _parse_channels(path, name, channels[name]) for name in CHANNELS},
@@ -332,6 +330,14 @@ def _parse(path: Path, content: Any) -> TripManifest:
         bogie=top.choice("bogie", BOGIES) if top.has("bogie") else None,
         side=top.choice("side", SIDES) if top.has("side") else None,
     )
+
+
+def _parse_mileage(top: CheckedMapping) -> float:
+    """Return the mileage [km]."""
+    mileage = top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0))
+    if mileage >= HIGHEST_KM:
+        raise top.refuse("mileage_km", f"below {HIGHEST_KM:g}")
+    return mileage
 
 
 def _parse_start(top: CheckedMapping) -> datetime:
