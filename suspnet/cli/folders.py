@@ -53,6 +53,8 @@ class OwnFolder(Callback):
             with read_write(config.hydra), open_dict(config.hydra):
                 config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
         _to_go_on[:] = [config.hydra.sweep.dir]
+        for old in Path(config.hydra.sweep.dir).glob(f"*/{ERROR}"):
+            old.unlink()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Exit with 1 if a job failed: it comes last, as Hydra asks callbacks in reverse."""
