@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 import sys
+import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,11 +28,12 @@ from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.checks import check_number
-from suspnet.cli import configs, naming
+from suspnet.cli import configs, folders, naming
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.cli.values import read_values
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
+from suspnet.workers import LostWorkerError, end_with_parent, guard_joblib
 
 CONFIGS = configs.CONFIGS
 """Absolute path of the folder that Hydra composes from."""
@@ -54,15 +59,17 @@ naming.register()
 def run(main: Callable[[], Any]) -> None:
     """Run a Hydra program; end with one line and exit code 1 on a mistake, 130 on Ctrl-C.
 
-    HYDRA_FULL_ERROR=1 shows the traceback instead.
+    The exit code of SIGTERM is 143. HYDRA_FULL_ERROR=1 shows the traceback instead.
     """
     os.environ[DEBUG] = "1"
+    guard_joblib()
     try:
-        with _one_writer(), _checked_loader():
+        with _terminable(), _one_writer(), _checked_loader():
             main()
-    except KeyboardInterrupt:
-        print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
-        sys.exit(130)
+    except (KeyboardInterrupt, _Terminated) as ended:
+        verb, code = ("terminated", 143) if isinstance(ended, _Terminated) else ("interrupted", 130)
+        print(f"{verb}: nothing was half-written; {folders.how_to_go_on()}", file=sys.stderr)
+        sys.exit(code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
@@ -70,10 +77,34 @@ def run(main: Callable[[], Any]) -> None:
         if _debugging:
             raise
         sys.exit(one_line(error))
+    except (LostWorkerError, BrokenProcessPool) as error:
+        sys.exit(f"{one_line(error)}; {folders.how_to_go_on()}")
     except RuntimeError as error:
         if _debugging or NO_SLURM not in str(error):
             raise
         sys.exit(one_line(error))
+
+
+class _Terminated(BaseException):
+    """SIGTERM has come."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(number: int, frame: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -134,11 +165,15 @@ def join_ranks(device: str) -> None:
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
-    """Wrap a Hydra task function: check its objects and values, end with one line on a mistake."""
+    """Wrap a Hydra task function: check its objects and values, end with one line on a mistake.
+
+    In a job of a multirun every error is one line; the traceback of a fault goes to error.txt.
+    """
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> Any:
         warnings.simplefilter("always", ConvergenceWarning)
+        end_with_parent()
         try:
             check_configuration(config)
             read_values(config)
@@ -147,6 +182,31 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             if _debugging:
                 raise
             raise SystemExit(one_line(error)) from None
+        except Exception as error:
+            if _debugging or not folders.is_job():
+                raise
+            file = run_folder() / folders.ERROR
+            write_atomically(file, traceback.format_exc())
+            words = f"error: {type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+            raise SystemExit(words) from None
+
+    return wrapped
+
+
+def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
+    """Wrap a task so that the other jobs of a multirun run after one has failed."""
+
+    @functools.wraps(function)
+    def wrapped(config: DictConfig) -> None:
+        try:
+            function(config)
+        except SystemExit as ended:
+            if not folders.is_job():
+                raise
+            print(ended.code, file=sys.stderr)
+            file = run_folder() / folders.ERROR
+            if not file.exists():
+                write_atomically(file, f"{ended.code}\n")
 
     return wrapped
 
