@@ -59,6 +59,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
 """All that a configuration may build, by the key below which it may stand."""
 CALLBACKS = (
     "suspnet.cli.evaluate.WorstExitCode",
+    "suspnet.cli.folders.OwnFolder",
     "suspnet.studies.sweeps.Ablation",
     "suspnet.studies.sweeps.Comparison",
     "suspnet.studies.sweeps.Sensitivity",
