@@ -40,8 +40,13 @@ def table(delimiter=",", decimal=".", head=("t,a,b",), end="\n", empty="") -> st
     [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", "."), ("  ", ".")],
 )
 @pytest.mark.parametrize(
-    "head", [["t,a,b"], ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"], ["Größe,3,2.5", "t,a,b", "s,m/s2,g"]]
-)  # fmt: skip
+    "head",
+    [
+        ["t,a,b"],
+        ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"],
+        ["Größe,3,2.5", "t,a,b", "s,m/s2,g"],
+    ],
+)
 def test_numbers_are_those_written(tmp_path, delimiter, decimal, encoding, end, head):
     path = tmp_path / "data.csv"
     text = table(delimiter, decimal, head, end, empty="NaN" if delimiter == "  " else "")

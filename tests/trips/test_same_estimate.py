@@ -10,10 +10,10 @@ import pytest
 import yaml
 from recording_files import write_csv, write_hdf5, write_mat, write_mdf, write_tdms, write_uff
 from scipy.io import savemat, wavfile
-from trip_fixtures import RATES_HZ, changed, signal
+from trip_fixtures import RATES_HZ, signal
 
 from suspnet.model.from_recording import TripSettings
-from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.trip import evaluate_trip
 
 RATES = dict(zip(CHANNELS, RATES_HZ, strict=True))
