@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hydra.core.config_store import ConfigStore
-from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from suspnet.dynamics import Vehicle
 
@@ -19,6 +18,8 @@ def _configs() -> str:
 
 CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
+VEHICLE = "suspnet.dynamics.Vehicle"
+"""Target of the files of the group `vehicle`."""
 TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
 """File and package of each group whose options are the entries of one file."""
 
@@ -37,12 +38,25 @@ def store_tables() -> None:
             ConfigStore.instance().store(name=str(name), node=node, group=group, package=package)
 
 
-def read_vehicles() -> dict[str, Vehicle]:
-    """Return the vehicle of every file of the group `vehicle`, by the file's name."""
+def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
+    """Return the vehicle of every file of the group `vehicle` of a folder, by the file's name.
+
+    Nothing else is built from the files, and nothing in them is interpolated.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a file is no vehicle's, or one of its numbers is missing or wrong.
+    """
     vehicles = {}
-    for file in sorted((Path(CONFIGS) / "vehicle").glob("*.yaml")):
-        content = OmegaConf.load(file)
-        assert isinstance(content, DictConfig)
+    for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
+        content = OmegaConf.to_container(OmegaConf.load(file), resolve=False)
         # a road vehicle's file sets a speed and a track beside the vehicle
-        vehicles[file.stem] = instantiate(OmegaConf.select(content, "vehicle", default=content))
+        vehicle = content.get("vehicle", content) if isinstance(content, dict) else None
+        if not isinstance(vehicle, dict) or vehicle.pop("_target_", None) != VEHICLE:
+            raise ValueError(f"{file} is no vehicle: its `_target_` must be {VEHICLE}")
+        try:
+            vehicles[file.stem] = Vehicle(**vehicle)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{file}: {error}") from error
     return vehicles

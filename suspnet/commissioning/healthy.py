@@ -11,7 +11,7 @@ from tqdm import tqdm
 from suspnet.data.estimates import EstimateSettings, Speeds
 from suspnet.data.parallel import quiet
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model.from_recording import TripSettings, same_speed, speed_of, steady_segments
+from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
 from suspnet.recordings.manifest import (
     Place,
     TripError,
@@ -24,8 +24,6 @@ from suspnet.recordings.segments import (
     in_band,
     recording_segments,
     segment_speeds,
-    without_incoherent,
-    without_loud,
 )
 
 LEAST_TRIPS = 3
@@ -172,11 +170,8 @@ def _spectra(
     if not len(segments.values):
         return []
     speeds = segment_speeds(recording, segments)
-    steady = steady_segments(speeds, trips.speed_tolerance)
-    steady &= speeds.mean(dim=1) >= trips.min_speed_m_per_s
     band, found = in_band(segments, settings.frequencies_hz()), []
-    for group in same_speed(speeds, steady, trips.speed_tolerance):
-        chosen, _ = without_incoherent(band, without_loud(band, group), trips.min_coherence)
+    for chosen in steady_groups(band, speeds, trips):
         n_segments = int(chosen.sum())
         if n_segments and segments.welch.n_averages(n_segments) >= trips.min_averages:
             at = Speeds.of(*speed_of(speeds[chosen], segments))

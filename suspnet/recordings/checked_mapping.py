@@ -4,13 +4,46 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 
 class TripError(ValueError):
-    """Something is wrong with one trip: its manifest, or the files that it names."""
+    """Something is wrong with one trip: its manifest, or the files that it names.
+
+    Its arguments are the problems, one sentence each; in words only the first is told.
+    """
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Each thing that is wrong, in the order in which it was found."""
+        return tuple(map(str, self.args))
+
+    def __str__(self) -> str:
+        more = len(self.args) - 1
+        if more < 1:
+            return super().__str__()
+        return f"{self.args[0]} (and {more} more: suspnet-check tells all)"
+
+
+def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
+    """Return what each of some functions returns.
+
+    Raises
+    ------
+    TripError
+        With `problems` and those of every function, each once, if there are any.
+    """
+    found, told = [], list(problems)
+    for part in parts:
+        try:
+            found.append(part())
+        except TripError as error:
+            told += error.problems
+    if told:
+        raise TripError(*dict.fromkeys(told))
+    return found
 
 
 class CheckedMapping:
@@ -27,11 +60,16 @@ class CheckedMapping:
     required, optional : sequences of str
         The keys that must and may be there; an optional null counts as missing.
 
+    Attributes
+    ----------
+    problems : list of str
+        A sentence for each unknown and each missing key; `read` tells them.
+
     Raises
     ------
     TripError
-        If it is no mapping, or holds an unknown key, or lacks a required one. The methods raise it
-        where a value is of the wrong type or out of range.
+        If it is no mapping. The methods raise it where a value is of the wrong type or out of
+        range.
     """
 
     def __init__(
@@ -41,12 +79,25 @@ class CheckedMapping:
         if not isinstance(content, dict):
             raise TripError(f"{path}: {self._name()} must be a mapping, got {_short(content)}")
         allowed = (*required, *optional)
-        for key in content:
-            if key not in allowed:
-                raise TripError(f"{path}: {self._name(key)} is not known; allowed are {allowed}")
-        for key in required:
-            if content.get(key) is None:
-                raise TripError(f"{path}: {self._name(key)} is missing")
+        self.problems = [
+            f"{path}: {self._name(key)} is not known; allowed are {allowed}"
+            for key in content
+            if key not in allowed
+        ]
+        self.problems += [
+            f"{path}: {self._name(key)} is missing" for key in required if not self.has(key)
+        ]
+
+    def read(self, parts: Mapping[str, Callable[[], Any]]) -> dict[str, Any]:
+        """Return what the function of each key that is there returns.
+
+        Raises
+        ------
+        TripError
+            With every problem: unknown and missing keys, and what the functions of the others find.
+        """
+        there = {key: part for key, part in parts.items() if self.has(key)}
+        return dict(zip(there, all_of(there.values(), self.problems), strict=True))
 
     def has(self, key: str) -> bool:
         """Return whether an optional key has a value."""

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, tzinfo
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.recordings.checked_mapping import CheckedMapping, TripError
+from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import dump_yaml, parse_yaml
-from suspnet.storage import write_atomically
+from suspnet.storage import printable, read_json, write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",
@@ -60,6 +62,10 @@ BOGIES = ("leading", "trailing")
 
 SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
+
+
+HIGHEST_KM = 1e9
+"""Mileage that no vehicle reaches [km]."""
 
 
 @dataclass(frozen=True, order=True)
@@ -233,32 +239,13 @@ def read_manifest(path: Path) -> TripManifest:
     TripError
         If it cannot be read, holds anything unknown, misses something or has a value of the wrong
         type or out of range, if a data file that it names is missing or not a plain file, or if two
-        sensors are the same column of the same file.
+        sensors are the same column of the same file. Its `problems` are all that is wrong.
     """
-    manifest = _parse(path, _content(path))
-    sensors = manifest.sensors()
-    sources: dict[str, Source] = {f"channels.{name}": one for name, one in sensors.items()}
-    if isinstance(manifest.speed, SpeedSource):
-        sources["speed"] = manifest.speed
-    for key, source in sources.items():
-        if not manifest.file_of(source).is_file():
-            raise TripError(
-                f"{path}: `{key}.file` must name an existing plain file, got {source.file!r} "
-                f"(looked in {path.parent})"
-            )
-    places: dict[tuple[Path, str | None], str] = {}
-    for name, one in sensors.items():
-        other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
-        if other != name:
-            raise TripError(
-                f"{path}: two `channels` have the same file and column, {other} and {name}; each "
-                "is one sensor"
-            )
-    return manifest
+    return parse_manifest(path, read_content(path))
 
 
-def _content(path: Path) -> Any:
-    """Return what a YAML file holds; TripError if it cannot be read."""
+def read_content(path: Path) -> Any:
+    """Return what the YAML file of a manifest holds, unchecked; TripError if it is none."""
     try:
         return parse_yaml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -267,20 +254,44 @@ def _content(path: Path) -> Any:
         raise TripError(f"{path}: is not valid YAML ({error})") from error
 
 
+def parse_manifest(path: Path, content: Any) -> TripManifest:
+    """Return the manifest that the content of a file makes; raises as `read_manifest`."""
+    manifest: TripManifest
+    manifest, _ = all_of([lambda: _parse(path, content), lambda: _check_files(path, content)])
+    _check_places(manifest)
+    return manifest
+
+
+def named_sources(content: Any) -> dict[str, dict[str, Any]]:
+    """Return each mapping of a manifest's content that names a file, whatever else is wrong."""
+    if not isinstance(content, dict):
+        return {}
+    sources, channels = {"speed": content.get("speed")}, content.get("channels")
+    for name, one in channels.items() if isinstance(channels, dict) else ():
+        several = one if isinstance(one, list) else []
+        sources[f"channels.{name}"] = one
+        sources |= {f"channels.{name}[{i}]": sensor for i, sensor in enumerate(several)}
+    return {
+        key: source
+        for key, source in sources.items()
+        if isinstance(source, dict) and isinstance(source.get("file"), str)
+    }
+
+
 def read_place(path: Path) -> Place | None:
     """Return which suspension a manifest is of; None if it does not say so.
 
     Nothing else of it is checked, so that a faulty trip stays with the others of its suspension.
     """
     try:
-        content = _content(path)
+        content = read_content(path)
     except TripError:
         return None
     if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
         return None
     named = {"bogie": BOGIES, "side": SIDES}
     where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
-    return Place(content["suspension"].strip(), **where)
+    return Place(printable(content["suspension"].strip()), **where)
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -334,6 +345,22 @@ def find_manifests(folder: Path) -> list[Path]:
     return manifests
 
 
+UNFINISHED = "unfinished.json"
+"""Name of the file in a folder of simulated trips that are not all written yet."""
+
+
+def partial_words(folder: Path) -> str:
+    """Return in words how many trips a folder lacks whose simulation was interrupted; or ""."""
+    if not (folder / UNFINISHED).is_file():
+        return ""
+    n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
+    try:
+        wanted = f" of {int(read_json(folder / UNFINISHED)['n_trips'])}"
+    except (OSError, ValueError, LookupError, TypeError):
+        wanted = ""
+    return f"partial: {n_written}{wanted} trips are simulated"
+
+
 _SOURCE = ("unit", "column", "rate_hz", "time", "start_s", "time_unit", "time_zone", "csv")
 
 
@@ -341,21 +368,54 @@ def _parse(path: Path, content: Any) -> TripManifest:
     """Return the manifest of a YAML file's content."""
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
     top = CheckedMapping(path, "", content, required, ("start", "truth", "bogie", "side"))
-    top.choice("format", [FORMAT])
-    channels = CheckedMapping(path, "channels", content["channels"], CHANNELS, ()).content
-    return TripManifest(
-        path=path,
-        name=path.stem,
-        vehicle=top.text("vehicle"),
-        suspension=top.text("suspension"),
-        mileage_km=top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)),
-        start=_parse_start(top) if top.has("start") else None,
-        speed=_parse_speed(top),
-        channels={name: _parse_channels(path, name, channels[name]) for name in CHANNELS},
-        truth=_parse_truth(path, content["truth"]) if top.has("truth") else {},
-        bogie=top.choice("bogie", BOGIES) if top.has("bogie") else None,
-        side=top.choice("side", SIDES) if top.has("side") else None,
+    found = top.read(
+        {
+            "format": lambda: top.choice("format", [FORMAT]),
+            "vehicle": lambda: top.text("vehicle"),
+            "suspension": lambda: top.text("suspension"),
+            "mileage_km": lambda: _parse_mileage(top),
+            "start": lambda: _parse_start(top),
+            "speed": lambda: _parse_speed(top),
+            "channels": lambda: _parse_channels(path, content["channels"]),
+            "truth": lambda: _parse_truth(path, content["truth"]),
+            "bogie": lambda: top.choice("bogie", BOGIES),
+            "side": lambda: top.choice("side", SIDES),
+        }
     )
+    del found["format"]
+    return TripManifest(path=path, name=path.stem, **({"start": None} | found))
+
+
+def _check_files(path: Path, content: Any) -> None:
+    """Raise TripError if a file that a manifest names is missing, whatever else is wrong in it."""
+    problems = [
+        f"{path}: `{key}.file` must name an existing plain file, got {source['file']!r} "
+        f"(looked in {path.parent})"
+        for key, source in named_sources(content).items()
+        if not os.path.isfile(path.parent / source["file"])  # a name too long is none either
+    ]
+    if problems:
+        raise TripError(*problems)
+
+
+def _check_places(manifest: TripManifest) -> None:
+    """Raise TripError if two sensors are the same column of the same file."""
+    places: dict[tuple[Path, str | None], str] = {}
+    for name, one in manifest.sensors().items():
+        other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
+        if other != name:
+            raise TripError(
+                f"{manifest.path}: two `channels` have the same file and column, {other} and "
+                f"{name}; each is one sensor"
+            )
+
+
+def _parse_mileage(top: CheckedMapping) -> float:
+    """Return the mileage [km]."""
+    mileage = top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0))
+    if mileage >= HIGHEST_KM:
+        raise top.refuse("mileage_km", f"below {HIGHEST_KM:g}")
+    return mileage
 
 
 def _parse_start(top: CheckedMapping) -> datetime:
@@ -372,10 +432,18 @@ def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
     if not isinstance(top.content["speed"], dict):
         return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
     section = CheckedMapping(top.path, "speed", top.content["speed"], ("file",), _SOURCE)
-    return SpeedSource(**_parse_source(section, SPEED_UNITS))
+    return SpeedSource(**section.read(_parse_source(section, SPEED_UNITS)))
 
 
-def _parse_channels(path: Path, name: str, content: Any) -> Channel | Pair:
+def _parse_channels(path: Path, content: Any) -> dict[str, Channel | Pair]:
+    """Return where the accelerometers of every channel are stored."""
+    channels = CheckedMapping(path, "channels", content, CHANNELS, ())
+    return channels.read(
+        {name: partial(_parse_place, path, name, channels.content.get(name)) for name in CHANNELS}
+    )
+
+
+def _parse_place(path: Path, name: str, content: Any) -> Channel | Pair:
     """Return where the one accelerometer of a channel, or the left and the right, are stored."""
     if not isinstance(content, list):
         return _parse_channel(path, f"channels.{name}", content)
@@ -384,7 +452,9 @@ def _parse_channels(path: Path, name: str, content: Any) -> Channel | Pair:
             f"{path}: `channels.{name}` must be a sensor, or a list of one on the left and one on "
             f"the right, got a list of {len(content)}"
         )
-    found = [_parse_channel(path, f"channels.{name}[{i}]", one) for i, one in enumerate(content)]
+    found: list[Channel] = all_of(
+        partial(_parse_channel, path, f"channels.{name}[{i}]", one) for i, one in enumerate(content)
+    )
     if len(found) == 1:
         return found[0]
     first, second = found
@@ -405,43 +475,50 @@ def _parse_channel(path: Path, where: str, content: Any) -> Channel:
     """Return where one accelerometer is stored."""
     optional = (*_SOURCE, "sign", "range", "side")
     section = CheckedMapping(path, where, content, ("file",), optional)
-    sign = section.number("sign", "1 or -1") if section.has("sign") else 1.0
+    found = section.read(
+        {
+            "sign": lambda: _parse_sign(section),
+            "range": lambda: section.positive("range"),
+            "side": lambda: section.choice("side", SIDES),
+        }
+        | _parse_source(section, ACCELERATION_UNITS)
+    )
+    return Channel(**found)
+
+
+def _parse_sign(section: CheckedMapping) -> int:
+    """Return 1 or -1."""
+    sign = section.number("sign", "1 or -1")
     if sign not in (1.0, -1.0):
         raise section.refuse("sign", "1 or -1")
-    return Channel(
-        sign=int(sign),
-        range=section.positive("range") if section.has("range") else None,
-        side=section.choice("side", SIDES) if section.has("side") else None,
-        **_parse_source(section, ACCELERATION_UNITS),
-    )
+    return int(sign)
 
 
-def _parse_source(section: CheckedMapping, units: Mapping[str, float]) -> dict[str, Any]:
-    """Return the fields that a channel and the speed have in common."""
-
-    def optional(key: str, read: Callable[..., Any], *rule: Any) -> Any:
-        return read(key, *rule) if section.has(key) else None
-
+def _parse_source(
+    section: CheckedMapping, units: Mapping[str, float]
+) -> dict[str, Callable[[], Any]]:
+    """Return what reads the fields that a channel and the speed have in common."""
     return {
-        "file": section.text("file"),
-        "unit": optional("unit", section.choice, list(units)),
-        "column": optional("column", section.text),
-        "rate_hz": optional("rate_hz", section.positive),
-        "time": optional("time", section.text),
-        "start_s": section.number("start_s") if section.has("start_s") else 0.0,
-        "time_unit": optional("time_unit", section.choice, list(TIME_UNITS)),
-        "time_zone": optional("time_zone", _parse_zone, section),
-        "csv": _parse_csv(section) if section.has("csv") else None,
+        "file": lambda: section.text("file"),
+        "unit": lambda: section.choice("unit", list(units)),
+        "column": lambda: section.text("column"),
+        "rate_hz": lambda: section.positive("rate_hz"),
+        "time": lambda: section.text("time"),
+        "start_s": lambda: section.number("start_s"),
+        "time_unit": lambda: section.choice("time_unit", list(TIME_UNITS)),
+        "time_zone": lambda: _parse_zone(section),
+        "csv": lambda: _parse_csv(section),
     }
 
 
-def _parse_zone(key: str, section: CheckedMapping) -> str:
+def _parse_zone(section: CheckedMapping) -> str:
     """Return the name of a time zone that is known here."""
+    name = section.text("time_zone")
     try:
-        time_zone(section.text(key))
+        time_zone(name)
     except ValueError as error:
-        raise section.refuse(key, 'one like "UTC", "+02:00" or "Europe/Berlin"') from error
-    return section.text(key)
+        raise section.refuse("time_zone", 'one like "UTC", "+02:00" or "Europe/Berlin"') from error
+    return name
 
 
 def time_zone(name: str) -> tzinfo:
@@ -470,27 +547,39 @@ def _parse_csv(source: CheckedMapping) -> CsvDialect:
     where = f"{source.where}.csv"
     section = CheckedMapping(source.path, where, source.content["csv"], (), keys)
     names = {**DELIMITERS, **{sign: sign for sign in DELIMITERS.values()}}
-    line, encoding = section.content.get("header_line"), section.content.get("encoding")
-    if line is not None and (isinstance(line, bool) or not isinstance(line, int) or line < 0):
-        raise section.refuse("header_line", "a line counted from 1, or 0 if there are no names")
-    if encoding is not None:
-        try:
-            "a;1".encode(section.text("encoding"))
-        except (LookupError, ValueError) as error:
-            raise section.refuse("encoding", "one like utf-8, utf-16 or latin-1") from error
-    dialect = CsvDialect(
-        names[section.choice("delimiter", list(names))] if section.has("delimiter") else None,
-        section.choice("decimal", [".", ","]) if section.has("decimal") else None,
-        line,
-        encoding,
+    found = section.read(
+        {
+            "delimiter": lambda: names[section.choice("delimiter", list(names))],
+            "decimal": lambda: section.choice("decimal", [".", ","]),
+            "header_line": lambda: _parse_header_line(section),
+            "encoding": lambda: _parse_encoding(section),
+        }
     )
-    return dialect
+    return CsvDialect(**found)
+
+
+def _parse_header_line(section: CheckedMapping) -> int:
+    """Return the number of a line, or 0."""
+    line = section.content["header_line"]
+    if isinstance(line, bool) or not isinstance(line, int) or line < 0:
+        raise section.refuse("header_line", "a line counted from 1, or 0 if there are no names")
+    return line
+
+
+def _parse_encoding(section: CheckedMapping) -> str:
+    """Return the name of an encoding that is known here."""
+    encoding = section.text("encoding")
+    try:
+        "a;1".encode(encoding)
+    except (LookupError, ValueError) as error:
+        raise section.refuse("encoding", "one like utf-8, utf-16 or latin-1") from error
+    return encoding
 
 
 def _parse_truth(path: Path, content: Any) -> dict[str, float]:
     """Return the known parameters of a simulated trip."""
     section = CheckedMapping(path, "truth", content, (), PARAMETERS)
-    return {key: section.positive(key) for key in section.content}
+    return section.read({key: partial(section.positive, key) for key in PARAMETERS})
 
 
 def _without_none(content: dict[str, Any]) -> dict[str, Any]:

@@ -99,12 +99,14 @@ def check_pairs(
     Raises
     ------
     TripError
-        If one is turned, or more than ``GAIN_TOLERANCE`` times as large as the other.
+        If one is turned, or more than ``GAIN_TOLERANCE`` times as large as the other. Its
+        `problems` are those of all pairs.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
     slow = (segments.frequencies_hz >= SLOW[0] * modes[0]) & (segments.frequencies_hz <= modes[0])
     if not bool(slow.any()):
         return
+    problems = []
     for row, i in enumerate(index for index, is_pair in enumerate(paired) if is_pair):
         average = segments.values[chosen, i][:, slow]
         half = differences.values[chosen, row][:, slow]
@@ -115,15 +117,17 @@ def check_pairs(
             continue
         name, size = CHANNELS[i], math.sqrt(power[0] / power[1])
         if shared < 0:
-            raise TripError(
+            problems.append(
                 f"{name}: its left and its right sensor move against each other at low frequency; "
                 "turn the sign of one in the manifest"
             )
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
-            raise TripError(
+            problems.append(
                 f"{name}: its left sensor shows {size:.3g} times what the right one does at low "
                 f"frequency{_slip(size)}; check unit and sensitivity of both in the manifest"
             )
+    if problems:
+        raise TripError(*problems)
 
 
 def _check_order(spectra: CrossSpectra, expected: Tensor) -> None:

@@ -10,18 +10,20 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 
 import numpy as np
 
 from suspnet.checks import check_number
+from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clocks import offsets_s
 from suspnet.recordings.drifting import clock_faults
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
-from suspnet.recordings.speed import read_speed, speed_at
+from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 from suspnet.recordings.timeline import Timeline
 from suspnet.types import BoolArray, FloatArray
 
@@ -30,6 +32,9 @@ MOST_AT_ONCE = 3
 
 SHORTEST_S = 60.0
 """Least length of a recording, [s]."""
+
+HIGHEST_HZ = 1e6
+"""Highest rate of a sensor [Hz]; the filter that decimates it is as long as the rate is high."""
 
 
 @dataclass(frozen=True)
@@ -119,21 +124,24 @@ def load_recording(
     TripError
         If a file cannot be read, a rate is lower than `rate_hz`, a sensor is constant or has no
         usable sample, fewer than ``SHORTEST_S`` are common to all sensors, times are wrong, or
-        the speed is unknown throughout.
+        the speed is unknown throughout. Its `problems` are those of all sensors and the speed.
     ValueError
         If `rate_hz` is not positive and finite.
     """
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
-    track = read_speed(manifest)
-    zeros = {name: zero_of(manifest, one, _where(manifest, name)) for name, one in sensors.items()}
-    offsets = offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
+    problems: tuple[str, ...] = ()
+    try:
+        track, offsets = _clocks(manifest)
+    except TripError as error:  # the sensors are read all the same: they may have problems too
+        track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
-        streams = list(
-            pool.map(
-                lambda name: _read_sensor(manifest, name, offsets[name], rate_hz, cleaning), sensors
-            )
-        )
+        read = [
+            pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz, cleaning)
+            for name in sensors
+        ]
+        streams: list[_Stream] = all_of([one.result for one in read], problems)
+    del read
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
     speed, speed_faults = speed_at(manifest, track, offsets.get("speed", 0.0), times_s)
@@ -167,6 +175,19 @@ def load_recording(
         differences,
         "; ".join(dict.fromkeys(words for words in told if words)),
     )
+
+
+def _clocks(manifest: TripManifest) -> tuple[SpeedTrack | None, dict[str, float]]:
+    """Return the speeds, and what is added to the times of each sensor and of the speed, [s]."""
+    sensors = manifest.sensors()
+    track, *found = all_of(
+        [
+            partial(read_speed, manifest),
+            *(partial(zero_of, manifest, one, _where(manifest, n)) for n, one in sensors.items()),
+        ]
+    )
+    zeros = dict(zip(sensors, found, strict=True))
+    return track, offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
 
 
 def _combined(
@@ -208,6 +229,8 @@ def _read_sensor(
         rate_hz = _known_rate(where, source.rate_hz, timeline)
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
+        if rate_hz > HIGHEST_HZ:
+            raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
         cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
         scaled = (source.size * block for block in chain([first_block], blocks))
         decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)

@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.recordings.overview import Overview
 from suspnet.runs.plots import SUSPENSIONS
 from suspnet.trips.records import OK, TripCurves, TripResult
 from suspnet.types import FloatArray
@@ -34,31 +35,14 @@ def trip_signals(result: TripResult) -> Figure:
     """
     figure = Figure(figsize=(7.0, 7.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(4, 1, sharex=True))
-    for axis, channel in zip(axes, CHANNEL_TITLES, strict=False):
-        axis.set_ylabel(f"{channel}\n[m/s²]")
-    axes[3].set_ylabel("speed\n[km/h]")
     curves = result.curves
     if curves is None or not np.isfinite(curves.overview_mean).any():
         for axis in axes:
             say(axis, "no signals")
-        axes[3].set_xlabel("time")
+        _label_signals(axes, "time")
         return figure
-    minutes = curves.overview_s.max() > 300
-    time = curves.overview_s / (60 if minutes else 1)
-    for i, axis in enumerate(axes[:3]):
-        low, high, mean = (
-            part[i] for part in (curves.overview_low, curves.overview_high, curves.overview_mean)
-        )
-        axis.fill_between(
-            time, low, high, step="mid", color="0.6", lw=0.8, label="least to largest value"
-        )
-        axis.plot(time, mean, color="tab:red", lw=1, label="mean", **_lone_point(time))
-    axes[3].plot(time, 3.6 * curves.overview_speed, **_lone_point(time))
-    axes[3].set_xlabel(f"time [{'min' if minutes else 's'}]")
-    axes[3].set_ylim(bottom=0)
-    for axis in axes:
-        axis.margins(x=0.01)
-        axis.grid(True, alpha=0.3)
+    parts = curves.overview_low, curves.overview_high, curves.overview_mean
+    draw_signals(axes, Overview(curves.overview_s, *parts, curves.overview_speed))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     if np.isfinite(result.mileage_km):
         axes[0].set_title(
@@ -66,6 +50,46 @@ def trip_signals(result: TripResult) -> Figure:
         )
     figure.align_ylabels(axes)
     return figure
+
+
+def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
+    """Draw range and mean of three accelerations, and the speed, on four axes.
+
+    Windows with samples that cannot be used are shaded.
+    """
+    minutes = seen.times_s.max() > 300
+    time = seen.times_s / (60 if minutes else 1)
+    for axis, low, high, mean in zip(axes, seen.low, seen.high, seen.mean, strict=False):
+        axis.fill_between(
+            time, low, high, step="mid", color="0.6", lw=0.8, label="least to largest value"
+        )
+        axis.plot(time, mean, color="tab:red", lw=1, label="mean", **_lone_point(time))
+        if seen.faulty is not None and seen.faulty.any():
+            axis.fill_between(
+                time,
+                0,
+                1,
+                where=seen.faulty,
+                step="mid",
+                transform=axis.get_xaxis_transform(),
+                color="tab:orange",
+                alpha=0.4,
+                lw=0.8,
+                label="not usable",
+            )
+    axes[3].plot(time, 3.6 * seen.speed_m_per_s, **_lone_point(time))
+    axes[3].set_ylim(bottom=0)
+    for axis in axes:
+        axis.margins(x=0.01)
+        axis.grid(True, alpha=0.3)
+    _label_signals(axes, f"time [{'min' if minutes else 's'}]")
+
+
+def _label_signals(axes: Sequence[Axes], time: str) -> None:
+    """Name the quantities on the axes of `draw_signals`."""
+    for axis, channel in zip(axes, CHANNEL_TITLES, strict=False):
+        axis.set_ylabel(f"{channel}\n[m/s²]")
+    axes[3].set(ylabel="speed\n[km/h]", xlabel=time)
 
 
 def trip_responses(results: Sequence[TripResult]) -> Figure:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,19 +15,20 @@ from torch import Tensor
 
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
-from suspnet.model.from_recording import SpeedBin, TripSettings, combined, no_segment, speed_bins
+from suspnet.model.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.model.from_spectra import trip_settings
+from suspnet.model.sides import with_sides
+from suspnet.model.speed_bin import SpeedBin, combined
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
+from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
+from suspnet.storage import printable
 from suspnet.trips.commissionings import models_at, since_km
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
-from suspnet.trips.sides import spoken_sides, weaker_sides
 
 log = logging.getLogger(__name__)
-WINDOWS = 600
-"""Number of windows of a trip's overview."""
 
 
 def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
@@ -53,7 +55,19 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
     except Exception as error:  # a fault in one trip must not end the run of a fleet
         log.debug("trip %s failed", path, exc_info=True)
         result = replace(result, reason=f"{type(error).__name__}: {error}")
-    return replace(result, seconds=time.perf_counter() - start)
+    return _printable(replace(result, seconds=time.perf_counter() - start))
+
+
+def lost_trip(path: Path, reason: str) -> TripResult:
+    """Return the row of a trip that could not even be tried to the end."""
+    return _printable(TripResult(path.stem, str(path), status=ERROR, reason=reason))
+
+
+def _printable(result: TripResult) -> TripResult:
+    """Return a result whose words every file can hold, whatever the names of its files."""
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
+    return replace(result, **changes)
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
@@ -127,7 +141,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
     """
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
-    estimate = combined(bins)
+    estimate, sides = with_sides(combined(bins), bins, recording)
     outputs = bins[0].method.task.outputs
     estimates = dict(zip(outputs, estimate.values[0].tolist(), strict=True))
     coherence = sum(
@@ -161,7 +175,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
             zip(outputs, healthy.half_widths(estimate.level).tolist(), strict=True)
         ),
         flags=estimate.flags.reasons[0],
-        sides=spoken_sides(weaker_sides(best, recording, list(estimates.values()))),
+        sides=sides,
         quality=quality,
         curves=_curves(best, recording),
     )
@@ -179,18 +193,15 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
     """Return the curves and the overview of signals behind an estimate."""
     method = trip_settings(best.method).method
-    n_windows = min(WINDOWS, recording.signals.shape[1])
-    size = recording.signals.shape[1] // n_windows
-    windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)
-    speed = recording.speed_m_per_s[: n_windows * size].reshape(n_windows, size)
+    seen = overview(recording)
     return TripCurves(
         frequencies_hz=best.segments.frequencies_hz.numpy(),
         responses=best.spectra.responses(method).numpy(),
         coherences=best.spectra.coherences().numpy(),
         deviations=best.spectra.deviations(method).numpy(),
-        overview_s=np.arange(n_windows) * size / recording.rate_hz,
-        overview_low=windows.min(axis=2),
-        overview_high=windows.max(axis=2),
-        overview_mean=windows.mean(axis=2),
-        overview_speed=speed.mean(axis=1),
+        overview_s=seen.times_s,
+        overview_low=seen.low,
+        overview_high=seen.high,
+        overview_mean=seen.mean,
+        overview_speed=seen.speed_m_per_s,
     )

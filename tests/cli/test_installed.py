@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 SOURCES = ("suspnet", "configs", "pyproject.toml", "README.md", "LICENSE")
 BUILD = "from setuptools import build_meta as b; b.build_wheel('dist'); b.build_sdist('dist')"
 PROGRAMS = ("suspnet-train", "suspnet-evaluate", "suspnet-simulate")
+PLAIN_PROGRAMS = ("suspnet-check", "suspnet-init")
 TINY = ["model=linear", "data.n_train=200", "data.n_test=50", "data.n_calibrate=null"]
 
 
@@ -74,7 +75,7 @@ def test_wheel_and_source_distribution_hold_every_file(built):
     assert {n for n in names if n.parts[0] == "suspnet"} == {
         path if path.parts[0] == "suspnet" else "suspnet" / path for path in tracked
     }
-    assert all(f"{name} = suspnet.cli." in entries for name in PROGRAMS)
+    assert all(f"{name} = suspnet.cli." in entries for name in (*PROGRAMS, *PLAIN_PROGRAMS))
     with tarfile.open(sources) as archive:
         packed = {Path(*Path(name).parts[1:]) for name in archive.getnames()}
     assert tracked | {Path("LICENSE")} <= packed
@@ -100,3 +101,6 @@ def test_installed_programs_work_from_an_empty_folder(program, tmp_path):
     short = ["fleet.n_trips=1", "fleet.minutes=0.5", "workers=1"]
     assert "1 trips of scenario" in program("suspnet-simulate", *short, cwd=tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"outputs", "trips"}
+    data = next(tmp_path.glob("trips/*/*/body.parquet"))
+    assert "fill in: vehicle" in program("suspnet-init", data, cwd=tmp_path)
+    assert "exit code" in program("suspnet-check", "--help", cwd=tmp_path)

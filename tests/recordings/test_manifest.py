@@ -359,6 +359,34 @@ def test_two_channels_from_one_column_are_refused(folder):
         read_manifest(write(folder, yaml.safe_dump(content)))
 
 
+def test_all_mistakes_are_told_at_once(folder):
+    content = yaml.safe_load(TRIP)
+    content |= {"vehicel": "am96", "mileage_km": -1.0, "side": "top", "truth": {"k_p": 0, "c_p": 0}}
+    content["speed"] = {"file": "gone.csv", "unit": "mph"}
+    del content["suspension"]
+    content["channels"]["body"]["unit"] = "mg"
+    content["channels"]["bogie"] = [LEFT | {"rate_hz": 0}, RIGHT | {"sign": 3, "range": "much"}]
+    path = write(folder, yaml.safe_dump(content))
+    with pytest.raises(
+        TripError, match=r"`vehicel` is not known.*\(and 11 more: suspnet-check"
+    ) as e:
+        read_manifest(path)
+    told = [problem.removeprefix(f"{path}: ") for problem in e.value.problems]
+    assert len(told) == 12
+    keys = (
+        *(
+            "vehicel",
+            "suspension",
+            "mileage_km",
+            "speed.unit",
+            "channels.bogie[0].rate_hz",
+        ),
+        *("channels.bogie[1].sign", "channels.bogie[1].range", "channels.body.unit"),
+        *("truth.k_p", "truth.c_p", "side", "speed.file"),
+    )
+    assert [problem.split()[0] for problem in told] == [f"`{key}`" for key in keys]
+
+
 # where on the vehicle
 
 
@@ -445,7 +473,7 @@ def test_list_of_one_is_one_sensor(folder):
         ([LEFT | {"side": "left"}] * 2, "`channels.body` has two sensors on the left; a pair is"),
         ([LEFT | {"side": "right"}] * 2, "`channels.body` has two sensors on the right; a pair"),
         ([LEFT, LEFT], "two `channels` have the same file and column, body left and body right"),
-        ([LEFT, RIGHT | {"file": "x.mat"}], "`channels.body right.file` must name an existing"),
+        ([LEFT, RIGHT | {"file": "x.mat"}], r"`channels.body\[1\].file` must name an existing"),
         (
             [LEFT, RIGHT | {"file": "sub/bogie.csv", "column": "a"}],
             "two `channels` have the same file and column, bogie and body right; each is one",

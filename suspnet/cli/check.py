@@ -1,0 +1,128 @@
+"""Check manifests and recordings without a model: suspnet-check DIR ..."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from tqdm import tqdm
+
+from suspnet.cli import program
+from suspnet.cli.configs import read_vehicles
+from suspnet.data.parallel import quiet
+from suspnet.inspection.check import CheckSettings, Opened, check_trip, find_trips
+from suspnet.inspection.records import PROBLEM, TripCheck
+from suspnet.inspection.summary import summary, with_shared_data, write_checks
+
+DESCRIPTION = """\
+Read manifests and recordings without a model. Tell everything that is wrong with all of them at
+once, and what an estimate would have to work with: usable share, steady speeds, independent
+averages, coherence in the vehicle's band, pairs of sensors; for a known vehicle also whether units,
+signs and the order of the channels are plausible.
+
+The output folder gets check.html, check.json and a picture of each trip that could be read: its
+channels and speed, their spectra, and the coherence. Trips are not changed."""
+
+EPILOG = """\
+exit code: 0 if every trip could be read, 1 if there is any problem.
+
+  suspnet-check trips/car7                  all manifests of a folder, or of its subfolders
+  suspnet-check trip_001.yaml trip_002.yaml --no-pictures"""
+
+
+def parser() -> ArgumentParser:
+    """Return what the command line may hold."""
+    found = ArgumentParser(
+        "suspnet-check",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
+    found.add_argument(
+        "trips",
+        nargs="+",
+        type=Path,
+        metavar="DIR",
+        help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
+        "a manifest",
+    )
+    found.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder of page, JSON and pictures; outputs/check/TIME if not given",
+    )
+    found.add_argument("--no-pictures", action="store_true", help="draw nothing, which is faster")
+    found.add_argument(
+        "--config-dir",
+        type=Path,
+        metavar="DIR",
+        help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py",
+    )
+    return found
+
+
+def check(arguments: Namespace) -> int:
+    """Check what the command line names and return the exit code."""
+    vehicles = read_vehicles()
+    if arguments.config_dir is not None:
+        if not (arguments.config_dir / "vehicle").is_dir():
+            raise ValueError(f"--config-dir={arguments.config_dir} holds no folder `vehicle`")
+        vehicles |= read_vehicles(arguments.config_dir)
+    output = _folder(arguments.output)
+    known = {vehicle.name: vehicle for vehicle in vehicles.values()}
+    settings = CheckSettings(known, pictures=None if arguments.no_pictures else output)
+    paths, elsewhere = find_trips(arguments.trips)
+    bar = tqdm(paths, desc="trips", unit="trip", disable=quiet(True))
+    names, opened = picture_names(paths), Opened()
+    checks = with_shared_data([check_trip(path, settings, names[path], opened) for path in bar])
+    page = write_checks(checks, elsewhere, output)
+    print(f"{summary(checks, elsewhere)}\n-> {page}")
+    return exit_code(checks, elsewhere)
+
+
+def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
+    """Return 0 if every trip could be read, 1 otherwise."""
+    return int(bool(elsewhere) or any(check.state == PROBLEM for check in checks))
+
+
+def picture_names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Return a name of its own for the picture of each manifest."""
+    names: dict[Path, str] = {}
+    taken: set[str] = set()
+    for path in paths:
+        base, number = path.stem, 1
+        name = base
+        while name.lower() in taken:  # ends: there are fewer names taken than numbers
+            number += 1
+            name = f"{base}_{number}"
+        taken.add(name.lower())
+        names[path] = f"{name}.png"
+    return names
+
+
+def _folder(wanted: Path | None) -> Path:
+    """Make and return the folder of the output: the one wanted, or a new one named by the time."""
+    if wanted is not None:
+        wanted.mkdir(parents=True, exist_ok=True)
+        return wanted
+    base = Path("outputs/check") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    folder, number = base, 1
+    while True:  # ends: there are fewer folders than numbers
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            number += 1
+            folder = base.with_name(f"{base.name}_{number}")
+        else:
+            return folder
+
+
+def main() -> None:
+    """Run the program."""
+    arguments = parser().parse_args()
+    program.run(lambda: sys.exit(check(arguments)))

@@ -1,0 +1,1 @@
+"""What manifests and recordings hold, told without a model: checks, and templates of manifests."""

@@ -1,0 +1,344 @@
+"""Checks of manifests and recordings without a model: what is wrong, and what is there to read."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.data.estimates import EstimateSettings
+from suspnet.dynamics import Vehicle, best_generator
+from suspnet.features.transfer_estimate import SegmentSpectra
+from suspnet.inspection.figures import trip_figure, write_picture
+from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
+from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
+from suspnet.recordings.checked_mapping import all_of
+from suspnet.recordings.formats import open_columns
+from suspnet.recordings.manifest import (
+    CHANNELS,
+    Place,
+    TripError,
+    TripManifest,
+    find_manifests,
+    named_sources,
+    parse_manifest,
+    read_content,
+)
+from suspnet.recordings.plausibility import check_channels, check_pairs
+from suspnet.recordings.recording import Recording, load_recording
+from suspnet.recordings.segments import (
+    difference_segments,
+    in_band,
+    recording_segments,
+    segment_speeds,
+)
+
+log = logging.getLogger(__name__)
+
+UNKNOWN_BAND_HZ = (0.5, 20.0)
+"""Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
+
+
+Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
+"""Why columns of a file cannot be opened, by file, times and column; empty if they can."""
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """How trips are checked.
+
+    Parameters
+    ----------
+    vehicles : mapping of Vehicle
+        Known vehicles by the names that manifests use.
+    trips : TripSettings
+    pictures : Path, optional
+        Folder of the pictures; None draws none.
+    """
+
+    vehicles: Mapping[str, Vehicle]
+    trips: TripSettings = field(default_factory=TripSettings)
+    pictures: Path | None = None
+
+
+def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
+    """Return the manifests that files and folders stand for, and what is wrong with the others.
+
+    A folder stands for its ``*.yaml`` files, or if it has none for those of its subfolders.
+    """
+    found: list[Path] = []
+    problems = []
+    for path in paths:
+        try:
+            found += _manifests(path)
+        except OSError as error:
+            words = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            problems.append(words)
+    return list(dict.fromkeys(found)), problems
+
+
+def _manifests(path: Path) -> list[Path]:
+    """Return the manifests that one file or folder stands for; OSError if there are none."""
+    if not path.is_dir():
+        if not os.path.lexists(path):
+            raise FileNotFoundError(f"there is no file or folder {path}")
+        if path.suffix not in (".yaml", ".yml"):
+            raise OSError(f"{path} is no manifest (*.yaml); to write one: suspnet-init {path}")
+        return [path]
+    if not any(path.glob("*.yaml")):
+        parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")
+        inside = [one for part in parts for one in sorted(part.glob("*.yaml")) if one.is_file()]
+        if inside:
+            return inside
+        others = sorted(one.name for one in path.glob("*.yml"))
+        if others:
+            raise OSError(f"{path} holds no *.yaml file; rename {', '.join(others[:5])}")
+    return find_manifests(path)
+
+
+def check_trip(
+    path: Path, settings: CheckSettings, picture: str = "", opened: Opened | None = None
+) -> TripCheck:
+    """Return what is wrong with a trip and what there is to read; it never fails.
+
+    Parameters
+    ----------
+    path : Path
+        The manifest.
+    settings : CheckSettings
+    picture : str
+        Name of the picture in the folder of the settings.
+    opened : dict, optional
+        Filled with the columns that were opened, so that the manifests of a folder open each once.
+    """
+    opened = {} if opened is None else opened
+    result = TripCheck(path)
+    try:
+        content = read_content(path)
+        manifest, _ = all_of(
+            [partial(parse_manifest, path, content), partial(_check_columns, path, content, opened)]
+        )
+        result = _described(result, manifest)
+        recording = load_recording(manifest, settings.trips.rate_hz)
+        return _inspected(result, recording, settings, picture)
+    except TripError as error:
+        told = error.problems
+    except Exception as error:  # a fault in one trip must not hide what is wrong with the others
+        log.debug("trip %s failed", path, exc_info=True)
+        told = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
+    return _with_problems(result, told)
+
+
+def _check_columns(path: Path, content: Any, opened: Opened) -> None:
+    """Raise TripError if a column that a manifest names cannot be opened, whatever else is wrong.
+
+    Only the first block is read. A file that is missing is for others to tell.
+    """
+    told: dict[str, None] = {}
+    for source in named_sources(content).values():
+        file, time, column = path.parent / source["file"], source.get("time"), source.get("column")
+        named = all(one is None or isinstance(one, str) for one in (time, column))
+        if not named or source.get("csv") is not None or not os.path.isfile(file):
+            continue  # told by others; how a CSV file is written is known when all is parsed
+        key = (file, time, column)
+        if key not in opened:
+            opened[key] = _opening(file, [column] if time is None else [time, column])
+        told |= dict.fromkeys(opened[key])
+    if told:
+        raise TripError(*told)
+
+
+def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
+    """Return why some columns of a file cannot be opened; empty if they can."""
+    try:
+        for _ in open_columns(file, columns):
+            return ()
+    except TripError as error:
+        return error.problems
+    return ()
+
+
+def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
+    """Return a check with problems, of which the manifest's own path is left out."""
+    told = tuple(
+        "".join(letter if letter.isprintable() else "?" for letter in problem).removeprefix(
+            f"{result.manifest}: "
+        )
+        for problem in problems
+    )
+    return replace(result, state=PROBLEM, problems=result.problems + told)
+
+
+def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
+    """Return a check with what the manifest says."""
+    pairs = [name for name in CHANNELS if isinstance(manifest.channels[name], tuple)]
+    sensors = "single sensors" if not pairs else f"pairs: {', '.join(pairs)}"
+    return replace(
+        result,
+        vehicle=manifest.vehicle,
+        place=Place(manifest.suspension.strip(), manifest.bogie or "", manifest.side or ""),
+        mileage_km=manifest.mileage_km,
+        sensors="pairs" if len(pairs) == len(CHANNELS) else sensors,
+        sources=tuple(
+            f"{manifest.file_of(one).resolve()}: {one.column or ''}"
+            for one in manifest.sensors().values()
+        ),
+    )
+
+
+def _inspected(
+    result: TripCheck, recording: Recording, settings: CheckSettings, picture: str
+) -> TripCheck:
+    """Return a check with what the recording holds; draw it if asked."""
+    vehicle, estimate, remarks = _vehicle(recording.manifest, settings.vehicles)
+    assert estimate.low_hz is not None
+    assert estimate.high_hz is not None
+    unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
+    if unknown:
+        remarks.append(f"the speed is unknown for {unknown:.2g} % of the time")
+    result = replace(
+        result,
+        remarks=(*filter(None, [recording.words]), *map(str, recording.faults), *remarks),
+        duration_s=recording.duration_s,
+        usable_percent=100 * float(recording.usable.mean()),
+        band_hz=(estimate.low_hz, estimate.high_hz),
+    )
+    segments = recording_segments(recording, estimate.welch)
+    result, looked_at = _with_parts(result, recording, segments, estimate, settings.trips)
+    spectra = segments.average(looked_at) if bool(looked_at.any()) else None
+    if settings.pictures is not None and picture:
+        figure = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz)
+        write_picture(
+            settings.pictures / picture, figure, f"{result.manifest.stem}: {result.words}"
+        )
+        result = replace(result, picture=picture)
+    if vehicle is None or spectra is None:
+        return result
+    return _with_plausibility(result, recording, segments, looked_at, vehicle)
+
+
+def _with_parts(
+    result: TripCheck,
+    recording: Recording,
+    segments: SegmentSpectra,
+    estimate: EstimateSettings,
+    settings: TripSettings,
+) -> tuple[TripCheck, Tensor]:
+    """Return a check with the steady parts of a recording, and the segments of the longest."""
+    n_segments = len(segments.values)
+    looked_at = torch.ones(n_segments, dtype=torch.bool)
+    if not n_segments:
+        words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
+        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), looked_at
+    speeds = segment_speeds(recording, segments)
+    band = in_band(segments, estimate.frequencies_hz())
+    groups = [group for group in steady_groups(band, speeds, settings) if bool(group.any())]
+    found = [(_part(band, speeds, group, estimate), int(group.sum())) for group in groups]
+    kept = [one for one in found if one[0].n_averages >= settings.min_averages]
+    certain = [one for one in kept if one[0].deviation_percent <= 100 * settings.max_deviation]
+    words = _too_little([part for part, _ in found], settings) if not kept else ""
+    words += "; ".join(_too_uncertain(one[0], settings) for one in kept if one not in certain)
+    result = replace(
+        result,
+        state=READY if certain else TOO_LITTLE,
+        parts=tuple(part for part, _ in certain),
+        steady_percent=100 * sum(n for _, n in certain) / n_segments,
+        remarks=(*result.remarks, *([words] if words else [])),
+    )
+    return result, groups[0] if groups else looked_at
+
+
+def _vehicle(
+    manifest: TripManifest, vehicles: Mapping[str, Vehicle]
+) -> tuple[Vehicle | None, EstimateSettings, list[str]]:
+    """Return a manifest's vehicle, how its trips are read, and why it is not known."""
+    plain = EstimateSettings()
+    unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
+    vehicle = vehicles.get(manifest.vehicle)
+    if vehicle is None:
+        return (
+            None,
+            unknown,
+            [
+                f"units, signs and order of the channels are not checked: vehicle "
+                f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
+            ],
+        )
+    try:
+        return vehicle, plain.bound(vehicle), []
+    except ValueError as error:
+        return None, unknown, [f"vehicle {manifest.vehicle!r}: {error}"]
+
+
+def _part(
+    band: SegmentSpectra, speeds: Tensor, chosen: Tensor, estimate: EstimateSettings
+) -> SteadyPart:
+    """Return what the chosen segments give; G_s counts as far as an estimate uses it."""
+    spectra = band.average(chosen)
+    beyond = torch.zeros(2, len(band.frequencies_hz), dtype=torch.bool)
+    if estimate.body_high_hz is not None:
+        beyond[1] = band.frequencies_hz > estimate.body_high_hz + 1e-9
+    coherences = spectra.coherences().masked_fill(beyond, np.nan).nanmean(dim=1)
+    deviations = spectra.deviations(estimate.method).masked_fill(beyond, np.nan)
+    return SteadyPart(
+        speed_m_per_s=speed_of(speeds[chosen], band)[0],
+        n_averages=spectra.n_averages,
+        coherence_p=float(coherences[0]),
+        coherence_s=float(coherences[1]),
+        deviation_percent=100 * float(deviations.nanmedian(dim=1).values.amax()),
+    )
+
+
+def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
+    """Return why no part of a trip has enough averages."""
+    most = max(parts, key=lambda part: part.n_averages, default=None)
+    found = f"{most.n_averages:.1f} at {most.speed_m_per_s:.1f} m/s" if most else "none"
+    return (
+        f"too little at a steady speed: {found}, {settings.min_averages:g} averages are needed "
+        f"(about two minutes within {100 * settings.speed_tolerance:g} % of one speed, at "
+        f"{settings.min_speed_m_per_s:g} m/s or faster)"
+    )
+
+
+def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
+    """Return that nothing can be estimated from a part of a trip, because of its noise."""
+    return (
+        f"at {part.speed_m_per_s:.1f} m/s the responses are uncertain by "
+        f"{part.deviation_percent:.2g} %, at most {100 * settings.max_deviation:g} % are accepted: "
+        "the sensors hardly show the same motion"
+    )
+
+
+def _with_plausibility(
+    result: TripCheck,
+    recording: Recording,
+    segments: SegmentSpectra,
+    chosen: Tensor,
+    vehicle: Vehicle,
+) -> TripCheck:
+    """Return a check with what is implausible of the channels of a known vehicle."""
+    speed = float(segment_speeds(recording, segments)[chosen].mean())
+    generator = best_generator(vehicle, speed_m_per_s=speed)
+    doubts: list[str] = []
+
+    def check_order() -> None:
+        spectra = segments.average(chosen)
+        doubts.append(check_channels(spectra, segments.frequencies_hz, generator, vehicle))
+
+    def check_sides() -> None:
+        differences = difference_segments(recording, segments.welch)
+        check_pairs(segments, differences, chosen, recording.paired, vehicle)
+
+    try:
+        all_of([check_order, *([check_sides] if any(recording.paired) else [])])
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    return replace(result, remarks=result.remarks + tuple(filter(None, doubts)))

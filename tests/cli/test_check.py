@@ -1,0 +1,355 @@
+"""suspnet-check: what it tells of good and of broken trips, and that it always ends in words."""
+
+import copy
+import json
+import random
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.signal
+import yaml
+from cli_runner import python, typed
+from matplotlib.image import imread
+from trip_fixtures import changed, signal, small_fleet
+
+from suspnet.cli import check
+from suspnet.cli.configs import CONFIGS, read_vehicles
+from suspnet.features.welch import Welch
+from suspnet.inspection.check import CheckSettings, check_trip, find_trips
+from suspnet.inspection.figures import trip_figure
+from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE
+from suspnet.recordings.manifest import read_manifest
+from suspnet.recordings.overview import WINDOWS
+from suspnet.recordings.recording import load_recording
+
+BROKEN = 10_000
+"""Number of broken manifests of the slow test."""
+
+
+@pytest.fixture(scope="module")
+def manifests(tmp_path_factory):
+    return small_fleet(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def settings():
+    return CheckSettings({vehicle.name: vehicle for vehicle in read_vehicles().values()})
+
+
+@pytest.fixture(scope="module")
+def fleet(manifests, tmp_path_factory):
+    """Return the folder and the words of a check of six good trips."""
+    output = tmp_path_factory.mktemp("fleet")
+    done = typed(check, manifests[0].parent, "-o", output, cwd=output)
+    assert (done.returncode, done.stderr) == (0, "")
+    return output, done.stdout
+
+
+def found_in(output):
+    return json.loads((output / "check.json").read_text(encoding="utf-8"))
+
+
+# what an estimate would have to work with
+
+
+def test_coherence_and_averages_are_those_of_scipy_and_welch(manifests, settings):
+    found = check_trip(manifests[0], settings)
+    recording = load_recording(read_manifest(manifests[0]))
+    (part,) = found.parts
+    length = 2000
+    for link, coherence, high_hz in ((0, part.coherence_p, 20.9), (1, part.coherence_s, 13.2)):
+        x, y = recording.signals[link : link + 2]
+        hertz, expected = scipy.signal.coherence(
+            x, y, 100.0, "hann", length, length // 2, detrend="constant"
+        )
+        inside = (hertz >= 0.6) & (hertz <= high_hz)
+        assert coherence == pytest.approx(expected[inside].mean(), abs=2e-3)
+    n_segments = (len(recording.usable) - length) // (length // 2) + 1
+    assert part.n_averages == pytest.approx(Welch().n_averages(n_segments))
+    assert part.speed_m_per_s == pytest.approx(70.0)
+    assert (found.state, found.problems, found.steady_percent) == (READY, (), 100.0)
+
+
+def test_good_trips_are_ready_and_drawn(fleet, manifests):
+    output, words = fleet
+    assert words.startswith("6 of 6 trips ready for an estimate\n")
+    assert "am96, simulated: 6 of 6 trips ready, 1000 to 6000 km, at 70.0 m/s" in words
+    assert "train with speed_m_per_s=70" in words
+    assert "Problems" not in words
+    trips = found_in(output)["trips"]
+    assert [trip["state"] for trip in trips] == [READY] * 6
+    assert trips[0]["band_hz"] == pytest.approx([0.595, 20.9], rel=1e-2)
+    for trip in trips:
+        assert imread(output / trip["picture"]).shape[:2] == (770, 1320)
+    page = (output / "check.html").read_text(encoding="utf-8")
+    assert all(f'src="{path.stem}.png"' in page for path in manifests)
+    assert sorted(path.name for path in output.iterdir()) == sorted(
+        ["check.html", "check.json", *(f"{path.stem}.png" for path in manifests)]
+    )
+
+
+def test_lost_samples_and_speed_are_told(manifests, settings, tmp_path):
+    body = signal(manifests[0], "body").copy()
+    body[5000:15_000] = np.nan  # 40 of 300 s
+    path = changed(manifests[0], tmp_path, signals={"body": body})
+    found = check_trip(path, settings)
+    assert found.state == READY
+    assert found.usable_percent == pytest.approx(100 * (1 - 40 / 300), abs=0.2)
+    assert any("body: gap of 10000 samples (40 s)" in remark for remark in found.remarks)
+    times = np.array([*np.arange(0.0, 101.0, 10.0), 400.0])
+    seconds = {"t": times, "v": np.full(len(times), 70.0)}
+    source = {"column": "v", "time": "t", "rate_hz": None}
+    path = changed(manifests[0], tmp_path, "gps", {"speed": seconds}, {"speed": source})
+    assert any("speed is unknown for 6" in remark for remark in check_trip(path, settings).remarks)
+
+
+def test_each_steady_speed_is_a_part(manifests, tmp_path):
+    seconds = np.arange(301.0)
+    speed = {"t": seconds, "v": np.where(seconds < 150, 40.0, 60.0)}
+    source = {"column": "v", "time": "t", "rate_hz": None}
+    path = changed(manifests[0], tmp_path, "steps", {"speed": speed}, {"speed": source})
+    done = typed(check, path, "-o", tmp_path / "o", "--no-pictures", cwd=tmp_path)
+    (trip,) = found_in(tmp_path / "o")["trips"]
+    assert sorted(part["speed_m_per_s"] for part in trip["parts"]) == pytest.approx([40.0, 60.0])
+    assert 90 < trip["steady_percent"] < 100  # the segments across the step are left out
+    assert "at 40.0 to 60.0 m/s: train with speed_m_per_s=[40,60]" in done.stdout
+
+
+@pytest.mark.parametrize("speed", [5.0, 9.0])
+def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed):
+    path = changed(manifests[0], tmp_path, speed=speed)
+    done = typed(check, path, "-o", tmp_path / "o", cwd=tmp_path)
+    assert done.returncode == 0
+    (trip,) = found_in(tmp_path / "o")["trips"]
+    assert trip["state"] == TOO_LITTLE
+    assert "too little at a steady speed" in done.stdout
+
+
+def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path):
+    changed(manifests[0], tmp_path, "single")
+    content = yaml.safe_load((tmp_path / "single.yaml").read_text())
+    for name in ("axle_box", "bogie"):
+        source, values = content["channels"][name], signal(manifests[0], name)
+        pq.write_table(pa.table({"l": values, "r": 1.01 * values}), tmp_path / f"{name}.parquet")
+        pair = [source | {"file": f"{name}.parquet", "column": column} for column in "lr"]
+        content["channels"][name] = pair
+    (tmp_path / "pair.yaml").write_text(yaml.safe_dump(content))
+    done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "differ in their sensors (pairs: axle_box, bogie; single sensors)" in done.stdout
+    assert "commissioning needs 3 ready healthy trips" in done.stdout
+    assert not list((tmp_path / "o").glob("*.png"))
+
+
+def test_figure_has_a_bounded_number_of_points(manifests, settings):
+    recording = load_recording(read_manifest(manifests[0]))
+    figure = trip_figure(recording, np.empty(0), None, (0.6, 21.0))
+    lines = [line for axis in figure.get_axes() for line in axis.lines]
+    assert len(lines) == 4
+    assert all(len(line.get_xdata()) <= WINDOWS for line in lines)
+
+
+# what is wrong
+
+
+def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_path):
+    good = manifests[0]
+    (tmp_path / "trips").mkdir()
+    trips = tmp_path / "trips"
+    changed(good, trips, "a_good")
+    changed(good, trips, "b_file", channels={"body": {"file": "gone.parquet", "unit": "mg"}})
+    changed(good, trips, "c_column", channels={"body": {"column": "z"}, "bogie": {"column": "y"}})
+    content = yaml.safe_load((trips / "a_good.yaml").read_text())
+    channels = content["channels"]
+    channels["bogie"], channels["body"] = channels["body"], channels["bogie"]
+    (trips / "d_swapped.yaml").write_text(yaml.safe_dump(content))
+    changed(good, trips, "e_unit", channels={"body": {"unit": "g"}})
+    changed(good, trips, "f_sign", channels={"axle_box": {"sign": -1}})
+    changed(good, trips, "g_both", vehicel="am96", channels={"bogie": {"column": "y"}})
+    dead = np.zeros_like(signal(good, "body"))
+    changed(good, trips, "h_dead", {"body": dead})
+    (trips / "i_binary.csv").write_bytes(bytes(random.Random(0).randbytes(50_000)))
+    csv = {"file": str(trips / "i_binary.csv"), "column": "a"}
+    changed(good, trips, "i_binary", channels={"body": csv})
+    (trips / "j_yaml.yaml").write_text("a: [1")
+    (trips / "k_none.yaml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "empty").mkdir()
+    data = good.parent / good.stem / "body.parquet"
+    done = typed(
+        check, trips, tmp_path / "empty", tmp_path / "nowhere", data, "-o", "o", cwd=tmp_path
+    )
+    assert done.returncode == 1
+    assert done.stderr == ""
+    told = {trip["manifest"].rpartition("/")[2]: trip for trip in found_in(tmp_path / "o")["trips"]}
+    expected = {
+        "b_file": ["channels.body.unit", "channels.body.file"],
+        "c_column": ["no column 'y'", "no column 'z'"],
+        "d_swapped": ["look swapped"],
+        "e_unit": ["m/s2 and g are mixed up"],
+        "f_sign": ["axle_box and bogie move against each other"],
+        "g_both": ["`vehicel` is not known", "no column 'y'"],
+        "h_dead": ["channel 'body' is constant (0)"],
+        "i_binary": ["i_binary.csv"],
+        "j_yaml": ["not valid YAML"],
+        "k_none": ["not valid YAML"],
+    }
+    for name, words in expected.items():
+        trip = told[f"{name}.yaml"]
+        assert trip["state"] == PROBLEM, name
+        assert len(trip["problems"]) == len(words), trip["problems"]
+        assert all(word in " ".join(trip["problems"]) for word in words), trip["problems"]
+        assert all(problem.isprintable() for problem in trip["problems"])
+    assert told["a_good.yaml"]["state"] == READY
+    assert "b_file: `channels.body.unit` must be one of" in done.stdout
+    assert "empty holds no *.yaml file" in done.stdout
+    assert "there is no file or folder" in done.stdout
+    assert "is no manifest (*.yaml); to write one: suspnet-init" in done.stdout
+    assert "e_unit, f_sign" in done.stdout  # they share data with the good trip
+    assert told["d_swapped.yaml"]["picture"]
+
+
+def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):
+    path = changed(manifests[0], tmp_path, vehicle="mine")
+    done = typed(check, path, "--no-pictures", "-o", "a", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "vehicle 'mine' is none of ['am96'," in done.stdout
+    (tmp_path / "vehicle").mkdir()
+    shipped = (Path(CONFIGS) / "vehicle/am96.yaml").read_text()
+    (tmp_path / "vehicle/mine.yaml").write_text(shipped.replace("name: am96", "name: mine"))
+    swapped = changed(
+        manifests[0], tmp_path, "unit", vehicle="mine", channels={"body": {"unit": "g"}}
+    )
+    options = ["--no-pictures", "--config-dir", tmp_path, "-o", "b"]
+    done = typed(check, path, swapped, *options, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "unit: body: the gain G_s" in done.stdout
+    assert "is none of" not in done.stdout
+
+
+def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
+    done = typed(check, manifests[0], "--config-dir", tmp_path, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "holds no folder `vehicle`" in done.stderr
+    (tmp_path / "vehicle").mkdir()
+    (tmp_path / "vehicle/evil.yaml").write_text(
+        f"_target_: pathlib.Path.touch\n_args_: [{tmp_path / 'hit'}]\n"
+    )
+    done = typed(check, manifests[0], "--config-dir", tmp_path, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "is no vehicle" in done.stderr
+    assert not (tmp_path / "hit").exists()
+    assert not (tmp_path / "outputs").exists()
+
+
+def test_output_that_cannot_be_written_is_one_line(manifests, tmp_path):
+    (tmp_path / "file").touch()
+    done = typed(check, manifests[0], "-o", tmp_path / "file", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_two_checks_at_once_have_two_folders(manifests, tmp_path):
+    for _ in range(2):
+        assert typed(check, manifests[0], "--no-pictures", cwd=tmp_path).returncode == 0
+    assert len(list((tmp_path / "outputs/check").iterdir())) == 2
+
+
+def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests, tmp_path):
+    for part in ("left", "right"):
+        (tmp_path / "trips" / part).mkdir(parents=True)
+        changed(manifests[0], tmp_path / "trips" / part, "trip")
+    paths, problems = find_trips([tmp_path / "trips", tmp_path / "trips/left"])
+    assert [path.parent.name for path in paths] == ["left", "right"]
+    assert problems == []
+    assert list(check.picture_names(paths).values()) == ["trip.png", "trip_2.png"]
+    (tmp_path / "yml").mkdir()
+    (tmp_path / "yml/trip.yml").touch()
+    assert "rename trip.yml" in find_trips([tmp_path / "yml"])[1][0]
+
+
+def test_manifest_of_an_odd_name_is_told(tmp_path):
+    (tmp_path / "trips").mkdir()
+    with open(bytes(tmp_path / "trips") + b"/\xff.yaml", "wb") as file:
+        file.write(b"format: x\n")
+    done = typed(check, tmp_path / "trips", "-o", "o", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stdout.encode("utf-8").count(b"`vehicle` is missing") == 1
+
+
+def test_program_explains_itself():
+    done = typed(check, "--help", cwd=".")
+    assert done.returncode == 0
+    assert "exit code: 0 if every trip could be read" in done.stdout
+
+
+@pytest.mark.slow
+def test_module_runs_as_a_program(manifests, tmp_path):
+    done = python("-m", "suspnet.check", manifests[0], "-o", tmp_path / "o", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# many broken manifests
+
+
+def broken(content, number, rng):
+    """Break one to three places of a manifest's content, in place."""
+    junk = [None, -1, 1e30, float("nan"), "", "x" * 300, [], {}, [1], {"a": 1}, True, "../..", "\0"]
+    for _ in range(1 + number % 3):
+        node = content
+        while True:  # ends: a manifest is a tree
+            keys = list(range(len(node))) if isinstance(node, list) else list(node)
+            key = rng.choice(keys)
+            if isinstance(node[key], dict | list) and node[key] and rng.random() < 0.8:
+                node = node[key]
+                continue
+            node[key] = rng.choice(junk)
+            break
+    if rng.random() < 0.2:
+        content["extra"] = rng.choice(junk)
+    return content
+
+
+def write_broken(folder, manifest, n):
+    """Write broken copies of a manifest; some may still be right."""
+    content = yaml.safe_load(manifest.read_text())
+    for source in [content["speed"], *content["channels"].values()]:
+        source["file"] = str(manifest.parent / source["file"])
+    rng = random.Random(0)
+    for number in range(n):
+        text = yaml.dump(broken(copy.deepcopy(content), number, rng), Dumper=yaml.CSafeDumper)
+        if rng.random() < 0.1:
+            text = text[: rng.randrange(len(text))]
+        (folder / f"t{number:05d}.yaml").write_text(text)
+
+
+def assert_told(output, n):
+    trips = found_in(output)["trips"]
+    assert len(trips) == n
+    for trip in trips:
+        assert (trip["state"] == PROBLEM) == bool(trip["problems"])
+        assert not any("Error: " in problem for problem in trip["problems"]), trip
+
+
+def test_broken_manifests_are_told(manifests, tmp_path):
+    write_broken(tmp_path, manifests[0], 60)
+    done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == ""
+    assert_told(tmp_path / "o", 60)
+
+
+@pytest.mark.slow
+def test_ten_thousand_broken_manifests_take_less_than_20_s(manifests, tmp_path):
+    write_broken(tmp_path, manifests[0], BROKEN)
+    for path in tmp_path.glob("*.yaml"):  # those that are right take as long as their recordings
+        path.write_text(path.read_text() + "\nbroken: true\n")
+    start = time.perf_counter()
+    done = typed(check, tmp_path, "-o", tmp_path / "o", cwd=tmp_path)
+    assert time.perf_counter() - start < 20
+    assert done.returncode == 1
+    assert_told(tmp_path / "o", BROKEN)
