@@ -20,12 +20,14 @@ def sided_responses(
     ratios=(1, 1, 1, 1, 1),
     bar=0.0,
     sensors_m=(1.0, 1.0, 1.0),
+    bushings=(np.inf, np.inf),
 ):
     """Return displacements of left and right sensors for mean and cross level of the track.
 
     Complex, (3, 2, 2, n_freq): place, side, input. The frame's sensors are above the leading axle
     boxes, those of the body above the leading bogie; the unit of cross level is half the difference
-    of the rails under the springs. `d` is of k_p, c_p, k_s, c_s; `bar` is relative to k_s.
+    of the rails under the springs. `d` is of k_p, c_p, k_s, c_s; `bar` is relative to k_s;
+    `bushings` are those in series with c_p and c_s of one side, [N/m].
     """
     v = AM96
     k_p, c_p, k_s, c_s, m_s = np.array(ratios) * v.healthy_values()
@@ -44,14 +46,15 @@ def sided_responses(
             row = 3 + 3 * i
             for side in SIDES.values():
                 k_d, c_d, ks_d, cs_d = (side * x if i == 0 else 0.0 for x in d)
-                secondary = k_s * (1 + ks_d) + 1j * omega * c_s * (1 + cs_d)
+                secondary = k_s * (1 + ks_d) + in_series(1j * omega * c_s * (1 + cs_d), bushings[1])
                 stretch = np.zeros(9)
                 stretch[[0, 1, 2]] = 1.0, ahead, side * SPRINGS_M["s"]
                 stretch[[row, row + 2]] = -1.0, -side * SPRINGS_M["s"]
                 matrix += secondary * np.outer(stretch, stretch)
                 for axle in (a, -a):
                     # a bogie side's k_p and c_p are those of its two axle boxes together
-                    primary = (k_p * (1 + k_d) + 1j * omega * c_p * (1 + c_d)) / 2
+                    damper = in_series(1j * omega * c_p * (1 + c_d), bushings[0])
+                    primary = (k_p * (1 + k_d) + damper) / 2
                     lever = np.zeros(9)
                     lever[[row, row + 1, row + 2]] = 1.0, axle, side * SPRINGS_M["p"]
                     matrix += primary * np.outer(lever, lever)
@@ -68,6 +71,11 @@ def sided_responses(
             out[1, s, :, n] = q[3] + a * q[4] + frame * q[5]
             out[2, s, :, n] = q[0] + half_pivot * q[1] + body * q[2]
     return out
+
+
+def in_series(damper, bushing):
+    """Return the dynamic stiffness of a damper behind a bushing."""
+    return 1 / (1 / damper + 1 / bushing)
 
 
 def track_amplitudes(frequencies_hz, speed_m_per_s):

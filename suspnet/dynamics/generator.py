@@ -102,6 +102,10 @@ class ResponseGenerator(Protocol):
         """Return ratios with further columns: draws of the generator's uncertain quantities."""
         ...
 
+    def dynamic_stiffness(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return kappa_p and kappa_s of a bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
+        ...
+
     def motion_system(self, ratios: Tensor) -> LinearSystem:
         """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         ...

@@ -199,6 +199,20 @@ class QuarterCar:
         eigenvalues, shapes = eigh(system.stiffness, system.mass)
         return np.sqrt(eigenvalues) / (2 * math.pi), shapes
 
+    def dynamic_stiffness(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> Tensor:
+        """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m].
+
+        Parameters
+        ----------
+        ratios : tensor or array of shape (n_vehicles, 5), [-]
+        frequencies_hz : tensor or array of shape (n_freq,), [Hz]
+        """
+        k_p, c_p, k_s, c_s, _ = self.parameters(ratios)
+        s = 2j * math.pi * as_tensor(frequencies_hz).to(k_p)
+        return torch.stack([k_p + c_p * s, k_s + c_s * s], dim=1)
+
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.
 

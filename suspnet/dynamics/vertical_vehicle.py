@@ -18,6 +18,7 @@ from torch import Tensor
 
 from suspnet.checks import check_choice, check_number
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.elements import primary, secondary
 from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED
@@ -256,6 +257,22 @@ class VerticalVehicle:
             "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
             "exactly."
         )
+
+    def dynamic_stiffness(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> Tensor:
+        """Return kappa_p and kappa_s of a side of the measured bogie, bushings and rubber included.
+
+        Parameters
+        ----------
+        ratios, frequencies_hz : as of `responses`
+
+        Returns
+        -------
+        complex128 tensor of shape (n_vehicles, 2, n_freq), [N/m]
+        """
+        p, omega = self._prepared(ratios, frequencies_hz)
+        return torch.stack([one(p, "", omega, self.parts) for one in (primary, secondary)], dim=1)
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, for simulation in time.

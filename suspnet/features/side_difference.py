@@ -2,11 +2,13 @@ r"""How much weaker one side of a suspension is: the roll of the frame that boun
 
 With a sensor on the left and one on the right of each place there are averages, w of the axle box,
 v of the frame, y of the body, and half differences (left - right) / 2: w_d, u_f, u_b. Left and
-right springs and dampers are kappa (1 + d) and kappa (1 - d), kappa = k + j omega c. The moments on
-the frame, over the springs' half distance and of one side's share, are in balance::
+right springs and dampers are k (1 + d) and k (1 - d), c (1 + d) and c (1 - d). The dynamic
+stiffness of a side's suspension, bushings and rubber included, is then kappa +- delta, with delta
+the sum of d dkappa / dlog(k) and d dkappa / dlog(c). The moments on the frame, over the springs'
+half distance and of one side's share, are in balance::
 
     - omega^2 M_f u_f + kappa_p (u_f - lambda P w_d) + (kappa_s + rho) (u_f - u_b)
-        + kappa_p d_p (z - P w) + kappa_s d_s (z - y) = 0,                        (1)
+        + delta_p (z - P w) + delta_s (z - y) = 0,                                (1)
 
 with M_f the roll inertia over the square of the springs' half distance, rho the anti-roll bar,
 lambda how far apart the frame's sensors are relative to the axle box's, P = (1 + Z) / 2 of both
@@ -22,7 +24,7 @@ A track's mean and cross level are independent processes. So the response F of a
 with w_d held fixed (two inputs v and w_d, one regression for each bin), is 0 in a symmetric
 vehicle, and (1) leaves::
 
-    (D F_f - (kappa_s + rho) F_b) = - (kappa_p d_p sigma_p + kappa_s d_s sigma_s),
+    (D F_f - (kappa_s + rho) F_b) = - (delta_p sigma_p + delta_s sigma_s),
     D = kappa_p + kappa_s + rho - omega^2 M_f,                                    (3)
 
 with sigma_p = (z - P w) / v and sigma_s = (z - y) / v. It is linear in d of k_p, c_p, k_s and c_s.
@@ -67,8 +69,12 @@ class Bounce:
 
     Attributes
     ----------
-    k_p, c_p, k_s, c_s, bogie_mass : float
+    k_p, k_s, bogie_mass : float
         SI units, M_p the mass over one side's springs.
+    kappas : complex array of shape (2, n_freq), [N/m]
+        kappa_p and kappa_s.
+    slopes : complex array of shape (4, n_freq), [N/m]
+        dkappa / dlog of ``SIDE_PARAMETERS``.
     box, body : complex arrays of shape (n_freq,), [-]
         w / v and y / v.
     wheelsets : complex array of shape (n_freq,), [-]
@@ -76,27 +82,21 @@ class Bounce:
     """
 
     k_p: float
-    c_p: float
     k_s: float
-    c_s: float
     bogie_mass: float
+    kappas: ComplexArray
+    slopes: ComplexArray
     box: ComplexArray
     body: ComplexArray
     wheelsets: ComplexArray
 
     def stretches(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return sigma_p and sigma_s at some angular frequencies [rad/s], each (n_freq,)."""
-        kappa_p, kappa_s = self.kappas(omega)
+        """Return sigma_p and sigma_s at the angular frequencies [rad/s] of the rest, (n_freq,)."""
+        kappa_p, kappa_s = self.kappas
         rail = self.wheelsets * self.box
         inertia = omega**2 * self.bogie_mass
         centre = (kappa_p * rail + kappa_s * self.body) / (kappa_p + kappa_s - inertia)
         return centre - rail, centre - self.body
-
-    def kappas(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return kappa_p and kappa_s at some angular frequencies [rad/s], each (n_freq,)."""
-        pairs = ((self.k_p, self.c_p), (self.k_s, self.c_s))
-        primary, secondary = (np.asarray(k + 1j * omega * c, np.complex128) for k, c in pairs)
-        return primary, secondary
 
 
 @dataclass(frozen=True)
@@ -162,13 +162,10 @@ def side_difference(
     variance = np.einsum("if,ijf,jf->f", weights, covariance, weights.conj()).real
     stretch_p, stretch_s = bounce.stretches(omega)
     columns = [
-        -bounce.k_p * stretch_p,
-        -1j * omega * bounce.c_p * stretch_p,
-        -bounce.k_s * stretch_s,
-        -1j * omega * bounce.c_s * stretch_s,
+        *(-bounce.slopes * np.stack([stretch_p, stretch_p, stretch_s, stretch_s])),
         weights[0],
         weights[1] * bounce.body,
-        -apart * bounce.kappas(omega)[0] * bounce.wheelsets * bounce.box,
+        -apart * bounce.kappas[0] * bounce.wheelsets * bounce.box,
     ]
     prior = np.diag([D_DEVIATION] * 4 + [GAIN_DEVIATION] * 3 + [0.0] * 2) ** 2
     prior[7:, 7:] = roll_covariance[1:, 1:]
@@ -191,7 +188,7 @@ def _roll_terms(
 
     `frame` and `body` are half differences, or their responses.
     """
-    kappa_p, kappa_s = bounce.kappas(omega)
+    kappa_p, kappa_s = bounce.kappas
     stiffness = (kappa_p + kappa_s) * frame - kappa_s * body
     inertia = -(omega**2) * bounce.bogie_mass * frame
     return np.stack([stiffness, inertia, bounce.k_s * (frame - body) + 0 * stiffness])
@@ -230,7 +227,7 @@ def _roll(
     box, body = partial[2, 1] / power, partial[2, 3] / power
     coherence = np.abs(partial[2, 1]) ** 2 / (power * partial[1, 1].real)
     told = coherence > CHANCE / n_averages
-    scale = bounce.kappas(omega)[0] * bounce.wheelsets
+    scale = bounce.kappas[0] * bounce.wheelsets
     unexplained = (1 - coherence[told]) / coherence[told] * (partial[1, 1].real / power)[told]
     variance = np.abs(scale[told]) ** 2 * unexplained / n_averages
     variance += (ROLL_MODEL_ERROR * bounce.k_p) ** 2

@@ -14,7 +14,6 @@ from torch import Tensor
 from suspnet.checks import check_number
 from suspnet.data.estimates import Speeds
 from suspnet.dynamics import ResponseGenerator
-from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
@@ -25,6 +24,8 @@ from suspnet.model.from_spectra import (
     trip_observer,
     trip_settings,
 )
+from suspnet.model.sides import with_sides
+from suspnet.model.speed_bin import SpeedBin, combined
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording
@@ -37,8 +38,6 @@ from suspnet.recordings.segments import (
     without_incoherent,
     without_loud,
 )
-from suspnet.types import FloatArray
-from suspnet.uncertainty.ood import Flags
 
 
 @dataclass(frozen=True)
@@ -95,37 +94,6 @@ class TripSettings:
             check_number(f"trips.{name}", getattr(self, name), low=low, high=high)
 
 
-@dataclass(frozen=True)
-class SpeedBin:
-    """One method's estimate from a recording, with the spectra and segments behind it.
-
-    Attributes
-    ----------
-    method : FittedMethod
-    spectra : CrossSpectra
-        Average over the chosen segments on the method's bins, (3, n_freq).
-    segments : SegmentSpectra
-    chosen : bool tensor of shape (n_segments,)
-    speed_m_per_s : float, [m/s]
-        Mean over the chosen segments.
-    estimate : Estimate
-        Of one row.
-    noise_share : array of shape (n_outputs,), [-]
-        Share of the noise of the segments in the square of the intervals.
-    doubts : str
-        What could not be checked of the channels; empty if all could.
-    """
-
-    method: FittedMethod
-    spectra: CrossSpectra
-    segments: SegmentSpectra
-    chosen: Tensor
-    speed_m_per_s: float
-    estimate: Estimate
-    noise_share: FloatArray
-    doubts: str
-
-
 def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
@@ -134,7 +102,8 @@ def estimate_recording(
     segments = recording_segments(recording, welch)
     if not len(segments.values):
         raise NoEstimateError(no_segment(recording, welch))
-    return combined(speed_bins(method, recording, segments, settings))
+    bins = speed_bins(method, recording, segments, settings)
+    return with_sides(combined(bins), bins, recording)[0]
 
 
 def speed_bins(
@@ -232,43 +201,6 @@ def steady_groups(band: SegmentSpectra, speeds: Tensor, settings: TripSettings) 
         without_incoherent(band, without_loud(band, group), settings.min_coherence)[0]
         for group in same_speed(speeds, steady, settings.speed_tolerance)
     ]
-
-
-def combined(bins: Sequence[SpeedBin]) -> Estimate:
-    """Return one estimate from several groups of segments: means of the logarithms.
-
-    Weights are the inverse squares of the half widths, or the averages where there are none. The
-    noise of groups is independent, as they share no segment; the rest of their errors is taken to
-    be one and the same, for models may err alike.
-    """
-    if len(bins) == 1:
-        return bins[0].estimate
-    half = np.concatenate([b.estimate.half_widths for b in bins])  # (n_bins, n_outputs)
-    weights = np.ones_like(half) * np.array([[b.spectra.n_averages] for b in bins])
-    if (np.isfinite(half) & (half > 0)).all():
-        weights = 1 / half**2
-    weights = weights / weights.sum(axis=0)
-    share = np.stack([b.noise_share for b in bins])
-    noise = np.sum(weights**2 * share * half**2, axis=0)
-    lasting = np.sum(weights * np.sqrt(1 - share) * half, axis=0) ** 2
-    values = np.exp(np.sum(weights * np.log([b.estimate.values[0] for b in bins]), axis=0))
-    ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
-    first = bins[0].estimate
-    rows = values[None], ends[0][None], ends[1][None]
-    return Estimate(first.names, *rows, first.level, _flags(bins), first.healthy)
-
-
-def _flags(bins: Sequence[SpeedBin]) -> Flags:
-    """Return the flags of a trip's estimate: of several bins, those of the best one flagged.
-
-    Each bin puts the same into other numbers.
-    """
-    found = [b for b in bins if b.estimate.flags.flagged.any()]
-    if not found:
-        return Flags.none(1)
-    worst = max(found, key=lambda b: b.spectra.n_averages)
-    at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
-    return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))
 
 
 def _speed_bin(

@@ -63,10 +63,10 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
 
 
 def _reasons(results: Sequence[TripResult]) -> list[str]:
-    """Return a paragraph for each reason, flag and side with its trips, as Markdown."""
+    """Return a paragraph for each reason and flag with its trips, as Markdown."""
     trips: dict[str, list[str]] = {}
     for result in results:
-        for words in filter(None, (result.reason or result.flags, result.sides)):
+        if words := result.reason or result.flags:
             trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
 

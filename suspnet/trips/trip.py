@@ -14,8 +14,10 @@ from torch import Tensor
 
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
-from suspnet.model.from_recording import SpeedBin, TripSettings, combined, no_segment, speed_bins
+from suspnet.model.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.model.from_spectra import trip_settings
+from suspnet.model.sides import with_sides
+from suspnet.model.speed_bin import SpeedBin, combined
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.overview import overview
@@ -23,7 +25,6 @@ from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.trips.commissionings import models_at, since_km
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
-from suspnet.trips.sides import spoken_sides, weaker_sides
 
 log = logging.getLogger(__name__)
 
@@ -126,7 +127,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
     """
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
-    estimate = combined(bins)
+    estimate, sides = with_sides(combined(bins), bins, recording)
     outputs = bins[0].method.task.outputs
     estimates = dict(zip(outputs, estimate.values[0].tolist(), strict=True))
     coherence = sum(
@@ -160,7 +161,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
             zip(outputs, healthy.half_widths(estimate.level).tolist(), strict=True)
         ),
         flags=estimate.flags.reasons[0],
-        sides=spoken_sides(weaker_sides(best, recording, list(estimates.values()))),
+        sides=sides,
         quality=quality,
         curves=_curves(best, recording),
     )

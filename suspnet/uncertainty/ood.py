@@ -1,9 +1,10 @@
 """Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
-Five kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
+Six kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
 cloud of the training curves; a parameter lies outside the range of the training curves; the
-generator, with whatever parameters, does not explain the curve; or it did not explain the healthy
-trips that it was commissioned on (`suspnet.uncertainty.physics`, which sets that flag).
+generator, with whatever parameters, does not explain the curve; it did not explain the healthy
+trips that it was commissioned on (`suspnet.uncertainty.physics`, which sets that flag); or left and
+right differ, which estimates take as equal (`suspnet.model.sides`, which sets that one).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from suspnet.data.protocols import Task
 from suspnet.types import BoolArray, FloatArray
 from suspnet.uncertainty.refine import Refined
 
-KINDS = ("missing", "cloud", "range", "misfit", "physics")
+KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector keeps, and of the nearest neighbours whose mean
 distance is compared with the threshold."""
@@ -41,7 +42,7 @@ class Flags:
 
     Attributes
     ----------
-    found : bool array of shape (n_curves, 5)
+    found : bool array of shape (n_curves, 6)
         Columns as ``KINDS``.
     reasons : tuple of str
         For each curve; empty where nothing was found.
@@ -59,6 +60,12 @@ class Flags:
     def flagged(self) -> BoolArray:
         """Whether anything was found, shape (n_curves,)."""
         return np.asarray(self.found.any(axis=1))
+
+    def with_kind(self, kind: str, words: str) -> Flags:
+        """Return flags of which each has one of ``KINDS`` and its words too."""
+        found = self.found.copy()
+        found[:, KINDS.index(kind)] = True
+        return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))
 
 
 @dataclass(frozen=True)
@@ -132,13 +139,13 @@ class OODDetector:
             [_outside(task, name, refined) for name in refined.names], axis=1
         )  # (n_curves, n_unknown)
         odd = ~(refined.misfit <= self.misfit_threshold)
-        found = np.stack(
+        found = Flags.none(len(inputs)).found
+        found[:, :4] = np.stack(
             [
                 np.array([bool(words) for words in missing]),
                 distances > self.distance_threshold,
                 outside.any(axis=1),
                 odd,
-                np.zeros(len(inputs), dtype=bool),
             ],
             axis=1,
         )

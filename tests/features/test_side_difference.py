@@ -10,7 +10,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.features.side_difference import SIDE_PARAMETERS, _responses, _without, side_difference
-from suspnet.trips.sides import bounce_of
+from suspnet.model.sides import bounce_of
 
 FREQUENCIES_HZ = np.arange(0.5, 10.0, 0.05)
 N_SEGMENTS = 100
@@ -51,12 +51,22 @@ def segments(
 def bounce_at(speed, generator=None, ratios=HEALTHY, **vehicle):
     generator = generator or VerticalVehicle(AM96, speed_m_per_s=speed)
     mean = sided_responses(FREQUENCIES_HZ, speed, ratios=ratios, **vehicle).mean(axis=1)[:, 0]
-    system = generator.motion_system(torch.tensor(ratios, dtype=torch.float64))
-    return bounce_of(system, FREQUENCIES_HZ, mean[1] / mean[0], mean[2] / mean[1], speed)
+    measured = mean[1] / mean[0], mean[2] / mean[1]
+    return bounce_of(generator, np.array(ratios), FREQUENCIES_HZ, *measured, speed)
 
 
-def found(speed, *arguments, ratios=HEALTHY, n_averages=N_SEGMENTS, **options):
-    bounce = bounce_at(speed, ratios=ratios)
+def found(
+    speed,
+    *arguments,
+    ratios=HEALTHY,
+    n_averages=N_SEGMENTS,
+    generator=None,
+    bushings=None,
+    **options,
+):
+    given = {} if bushings is None else {"bushings": bushings}
+    bounce = bounce_at(speed, generator, ratios, **given)
+    options |= given
     options = {"n_segments": N_SEGMENTS if not n_averages > 2 else n_averages} | options
     values = segments(speed, *arguments, ratios=ratios, **options)
     return side_difference(FREQUENCIES_HZ, values, bounce, n_averages)
@@ -77,8 +87,8 @@ def test_stretches_are_those_of_the_generator(speed, ratios, axle):
         for place in ("axle", "centre")
     )
     to_frame, to_body = (part[0].numpy() for part in above)
-    system = VerticalVehicle(AM96, **settings).motion_system(row[0])
-    bounce = bounce_of(system, FREQUENCIES_HZ, to_frame, to_body, speed)
+    generator = VerticalVehicle(AM96, **settings)
+    bounce = bounce_of(generator, np.array(ratios), FREQUENCIES_HZ, to_frame, to_body, speed)
     second = VerticalVehicle(AM96, **settings).further_channels(row, FREQUENCIES_HZ)[0, 0, 2]
     z = centre[0][0].numpy()
     stretch_p, stretch_s = bounce.stretches(2 * np.pi * FREQUENCIES_HZ)
@@ -86,9 +96,13 @@ def test_stretches_are_those_of_the_generator(speed, ratios, axle):
     np.testing.assert_allclose(stretch_p, (z - (1 + second.numpy()) / 2) / to_frame, atol=1e-9)
     np.testing.assert_allclose(stretch_s, (z - to_frame * to_body) / to_frame, atol=1e-9)
     assert bounce.k_p == pytest.approx(ratios[0] * AM96.primary_stiffness_n_per_m)
-    assert bounce.c_p == pytest.approx(ratios[1] * AM96.primary_damping_ns_per_m)
     assert bounce.k_s == pytest.approx(ratios[2] * AM96.secondary_stiffness_n_per_m)
-    assert bounce.c_s == pytest.approx(ratios[3] * AM96.secondary_damping_ns_per_m)
+    s, healthy = 2j * np.pi * FREQUENCIES_HZ, AM96.healthy_values()
+    springs = [ratios[i] * healthy[i] * np.ones_like(s) for i in (0, 2)]
+    dampers = [ratios[i] * healthy[i] * s for i in (1, 3)]
+    np.testing.assert_allclose(bounce.kappas, np.add(springs, dampers), rtol=1e-12)
+    naive = np.stack([springs[0], dampers[0], springs[1], dampers[1]])
+    np.testing.assert_allclose(bounce.slopes, naive, rtol=1e-7)
 
 
 def test_corners_bounce_as_the_generator_does():
@@ -124,6 +138,21 @@ def test_all_parts_are_told_apart():
     d = np.array([-0.1, 0.2, 0.1, -0.15])
     one = found(70.0, d)
     np.testing.assert_allclose(one.d, d, atol=0.05)
+
+
+@pytest.mark.parametrize("i", [1, 3])
+def test_weaker_damper_is_found_behind_its_bushing(i):
+    """Commissioned vehicles have bushings: dampers are no part of their matrix of damping."""
+    bushings = (2e6, 1.5e6)
+    names = ("primary_bushing", "secondary_bushing")
+    nominal = dict(zip(names, bushings, strict=True))
+    generator = VerticalVehicle(AM96, speed_m_per_s=70.0, parts=("bushings",), nominal=nominal)
+    d = np.zeros(4)
+    d[i] = -0.2
+    one = found(70.0, d, generator=generator, bushings=bushings)
+    assert one.d[i] == pytest.approx(-0.2, rel=0.15)
+    assert np.argmax(np.abs(one.d) / one.deviations) == i
+    assert one.misfit < 2
 
 
 def test_worn_vehicle_with_anti_roll_bar_and_other_places_is_read():

@@ -21,6 +21,7 @@ from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
 from suspnet.theory.information import output_bounds
+from suspnet.uncertainty.ood import KINDS
 from suspnet.uncertainty.refine import refine
 
 SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
@@ -248,7 +249,7 @@ def test_trips_have_intervals_and_flags_too():
     truth = outcome.data.outputs
     # 48 trips of five outputs, 128 to calibrate: at least 4.3 % and 2.7 %; three of their root sum
     assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(LEVEL, abs=0.15)
-    assert outcome.flags.found.shape == (48, 5)
+    assert outcome.flags.found.shape == (48, len(KINDS))
     assert outcome.flags.flagged.mean() < 0.1
     regression = fitted.predict(outcome.data.inputs)
     for j in range(5):

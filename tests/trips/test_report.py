@@ -339,7 +339,7 @@ def test_flags_on_all_trips_contradict_nothing(tmp_path):
 
 def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
     words = "primary spring: the left side is weaker (about 20 %)"
-    _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words)])
+    _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words, flags=words)])
     assert "Left and right differ on 1 of the last 2 trips; on trip_001: primary" in page.text
     assert page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 2
     assert "\u25d0 Sides" in page.text

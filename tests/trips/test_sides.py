@@ -13,8 +13,9 @@ from trip_records import trip
 
 from suspnet.features.side_difference import SideDifference
 from suspnet.model.from_recording import TripSettings
+from suspnet.model.sides import UNEXPLAINED, spoken_sides
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
-from suspnet.trips.sides import UNEXPLAINED, sides_finding, spoken_sides
+from suspnet.trips.sides import sides_finding
 from suspnet.trips.trip import evaluate_trip
 
 RATE_HZ, TOP_HZ = 250.0, 30.0
@@ -77,6 +78,8 @@ def test_weaker_side_is_told(tmp_path, model):
     assert result.sides.startswith("primary spring: the left side is weaker (about ")
     assert float(result.sides.split("about ")[1].split(" ")[0]) == pytest.approx(20, abs=4)
     assert result.row(OUTPUTS)["sides"] == result.sides
+    assert result.flags.endswith(f"both sides are taken as equal, but {result.sides}")
+    assert model.estimate(tmp_path / "trip.yaml").flags.reasons == (result.flags,)
     assert "; " not in result.sides
 
 

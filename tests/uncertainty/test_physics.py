@@ -14,7 +14,7 @@ from suspnet.problem import Problem
 from suspnet.runs.calibrate import with_unexplained
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import KINDS, Flags
-from suspnet.uncertainty.physics import INCOMPLETE, Residual, Unexplained
+from suspnet.uncertainty.physics import COSTLY, INCOMPLETE, Residual, Unexplained
 
 COSTS = np.array([0.01, 0.1, 0.02, 0.03, 0.0])
 LEVEL = 0.9
@@ -122,11 +122,11 @@ def test_every_estimate_of_incomplete_physics_is_flagged_and_wider():
     np.testing.assert_allclose(found.half_widths[0], np.hypot(usual, COMMON * sigma), rtol=1e-9)
     np.testing.assert_array_equal(found.values, plain.values)
     assert (less[:4] < share[:4]).all()  # it is the same in every speed bin
-    assert found.flags.found[0].tolist() == [False] * 4 + [True]
+    assert np.flatnonzero(found.flags.found[0]).tolist() == [KINDS.index("physics")]
     assert found.flags.reasons[0] == (
-        "the commissioned vehicle leaves 5.7 times the noise of its healthy trips unexplained"
+        "the commissioned vehicle leaves 5.7 times the noise of its healthy trips unexplained, "
+        "which can cost 10 %"
     )
-    assert KINDS[-1] == "physics"
 
 
 def test_curves_are_flagged_and_wider_too():
@@ -138,7 +138,7 @@ def test_curves_are_flagged_and_wider_too():
     sigma = COSTS * factors.factors(LEVEL) / factors.factors(0.6827)
     expected = np.hypot(plain.half_widths, sigma)
     np.testing.assert_allclose(found.half_widths, expected, rtol=1e-9)
-    assert found.flags.found[:, -1].all()
+    assert found.flags.found[:, KINDS.index("physics")].all()
     assert "leaves 5.7 times" in found.flags.reasons[1]
 
 
@@ -147,7 +147,17 @@ def test_words_follow_those_of_other_flags():
     found = Unexplained(2.0, COSTS).flagged(flags)
     assert found.reasons[0].startswith("odd; the commissioned vehicle leaves 2 times")
     assert not flags.found[0, -1]
-    assert Unexplained(INCOMPLETE, COSTS).flagged(flags) is flags
+    assert Unexplained(INCOMPLETE, np.minimum(COSTS, COSTLY)).flagged(flags) is flags
+
+
+def test_small_misfit_that_costs_much_is_incomplete_too():
+    costs = np.array([0.0, 1.01 * COSTLY, 0.0, 0.0, 0.0])
+    found = Unexplained(1.1, costs).flagged(Flags.none(1))
+    assert found.reasons == (
+        "the commissioned vehicle leaves 1.1 times the noise of its healthy trips unexplained, "
+        "which can cost 5.1 %",
+    )
+    assert not Unexplained(1.1, costs / 1.02).is_incomplete
 
 
 def test_model_without_intervals_is_flagged():
