@@ -7,6 +7,9 @@ from collections.abc import Collection
 from numbers import Integral, Real
 from typing import Any
 
+LARGEST = 1e20
+"""Magnitude beyond which no setting in SI units is meant; its square and its cube are finite."""
+
 
 def check_number(
     name: str,
@@ -18,6 +21,7 @@ def check_number(
     below: float | None = None,
     whole: bool = False,
     optional: bool = False,
+    most: float = LARGEST,
 ) -> None:
     """Raise unless `value` is a finite number within the bounds given.
 
@@ -34,13 +38,16 @@ def check_number(
         Only whole numbers.
     optional : bool
         Allow None too.
+    most : float
+        Magnitude that no sensible value has, which would ask for too much time or memory, or
+        overflow.
 
     Raises
     ------
     TypeError
         If it is not a number, or not a whole one where it must be.
     ValueError
-        If it is NaN, infinite or out of range.
+        If it is NaN, infinite, beyond `most` or out of range.
     """
     if optional and value is None:
         return
@@ -55,6 +62,8 @@ def check_number(
         number = float(value)
     except OverflowError:
         number = math.inf
+    if most < abs(number) < math.inf:
+        raise ValueError(f"`{name}` must be at most {most:g} in magnitude, got {value}")
     inside = (
         math.isfinite(number)
         and (low is None or number >= low)
@@ -64,6 +73,12 @@ def check_number(
     )
     if not inside:
         raise ValueError(f"`{name}` must be {rule}, got {value}")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raise TypeError unless a setting is True or False; text such as "no" would count as True."""
+    if not isinstance(value, bool):
+        raise TypeError(f"`{name}` must be True or False, got {value!r}")
 
 
 def check_choice(name: str, value: object, allowed: Collection[object]) -> None:

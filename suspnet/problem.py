@@ -5,12 +5,9 @@ Degraded vehicles -> noisy curves -> features, block by block.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import logging
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from suspnet._version import __version__
+from suspnet.cache import Cache, code_hash
 from suspnet.checks import check_number
 from suspnet.data.feature_data import FeatureData
 from suspnet.data.observation import Observation, Observer
@@ -26,13 +24,6 @@ from suspnet.data.parallel import pool_of, quiet
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.features import FeatureSet
-from suspnet.storage import (
-    DamagedFileError,
-    content_hash,
-    dump_arrays,
-    read_arrays,
-    write_atomically,
-)
 from suspnet.types import FloatArray
 
 LEARN_FROM = 4096
@@ -44,7 +35,6 @@ BATCH = 2 * BLOCK
 TRAIN, TEST, CALIBRATE = 0, 1, 2
 """Streams of independent curves: for training, for scores, for the calibration of intervals."""
 _NAMES = ("training", "test", "calibration")
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -81,7 +71,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         check_number("seed", self.seed, low=0, whole=True)
-        check_number("threads", self.threads, low=1, whole=True)
+        check_number("threads", self.threads, low=1, most=1024, whole=True)
         object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
 
     @property
@@ -125,14 +115,16 @@ class Problem:
         ValueError
             If more curves are asked for than there are, or the healthy vehicle lacks a peak.
         """
-        path = self._cache_path(stream, part)
-        if path is not None:
-            cached = _read_cache(path)
-            if cached is not None:
-                return cached
+        if self.settings.cache_dir is None:
+            return self._make_features(stream, part)
+        cache = Cache(self.settings.cache_dir, "features")
+        which = {} if part is None else {"part": [part.start, part.stop]}
+        made_from = self.describe(stream) | which
+        cached = cache.read(made_from)
+        if cached is not None:
+            return FeatureData(**cached[0])
         data = self._make_features(stream, part)
-        if path is not None:
-            write_atomically(path, dump_arrays(asdict(data)))
+        cache.write(made_from, asdict(data))
         return data
 
     def ratios(self, stream: int) -> FloatArray:
@@ -217,14 +209,6 @@ class Problem:
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
 
-    def _cache_path(self, stream: int, part: slice | None) -> Path | None:
-        """Return the file that caches a stream's features, named by a hash of the settings."""
-        if self.settings.cache_dir is None:
-            return None
-        which = {} if part is None else {"part": [part.start, part.stop]}
-        name = content_hash(self.describe(stream) | which)
-        return Path(self.settings.cache_dir) / f"features-{name[:32]}.safetensors"
-
     def describe(self, stream: int) -> dict[str, Any]:
         """Return everything that the features depend on, as JSON-able values."""
         settings = asdict(self.settings)
@@ -238,30 +222,10 @@ class Problem:
             "seed": self.seed,
             "stream": stream,
             "version": __version__,
-            "code": _code_hash(),
+            "code": code_hash("problem.py", "dynamics", "features", "data"),
         }
         if not self.task.extractor.is_fitted:
             wanted = self._wanted(TRAIN)
             description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
         plain: dict[str, Any] = json.loads(json.dumps(description))
         return plain
-
-
-def _read_cache(path: Path) -> FeatureData | None:
-    """Return cached features, None if there are none or the file is damaged."""
-    try:
-        return FeatureData(**read_arrays(path))
-    except FileNotFoundError:
-        return None
-    except (DamagedFileError, TypeError) as error:
-        log.warning("ignoring a damaged cache file: %s", error)
-        return None
-
-
-def _code_hash() -> str:
-    """Return a hash of the code that makes features, so that no cache outlives it."""
-    package = Path(__file__).parent
-    files = [package / "problem.py"]
-    for part in ("dynamics", "features", "data"):
-        files += sorted((package / part).glob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
-from collections.abc import Mapping
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,27 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    HAS_LOCKS = False
+else:
+    HAS_LOCKS = True
+
+
+DESCRIPTORS = "/proc/self/fd"
+"""Where Linux shows a process the files that it has open."""
+
 
 class DamagedFileError(ValueError):
     """A file is truncated, altered or of another format."""
 
 
 def write_atomically(path: Path, content: bytes | str) -> Path:
-    """Write a file through a temporary one in the same folder, fsync and rename.
+    """Write a file that has no name in its folder before it is whole and on the disk.
+
+    Where the file system has no files without a name, a hidden one in the same folder is written
+    and renamed.
 
     Raises
     ------
@@ -30,18 +46,87 @@ def write_atomically(path: Path, content: bytes | str) -> Path:
     """
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
     try:
+        handle, is_named = _opened(temporary)
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())
+            if not is_named:
+                _name(stream.fileno(), temporary)
         os.replace(temporary, path)
     except BaseException:
-        os.unlink(temporary)
+        temporary.unlink(missing_ok=True)
         raise
     return path
+
+
+def _opened(temporary: Path) -> tuple[int, bool]:
+    """Return a new file's descriptor, and whether it is named `temporary` or has no name."""
+    if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
+        try:
+            return os.open(temporary.parent, os.O_TMPFILE | os.O_WRONLY, 0o666), False
+        except OSError:  # the file system has no such files, or cannot be written at all
+            pass
+    return os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), True
+
+
+def _name(handle: int, path: Path) -> None:
+    """Give a file that has no name one."""
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:  # with a folder's descriptor Python follows the link of /proc
+        os.link(f"{DESCRIPTORS}/{handle}", path.name, dst_dir_fd=folder, follow_symlinks=True)
+    finally:
+        os.close(folder)
+
+
+def new_folder(wanted: Path) -> Path:
+    """Make a folder that nobody else has, and return it: `wanted`, or `wanted`_2, _3, ...
+
+    Raises
+    ------
+    OSError
+        If it cannot be made.
+    """
+    wanted.parent.mkdir(parents=True, exist_ok=True)
+    for number in count(1):  # ends: there are fewer folders than numbers
+        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}_{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError("unreachable")
+
+
+@contextmanager
+def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
+    """Keep other threads and processes that lock a folder too out of it.
+
+    Yields
+    ------
+    bool
+        False if someone else has it and `wait` is false. True where the file system has no locks.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY) if HAS_LOCKS else None
+    try:
+        yield handle is None or _locks(handle, wait)
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _locks(handle: int, wait: bool) -> bool:
+    """Lock a folder until its descriptor is closed; return False if someone else has it."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    except OSError:  # the file system has no locks
+        pass
+    return True
 
 
 def write_json(path: Path, content: Any) -> Path:
@@ -102,11 +187,9 @@ def content_hash(description: Any) -> str:
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
-def _umask() -> int:
-    """Return the process's umask, which only setting it reveals."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def printable(text: str) -> str:
+    """Return text that every file can hold; the bytes of a name that are not UTF-8 stand in hex."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _finite(content: Any) -> Any:

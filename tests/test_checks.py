@@ -29,6 +29,12 @@ def test_what_is_not_finite_is_refused(value):
         check_number("x", value)
 
 
+@pytest.mark.parametrize("value", [1e30, -1e300, 10**21])
+def test_what_no_setting_can_mean_is_refused(value):
+    with pytest.raises(ValueError, match=r"`x` must be at most 1e\+20 in magnitude, got"):
+        check_number("x", value)
+
+
 @pytest.mark.parametrize("value", [True, "1", None, 1j, [1.0]])
 def test_what_is_no_number_is_refused(value):
     with pytest.raises(TypeError, match=r"`x` must be a finite number > 0, got .*"):

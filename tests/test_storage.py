@@ -5,6 +5,7 @@ import json
 import math
 import os
 import stat
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from suspnet.storage import (
     DamagedFileError,
     content_hash,
     dump_arrays,
+    locked,
+    new_folder,
+    printable,
     read_arrays,
     read_json,
     write_atomically,
@@ -119,17 +123,58 @@ def test_content_hash_ignores_the_order_of_keys_only():
     assert len(first) == 64
 
 
+def test_file_system_without_unnamed_files_and_locks_will_do(tmp_path, monkeypatch):
+    monkeypatch.setattr(storage, "DESCRIPTORS", "/nowhere")
+    monkeypatch.setattr(storage, "HAS_LOCKS", False)
+    with locked(tmp_path) as is_ours:
+        assert is_ours
+        assert write_atomically(tmp_path / "file", "content").read_text() == "content"
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_folders_made_at_the_same_time_are_different(tmp_path):
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(lambda _: new_folder(tmp_path / "runs" / "run"), range(40)))
+    names = {"run", *(f"run_{number}" for number in range(2, 41))}
+    assert {folder.name for folder in made} == names
+    assert {folder.name for folder in (tmp_path / "runs").iterdir()} == names
+
+
+def test_folder_is_locked_for_one_at_a_time(tmp_path):
+    with locked(tmp_path, wait=False) as first:
+        with locked(tmp_path, wait=False) as second:
+            assert (first, second) == (True, False)
+        with locked(tmp_path / "other", wait=False) as other:
+            assert other
+    with locked(tmp_path, wait=False) as again:
+        assert again
+
+
+def test_threads_leave_the_umask_alone(tmp_path, umask):
+    umask(0o027)
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda i: write_atomically(tmp_path / str(i), "content"), range(200)))
+    assert umask(0o027) == 0o027
+    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o640}
+
+
+def test_text_from_a_name_that_is_no_utf8_can_be_written():
+    name = os.fsdecode(b"tr\xffip \xc3\xa4")
+    assert printable(name) == "tr\\udcffip \N{LATIN SMALL LETTER A WITH DIAERESIS}"
+    assert printable("trip") == "trip"
+
+
 # failure
 
 
-@pytest.mark.parametrize("step", ["replace", "fsync", "chmod"])
+@pytest.mark.parametrize("step", ["replace", "fsync", "link"])
 @pytest.mark.parametrize("before", [None, "old"])
 def test_failed_write_leaves_nothing_new_behind(tmp_path, monkeypatch, step, before):
     path = tmp_path / "file"
     if before is not None:
         path.write_text(before)
 
-    def fail(*args):
+    def fail(*args, **options):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(storage.os, step, fail)

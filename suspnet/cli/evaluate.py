@@ -15,7 +15,7 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from suspnet.cli import program
+from suspnet.cli import folders, program
 from suspnet.model.checkpoint import load_model
 from suspnet.runs.evaluate import evaluate, find_runs
 from suspnet.storage import write_atomically
@@ -99,6 +99,7 @@ def compose(config: DictConfig) -> int:
         instantiate(config.study, folder=program.run_folder())
         return FINE
     runs, output = _runs(config.run), program.run_folder()
+    folders.clear(output)
     program.save_config(config, output)
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]

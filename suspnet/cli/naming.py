@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
-    *("workers", "data.cache_dir"),
+    *("workers", "data.cache_dir", "resume"),
 }
 """Keys that no folder is named by: the path has them already, or they change no number."""
 OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 import sys
+import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
+import yaml
+from hydra._internal import hydra as hydra_application
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
@@ -21,14 +28,26 @@ from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.checks import check_number
-from suspnet.cli import configs, naming
+from suspnet.cli import configs, folders, naming
+from suspnet.cli.trusted import CheckedLoader, check_configuration
+from suspnet.cli.values import read_values
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
+from suspnet.workers import LostWorkerError, end_with_parent, guard_joblib
 
 CONFIGS = configs.CONFIGS
 """Absolute path of the folder that Hydra composes from."""
 DEBUG = "HYDRA_FULL_ERROR"
-MISTAKES = (ValueError, TypeError, OSError, HydraException, OmegaConfBaseException)
+MISTAKES = (
+    ValueError,
+    TypeError,
+    OSError,
+    MemoryError,
+    RecursionError,
+    yaml.YAMLError,
+    HydraException,
+    OmegaConfBaseException,
+)
 NO_SLURM = 'Could not detect "srun"'
 """Begin of submitit's message where there is no Slurm cluster."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
@@ -40,15 +59,17 @@ naming.register()
 def run(main: Callable[[], Any]) -> None:
     """Run a Hydra program; end with one line and exit code 1 on a mistake, 130 on Ctrl-C.
 
-    HYDRA_FULL_ERROR=1 shows the traceback instead.
+    The exit code of SIGTERM is 143. HYDRA_FULL_ERROR=1 shows the traceback instead.
     """
     os.environ[DEBUG] = "1"
+    guard_joblib()
     try:
-        with _one_writer():
+        with _terminable(), _one_writer(), _checked_loader():
             main()
-    except KeyboardInterrupt:
-        print("interrupted: nothing was half-written; start again at any time", file=sys.stderr)
-        sys.exit(130)
+    except (KeyboardInterrupt, _Terminated) as ended:
+        verb, code = ("terminated", 143) if isinstance(ended, _Terminated) else ("interrupted", 130)
+        print(f"{verb}: nothing was half-written; {folders.how_to_go_on()}", file=sys.stderr)
+        sys.exit(code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)
@@ -56,10 +77,48 @@ def run(main: Callable[[], Any]) -> None:
         if _debugging:
             raise
         sys.exit(one_line(error))
+    except (LostWorkerError, BrokenProcessPool) as error:
+        sys.exit(f"{one_line(error)}; {folders.how_to_go_on()}")
     except RuntimeError as error:
         if _debugging or NO_SLURM not in str(error):
             raise
         sys.exit(one_line(error))
+
+
+class _Terminated(BaseException):
+    """SIGTERM has come."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(number: int, frame: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def _checked_loader() -> Iterator[None]:
+    """Let Hydra compose trusted configurations only, and read no pickle."""
+    if get_args_parser().parse_known_args()[0].experimental_rerun is not None:
+        raise ValueError("--experimental-rerun reads a pickle, which can run any code: not allowed")
+    names = vars(hydra_application)
+    loader = names["ConfigLoaderImpl"]
+    names["ConfigLoaderImpl"] = CheckedLoader
+    try:
+        yield
+    finally:
+        names["ConfigLoaderImpl"] = loader
 
 
 @contextmanager
@@ -106,18 +165,48 @@ def join_ranks(device: str) -> None:
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
-    """Wrap a Hydra task function: check its targets, end with one line on a mistake."""
+    """Wrap a Hydra task function: check its objects and values, end with one line on a mistake.
+
+    In a job of a multirun every error is one line; the traceback of a fault goes to error.txt.
+    """
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> Any:
         warnings.simplefilter("always", ConvergenceWarning)
+        end_with_parent()
         try:
-            check_targets(config)
+            check_configuration(config)
+            read_values(config)
             return function(config)
         except MISTAKES as error:
             if _debugging:
                 raise
             raise SystemExit(one_line(error)) from None
+        except Exception as error:
+            if _debugging or not folders.is_job():
+                raise
+            file = run_folder() / folders.ERROR
+            write_atomically(file, traceback.format_exc())
+            words = f"error: {type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+            raise SystemExit(words) from None
+
+    return wrapped
+
+
+def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
+    """Wrap a task so that the other jobs of a multirun run after one has failed."""
+
+    @functools.wraps(function)
+    def wrapped(config: DictConfig) -> None:
+        try:
+            function(config)
+        except SystemExit as ended:
+            if not folders.is_job():
+                raise
+            print(ended.code, file=sys.stderr)
+            file = run_folder() / folders.ERROR
+            if not file.exists():
+                write_atomically(file, f"{ended.code}\n")
 
     return wrapped
 
@@ -128,6 +217,10 @@ def one_line(error: BaseException) -> str:
     while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
         error = error.__cause__
     words = str(error)
+    if isinstance(error, RecursionError):
+        words = "the configuration is nested too deeply, or refers to itself"
+    if isinstance(error, MemoryError):
+        words = f"not enough memory: {words or 'ask for less at a time'}"
     for noise in ("Config search path", "full_key:", "To append to your "):
         words = words.split(noise)[0]
     if words.startswith("Could not override"):
@@ -141,20 +234,6 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())
-
-
-def check_targets(config: DictConfig) -> None:
-    """Raise ValueError if a `_target_` lies outside suspnet."""
-    stack: list[Any] = [OmegaConf.to_container(config, resolve=False)]
-    while stack:  # a configuration is a tree: each node is taken off once
-        node = stack.pop()
-        if isinstance(node, dict):
-            target = node.get("_target_", "suspnet.")
-            if not str(target).startswith("suspnet."):
-                raise ValueError(f"`_target_` must lie in suspnet, got {target!r}")
-            stack.extend(node.values())
-        elif isinstance(node, list):
-            stack.extend(node)
 
 
 def run_folder() -> Path:
@@ -172,7 +251,7 @@ def n_threads(wanted: int | None) -> int:
     """
     if wanted is None:
         return torch.get_num_threads()
-    check_number("threads", wanted, low=1, whole=True, optional=True)
+    check_number("threads", wanted, low=1, most=1024, whole=True, optional=True)
     torch.set_num_threads(wanted)
     return wanted
 

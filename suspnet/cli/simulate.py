@@ -9,7 +9,9 @@ import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from suspnet.checks import check_number
 from suspnet.cli import program
+from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.writing import write_fleet
 
 log = logging.getLogger(__name__)
@@ -19,19 +21,21 @@ log = logging.getLogger(__name__)
 @program.task
 def compose(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
-    folder = Path(config.out)
-    if folder.exists() and any(folder.glob("*.yaml")):
-        raise ValueError(f"out={folder} already holds trips; give another folder")
-    manifests = write_fleet(
-        folder,
-        instantiate(config.fleet),
-        instantiate(config.scenario),
-        instantiate(config.generator),
-        seed=config.seed,
-        scatter=config.scatter,
-        n_jobs=config.workers,
-        progress=config.progress,
-    )
+    check_number("workers", config.workers, low=1, most=1024, whole=True)
+    try:
+        manifests = write_fleet(
+            Path(config.out),
+            instantiate(config.fleet),
+            instantiate(config.scenario),
+            instantiate(config.generator),
+            seed=config.seed,
+            scatter=config.scatter,
+            n_jobs=config.workers,
+            progress=config.progress,
+        )
+    except FolderTakenError as error:
+        raise ValueError(f"out={error}") from error
+    folder = manifests[0].parent
     log.info(
         "%d trips of scenario %s in %s\nread them with: python evaluate.py trips=%s run=RUN",
         len(manifests),

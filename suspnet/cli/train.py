@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from suspnet.checks import check_number
-from suspnet.cli import naming, program
+from suspnet.cli import folders, naming, program
 from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.commissioning.page import training_notes, write_outcome
 from suspnet.commissioning.run import commission_folder
@@ -24,6 +25,7 @@ from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
 from suspnet.runs.train import train
 from suspnet.uncertainty.physics import Residual
 
+log = logging.getLogger(__name__)
 NO_SPEED = (
     "a range of speeds is for models that read trips and depend on the speed: experiment=trips "
     "with a vehicle of known geometry; give one speed_m_per_s"
@@ -31,6 +33,7 @@ NO_SPEED = (
 
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="train")
+@program.one_of_many
 @program.task
 def compose(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
@@ -39,6 +42,11 @@ def compose(config: DictConfig) -> None:
     """
     program.join_ranks(config.device)
     folder = program.run_folder()
+    finished = folders.finished_run(config, folder)
+    if finished is not None:
+        log.info("finished before: %s", finished)
+        return
+    folders.clear(folder)
     if not isinstance(config.speed_m_per_s, ListConfig):
         _train(config, folder, _commissioned(config, folder))
         return

@@ -18,6 +18,9 @@ from suspnet.data.noise import add_noise
 from suspnet.data.observation import check_counts
 from suspnet.dynamics import ResponseGenerator, Vehicle
 
+MOST_BINS = 100_000
+"""Largest number of frequency bins of a curve; the paper has 1000."""
+
 
 @dataclass(frozen=True)
 class CurveSettings:
@@ -57,11 +60,16 @@ class CurveSettings:
         check_counts(self)
         check_number("data.snr_db", self.snr_db, low=-20, high=200)
         for name in ("step_hz", "low_hz", "high_hz"):
-            check_number(f"data.{name}", getattr(self, name), above=0)
+            check_number(f"data.{name}", getattr(self, name), above=0, most=1e4)
         if not self.step_hz <= self.low_hz < self.high_hz:
             raise ValueError(
                 "need data.step_hz <= data.low_hz < data.high_hz, got "
                 f"{self.step_hz}, {self.low_hz}, {self.high_hz}"
+            )
+        if self.high_hz > MOST_BINS * self.step_hz:
+            raise ValueError(
+                f"data.step_hz={self.step_hz} makes more than {MOST_BINS} bins up to "
+                f"data.high_hz={self.high_hz}; take wider ones"
             )
 
     def bound(self, vehicle: Vehicle) -> CurveSettings:

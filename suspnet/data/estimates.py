@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.checks import check_choice, check_number
+from suspnet.checks import check_choice, check_flag, check_number
 from suspnet.data.directions import Directions, directions
 from suspnet.data.misfit import EstimateMisfit
 from suspnet.data.observation import check_counts
@@ -128,7 +128,8 @@ class EstimateSettings:
         if len(self.rates_hz) != 3:
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
         for i, rate_hz in enumerate(self.rates_hz):
-            check_number(f"data.rates_hz[{i}]", rate_hz, above=0)
+            check_number(f"data.rates_hz[{i}]", rate_hz, above=0, most=1e6)
+        check_flag("data.short_waves", self.short_waves)
         track_spectrum(self.track, self.short_waves)
         if self.n_averages < 4:
             raise ValueError(

@@ -19,6 +19,9 @@ from suspnet.dynamics import ResponseGenerator, Vehicle
 LEAST_CALIBRATION = 100
 """Least number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
 
+MOST_CURVES = 100_000_000
+"""Largest number of curves; their parameters alone then fill 4 GB."""
+
 
 class Misfit(Protocol):
     """Residuals of observed curves in units of their noise.
@@ -158,6 +161,12 @@ def check_counts(settings: Observation) -> None:
     for name in ("n_train", "n_test"):
         value = getattr(settings, name)
         if value != "all":
-            check_number(f"data.{name}", value, low=1, whole=True)
-    n_calibrate = settings.n_calibrate
-    check_number("data.n_calibrate", n_calibrate, low=LEAST_CALIBRATION, whole=True, optional=True)
+            check_number(f"data.{name}", value, low=1, most=MOST_CURVES, whole=True)
+    check_number(
+        "data.n_calibrate",
+        settings.n_calibrate,
+        low=LEAST_CALIBRATION,
+        most=MOST_CURVES,
+        whole=True,
+        optional=True,
+    )

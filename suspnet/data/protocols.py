@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import qmc
 
-from suspnet.checks import check_choice, check_number
+from suspnet.checks import check_choice, check_flag, check_number
 from suspnet.dynamics.vehicle import PARAMETERS
 from suspnet.features import CurveFeatures, FeatureSet, PeakFeatures
 from suspnet.types import FloatArray
@@ -218,12 +218,14 @@ class Protocol:
         check_choice("sampling", self.sampling, ("grid", "sobol"))
         check_choice("feature_set", self.feature_set, ("peaks", "curve"))
         check_number("lower", self.lower, above=0, below=1)
-        check_number("upper", self.upper, above=1)
+        check_number("upper", self.upper, above=1, most=100)
         low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
-        check_number("mass_upper", high, above=1)
-        check_number("step", self.step, above=0)
-        check_number("mass_step", self.mass_step, above=0)
+        check_number("mass_upper", high, above=1, most=100)
+        check_number("step", self.step, above=0, most=100)
+        check_number("mass_step", self.mass_step, above=0, most=100)
+        for name in ("mass_known", "estimate_mass", "log_ratios"):
+            check_flag(name, getattr(self, name))
         if self.mass_known and self.estimate_mass:
             raise ValueError("the car-body mass is either known or estimated, not both")
         for group in self.groups:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
-from suspnet.checks import check_number
+from suspnet.checks import LARGEST, check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
@@ -74,7 +74,9 @@ class Vehicle:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name not in ("name", "source"):
-                check_number(field.name, value, above=0, optional=field.name in GEOMETRY)
+                most = 100 if field.name.startswith("half_") else LARGEST  # lengths of a vehicle
+                optional = field.name in GEOMETRY
+                check_number(field.name, value, above=0, optional=optional, most=most)
         _check_frequency(self, "primary", self.primary_frequency_hz)
         _check_frequency(self, "secondary", self.secondary_frequency_hz)
         _check_damping(self, "primary", self.primary_damping_ratio)

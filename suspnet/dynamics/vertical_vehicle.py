@@ -95,7 +95,7 @@ class VerticalVehicle:
         check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
         check_choice("other_bogie", self.other_bogie, ("healthy", "same"))
         check_number("speed_m_per_s", self.speed_m_per_s, above=0)
-        check_number("body_sensor_m", self.body_sensor_m)
+        check_number("body_sensor_m", self.body_sensor_m, most=100)
         for part in self.parts:
             check_choice("parts", part, PARTS)
         object.__setattr__(self, "parts", tuple(p for p in PARTS if p in self.parts))

@@ -104,7 +104,9 @@ class CurveFeatures:
         return ("curve",)
 
     def __post_init__(self) -> None:
-        check_number("n_components", self.n_components, low=1, whole=True, optional=True)
+        check_number(
+            "n_components", self.n_components, low=1, most=10_000, whole=True, optional=True
+        )
         check_number("explained", self.explained, above=0, below=1)
 
     @property

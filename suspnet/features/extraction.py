@@ -161,8 +161,8 @@ class PeakFeatures:
         unknown = [name for name in self.peaks if name not in PEAK_NAMES]
         if unknown or not self.peaks:
             raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
-        for name in ("low_hz", "high_hz", "window"):
-            check_number(name, getattr(self, name), above=0)
+        for name, most in (("low_hz", 1e4), ("high_hz", 1e4), ("window", 100)):
+            check_number(name, getattr(self, name), above=0, most=most)
         if not self.low_hz < self.high_hz:
             raise ValueError(f"need low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
 

@@ -41,7 +41,7 @@ class Welch:
     window: str = "hann"
 
     def __post_init__(self) -> None:
-        check_number("segment_s", self.segment_s, above=0)
+        check_number("segment_s", self.segment_s, above=0, most=1e5)
         check_number("overlap", self.overlap, low=0, below=1)
         get_window(self.window, 8)
 

@@ -21,6 +21,7 @@ from suspnet.storage import (
     DamagedFileError,
     content_hash,
     dump_arrays,
+    locked,
     read_arrays,
     read_json,
     write_atomically,
@@ -43,13 +44,26 @@ UNITS = {
 
 
 def save_model(folder: Path, model: TrainedModel) -> None:
-    """Write model.safetensors, then model.json, each atomically.
+    """Write model.safetensors, then model.json, each atomically, and no other model's between.
 
     Raises
     ------
     OSError
         If the folder cannot be written.
     """
+    content, description = _described(model)
+    with locked(folder):
+        write_atomically(folder / "model.safetensors", content)
+        write_json(folder / "model.json", description)
+
+
+def fingerprint(model: TrainedModel) -> str:
+    """Return a hash of all that a model's files would hold."""
+    return str(_described(model)[1]["description_sha256"])
+
+
+def _described(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
+    """Return what model.safetensors and model.json hold."""
     arrays = dict(model.estimator.state())
     for prefix, part in ((FEATURES, model.task.extractor), *_calibration(model)):
         arrays |= {prefix + name: array for name, array in part.state().items()}
@@ -73,8 +87,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     }
     description = _plain(description)
     description["description_sha256"] = content_hash(description)
-    write_atomically(folder / "model.safetensors", content)
-    write_json(folder / "model.json", description)
+    return content, description
 
 
 def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:

@@ -11,7 +11,7 @@ import torch
 from scipy.signal import get_window
 from torch import Tensor
 
-from suspnet.checks import check_number
+from suspnet.checks import check_flag, check_number
 from suspnet.data.estimates import Speeds
 from suspnet.dynamics import ResponseGenerator
 from suspnet.features.transfer_estimate import SegmentSpectra
@@ -92,6 +92,7 @@ class TripSettings:
             ("level", 0.01, 0.999),
         ):
             check_number(f"trips.{name}", getattr(self, name), low=low, high=high)
+        check_flag("trips.check_channels", self.check_channels)
 
 
 def estimate_recording(

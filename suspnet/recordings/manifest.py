@@ -15,7 +15,7 @@ from zoneinfo import ZoneInfo
 from suspnet.dynamics import PARAMETERS
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import dump_yaml, parse_yaml
-from suspnet.storage import write_atomically
+from suspnet.storage import printable, read_json, write_atomically
 
 __all__ = [
     "ACCELERATION_UNITS",
@@ -62,6 +62,10 @@ BOGIES = ("leading", "trailing")
 
 SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
+
+
+HIGHEST_KM = 1e9
+"""Mileage that no vehicle reaches [km]."""
 
 
 @dataclass(frozen=True, order=True)
@@ -287,7 +291,7 @@ def read_place(path: Path) -> Place | None:
         return None
     named = {"bogie": BOGIES, "side": SIDES}
     where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
-    return Place(content["suspension"].strip(), **where)
+    return Place(printable(content["suspension"].strip()), **where)
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -341,6 +345,22 @@ def find_manifests(folder: Path) -> list[Path]:
     return manifests
 
 
+UNFINISHED = "unfinished.json"
+"""Name of the file in a folder of simulated trips that are not all written yet."""
+
+
+def partial_words(folder: Path) -> str:
+    """Return in words how many trips a folder lacks whose simulation was interrupted; or ""."""
+    if not (folder / UNFINISHED).is_file():
+        return ""
+    n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
+    try:
+        wanted = f" of {int(read_json(folder / UNFINISHED)['n_trips'])}"
+    except (OSError, ValueError, LookupError, TypeError):
+        wanted = ""
+    return f"partial: {n_written}{wanted} trips are simulated"
+
+
 _SOURCE = ("unit", "column", "rate_hz", "time", "start_s", "time_unit", "time_zone", "csv")
 
 
@@ -353,9 +373,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
             "format": lambda: top.choice("format", [FORMAT]),
             "vehicle": lambda: top.text("vehicle"),
             "suspension": lambda: top.text("suspension"),
-            "mileage_km": lambda: top.number(
-                "mileage_km", "a number >= 0", math.nextafter(0.0, -1.0)
-            ),
+            "mileage_km": lambda: _parse_mileage(top),
             "start": lambda: _parse_start(top),
             "speed": lambda: _parse_speed(top),
             "channels": lambda: _parse_channels(path, content["channels"]),
@@ -390,6 +408,14 @@ def _check_places(manifest: TripManifest) -> None:
                 f"{manifest.path}: two `channels` have the same file and column, {other} and "
                 f"{name}; each is one sensor"
             )
+
+
+def _parse_mileage(top: CheckedMapping) -> float:
+    """Return the mileage [km]."""
+    mileage = top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0))
+    if mileage >= HIGHEST_KM:
+        raise top.refuse("mileage_km", f"below {HIGHEST_KM:g}")
+    return mileage
 
 
 def _parse_start(top: CheckedMapping) -> datetime:

@@ -33,6 +33,9 @@ MOST_AT_ONCE = 3
 SHORTEST_S = 60.0
 """Least length of a recording, [s]."""
 
+HIGHEST_HZ = 1e6
+"""Highest rate of a sensor [Hz]; the filter that decimates it is as long as the rate is high."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -226,6 +229,8 @@ def _read_sensor(
         rate_hz = _known_rate(where, source.rate_hz, timeline)
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
+        if rate_hz > HIGHEST_HZ:
+            raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
         cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
         scaled = (source.size * block for block in chain([first_block], blocks))
         decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)

@@ -53,13 +53,13 @@ class Sensor:
 
     def __post_init__(self) -> None:
         for name in ("rate_hz", "dropout_s"):
-            check_number(f"sensor.{name}", getattr(self, name), above=0)
+            check_number(f"sensor.{name}", getattr(self, name), above=0, most=1e6)
         for name in ("precision", "dropouts_per_h"):
-            check_number(f"sensor.{name}", getattr(self, name), low=0)
-        check_number("sensor.range_g", self.range_g, above=0, optional=True)
-        check_number("sensor.snr_db", self.snr_db, optional=True)
+            check_number(f"sensor.{name}", getattr(self, name), low=0, most=1e5)
+        check_number("sensor.range_g", self.range_g, above=0, most=1e6, optional=True)
+        check_number("sensor.snr_db", self.snr_db, low=-20, high=200, optional=True)
         for name in ("offset_m_per_s2", "drift_m_per_s2_per_h", "clock_offset_s"):
-            check_number(f"sensor.{name}", getattr(self, name))
+            check_number(f"sensor.{name}", getattr(self, name), most=1e6)
         if self.precision > 0 and self.range_g is None:
             raise ValueError("sensor `precision` is relative to `range_g`, which is not given")
 

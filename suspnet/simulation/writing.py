@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import math
 from collections.abc import Mapping
@@ -15,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
-from joblib import Parallel, delayed
+from joblib import effective_n_jobs
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 from tqdm import tqdm
@@ -39,10 +40,12 @@ from suspnet.recordings.manifest import (
     write_manifest,
 )
 from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.folders import described, is_whole, own_folder, unfinished
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
 from suspnet.storage import write_atomically, write_json
 from suspnet.types import FloatArray
+from suspnet.workers import LostWorkerError, each
 
 BLOCK = 1 << 18
 """Number of samples simulated at once."""
@@ -80,11 +83,14 @@ def write_fleet(
 ) -> list[Path]:
     """Simulate trips and write each as a manifest with a folder of Parquet files.
 
-    The numbers of the healthy vehicle that was simulated stand in ``truth.json`` beside them.
+    The numbers of the healthy vehicle that was simulated stand in ``truth.json`` beside them. Until
+    all trips are there ``unfinished.json`` says which simulation they are of: the same one goes on
+    with those that are missing.
 
     Parameters
     ----------
     folder : Path
+        Another one beside it, folder_2 or so, if a simulation is just writing to it.
     fleet : Fleet
     scenario : Scenario
     generator : SimulatedVehicle
@@ -108,19 +114,15 @@ def write_fleet(
     ------
     ValueError
         If no physical vehicle can be drawn, or `fleet` asks for both sides of a vehicle that has no
-        roll.
+        roll, or if the folder holds other trips.
+    LostWorkerError
+        If the processes that wrote a trip were killed.
     """
+    made_from = described(fleet, scenario, generator, seed, scatter)
     generator = scattered(generator, scatter, seed)
     _check_sides(fleet, generator)
     mileage = fleet.mileage_km()
     ratios = scenario.ratios(mileage, seed)
-    jobs = (
-        delayed(_write_trip)(folder, fleet, generator, i, float(mileage[i]), ratios[i], seed)
-        for i in range(fleet.n_trips)
-    )
-    done = Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
-    bar = tqdm(done, total=fleet.n_trips, unit="trip", disable=None if progress else True)
-    manifests = list(bar)
     truth = {
         "vehicle": generator.vehicle.name,
         "generator": type(generator).__name__,
@@ -129,8 +131,24 @@ def write_fleet(
         "seed": seed,
         "numbers": true_numbers(generator),
     }
-    write_json(folder / "truth.json", truth)
-    return manifests
+    write = functools.partial(_write_trip, fleet=fleet, generator=generator, seed=seed)
+    with own_folder(folder) as folder:
+        paths = [folder / f"{_name(i)}.yaml" for i in range(fleet.n_trips)]
+        missing = [i for i, path in enumerate(paths) if not is_whole(path)]
+        with unfinished(folder, made_from, fleet.n_trips, len(missing)):
+            jobs = ((folder, i, float(mileage[i]), ratios[i]) for i in missing)
+            done = each(write, jobs, effective_n_jobs(n_jobs))
+            bar = tqdm(done, total=len(missing), unit="trip", disable=None if progress else True)
+            for _, outcome in bar:
+                if isinstance(outcome, LostWorkerError):
+                    raise outcome
+            write_json(folder / "truth.json", truth)
+    return paths
+
+
+def _name(index: int) -> str:
+    """Return the name of a trip."""
+    return f"trip_{index + 1:03d}"
 
 
 def simulate_trip(
@@ -206,15 +224,16 @@ def _start_m(system: LinearSystem, journey: Journey) -> float:
 
 
 def _write_trip(
-    folder: Path,
+    trip: tuple[Path, int, float, FloatArray],
     fleet: Fleet,
     generator: SimulatedVehicle,
-    index: int,
-    mileage_km: float,
-    ratios: FloatArray,
     seed: int,
 ) -> Path:
-    """Simulate one trip, write its manifest and files, and return the manifest's path."""
+    """Simulate one trip, write its manifest and files, and return the manifest's path.
+
+    The trip is a folder, its number, its mileage [km] and the parameters relative to healthy.
+    """
+    folder, index, mileage_km, ratios = trip
     track, noise, speeds, cross = np.random.SeedSequence([seed, index]).spawn(4)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
     rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
@@ -236,7 +255,7 @@ def _write_trip(
     ]
     signals = simulate_trip(system, profiles[0], journey, rate_hz, *profiles[1:])
     del profiles
-    name = f"trip_{index + 1:03d}"
+    name = _name(index)
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)
     _write_columns(folder / name / "speed.parquet", {"speed": journey.at(whole_s)[1]})

@@ -58,7 +58,7 @@ def write_identifiability(
     TypeError, ValueError
         If there is no such group, or the number of vehicles or the seed is no whole number.
     """
-    check_number("n_vehicles", n_vehicles, low=1, whole=True)
+    check_number("n_vehicles", n_vehicles, low=1, most=10_000_000, whole=True)
     check_number("seed", seed, low=0, whole=True)
     bound = settings.bound(generator.vehicle)
     tasks = [protocol.task(name) for name in (protocol.groups if group is None else [group])]

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
+from tabulate import tabulate
 
 from suspnet.runs import plots
 from suspnet.runs.tables import (
@@ -40,6 +41,49 @@ class _Summary(Callback):
 
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write what the runs show together into `folder`."""
+
+
+class Jobs(Callback):
+    """A table of all jobs of a multirun, the one of least error first, failed ones last."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Write jobs.csv and jobs.md and print the table."""
+        folder = Path(config.hydra.sweep.dir)
+        rows = job_rows(folder)
+        if not rows:
+            return
+        write_atomically(folder / "jobs.csv", records_csv(rows))
+        table = tabulate(rows, headers="keys", tablefmt="github", floatfmt=".4g")
+        write_atomically(folder / "jobs.md", f"{table}\n")
+        log.info("rms error in %%, least mean first\n\n%s\n-> %s/jobs.*", table, folder)
+
+
+def job_rows(folder: Path) -> list[dict[str, Any]]:
+    """Return a row for each job of a multirun: rms error of each output [%], their mean, state.
+
+    Jobs that did not finish come last. Of several speeds an error is the mean over the ranges.
+    """
+    jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
+    jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
+    errors = {job: _errors(job) for job in jobs}
+    outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
+    rows = []
+    for job, found in errors.items():
+        row: dict[str, Any] = {"job": job.name, "mean": None} | dict.fromkeys(outputs) | found
+        row["mean"] = sum(found.values()) / len(found) if found else None
+        failed = "failed" if (job / "error.txt").exists() else "unfinished"
+        rows.append(row | {"state": "finished" if found else failed})
+    return sorted(rows, key=lambda row: (row["mean"] is None, row["mean"] or 0.0, row["job"]))
+
+
+def _errors(job: Path) -> dict[str, float]:
+    """Return the rms error of each output of a job, [%]; {} if it did not finish."""
+    for name in ("metrics.json", "speeds.json"):
+        if (job / name).is_file():
+            found = read_json(job / name)
+            parts = [part["rms_percent"] for part in (found if name == "speeds.json" else [found])]
+            return {key: sum(part[key] for part in parts) / len(parts) for key in parts[0]}
+    return {}
 
 
 class Table6(_Summary):

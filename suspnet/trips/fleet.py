@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
 from tqdm import tqdm
 
 from suspnet._version import __version__
@@ -21,7 +20,8 @@ from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
-from suspnet.recordings.manifest import Place
+from suspnet.recordings.manifest import Place, partial_words, read_manifest
+from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.commissionings import (
     check_one_reference,
@@ -30,13 +30,15 @@ from suspnet.trips.commissionings import (
     of_last_era,
     with_truth_of_each,
 )
+from suspnet.trips.finished import FinishedTrips
 from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
 from suspnet.trips.places import Group, find_groups
 from suspnet.trips.records import TripResult, first_trips, relative_to_first
 from suspnet.trips.trend import LEAST_PERCENT, flagged_trend
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trips.trip import evaluate_trip, lost_trip
+from suspnet.workers import LostWorkerError, each
 
 try:
     import distributed
@@ -86,7 +88,7 @@ class FleetSettings:
     def __post_init__(self) -> None:
         check_choice("reference", self.reference, ("vehicle", "first_trips"))
         for name in ("n_reference", "workers"):
-            check_number(name, getattr(self, name), low=1, whole=True)
+            check_number(name, getattr(self, name), low=1, most=1024, whole=True)
         object.__setattr__(self, "limits", read_limits(self.limits))
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
@@ -234,7 +236,7 @@ def _evaluate_group(
     outputs = fitting[0].task.outputs
     results = [
         replace(result, bogie=group.place.bogie, side=group.place.side)
-        for result in _evaluated(group.manifests, fitting, settings, progress)
+        for result in _evaluated(group.manifests, fitting, output, settings, progress)
     ]
     results.sort(key=lambda r: (np.isnan(r.mileage_km), r.mileage_km, r.trip))
     if settings.reference == "first_trips":
@@ -244,6 +246,10 @@ def _evaluate_group(
     write_tables(results, outputs, output)
     found = _assessments(of_last_era(results, states), outputs, fitting, settings.limits)
     details = _details(group.folder, fitting, settings, results)
+    partial = partial_words(group.folder)
+    if partial:
+        log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
+        details["trips"] += f" ({partial})"
     options = settings.trips.level, settings.limits, states
     write_pages(results, outputs, found, output, details, *options)
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, spoken(found), output)
@@ -253,34 +259,57 @@ def _evaluate_group(
 def _evaluated(
     paths: Sequence[Path],
     models: Sequence[TrainedModel],
+    output: Path,
     settings: FleetSettings,
     progress: bool,
 ) -> list[TripResult]:
-    """Return the result of every trip, evaluated in parallel."""
-    jobs = [delayed(evaluate_trip)(path.absolute(), models, settings.trips) for path in paths]
+    """Return the result of every trip: kept by an earlier evaluation, or read in parallel now."""
+    finished = FinishedTrips(output, models, settings.trips)
+    results, made_from = [], {}
     bar = tqdm(total=len(paths), desc="trips", unit="trip", disable=quiet(progress))
-    with bar, _backend(settings), warnings.catch_warnings():
-        # joblib replaces a worker whose memory has grown; no trip is lost
+    with bar, warnings.catch_warnings():
+        # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
-        results = []
-        for result in Parallel(return_as="generator_unordered")(jobs):
-            results.append(result)
+        for path in paths:
+            path = path.absolute()
+            try:
+                made_from[path] = finished.made_from(read_manifest(path))
+                result = finished.read(made_from[path])
+            except Exception:  # `evaluate_trip` says what is wrong, which needs no worker
+                result = evaluate_trip(path, models, settings.trips)
+            if result is not None:
+                made_from.pop(path, None)
+                results.append(result)
+                bar.update()
+        if results and made_from:
+            log.info("%d trips are finished already, %d are to be read", bar.n, len(made_from))
+        read = functools.partial(evaluate_trip, models=models, settings=settings.trips)
+        for path, one in _read_by_workers(read, list(made_from), settings):
+            if isinstance(one, LostWorkerError):
+                results.append(lost_trip(path, str(one)))
+            else:
+                results.append(one)
+                finished.write(made_from[path], one)
             bar.update()
     return results
 
 
-@contextmanager
-def _backend(settings: FleetSettings) -> Iterator[None]:
-    """Return a context that evaluates in local processes or on a dask cluster."""
+def _read_by_workers(
+    read: Callable[[Path], TripResult], paths: Sequence[Path], settings: FleetSettings
+) -> Iterator[tuple[Path, TripResult | LostWorkerError]]:
+    """Yield trips with their results as they are read, in local processes or on a dask cluster."""
     if settings.cluster is None:
-        with parallel_config(n_jobs=settings.workers):
-            yield
+        yield from each(read, paths, settings.workers)
         return
     address = None if settings.cluster == "local" else settings.cluster
     options = {} if address else {"n_workers": settings.workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:
-        with parallel_config("dask", client=client, n_jobs=-1):
-            yield
+        trips = {client.submit(read, path, pure=False, retries=1): path for path in paths}
+        for future in distributed.as_completed(trips):
+            try:
+                yield trips[future], future.result()
+            except distributed.KilledWorker as error:
+                yield trips[future], LostWorkerError(str(error))
 
 
 def _assessments(
@@ -319,7 +348,7 @@ def _details(
         if flagged:
             reference += f", {flagged} of them flagged"
     return {
-        "trips": str(folder),
+        "trips": printable(str(folder)),
         "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
         "suspnet": __version__,
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
+from suspnet.storage import printable
 from suspnet.trips.commissionings import models_at, since_km
 from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 
@@ -53,7 +55,19 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
     except Exception as error:  # a fault in one trip must not end the run of a fleet
         log.debug("trip %s failed", path, exc_info=True)
         result = replace(result, reason=f"{type(error).__name__}: {error}")
-    return replace(result, seconds=time.perf_counter() - start)
+    return _printable(replace(result, seconds=time.perf_counter() - start))
+
+
+def lost_trip(path: Path, reason: str) -> TripResult:
+    """Return the row of a trip that could not even be tried to the end."""
+    return _printable(TripResult(path.stem, str(path), status=ERROR, reason=reason))
+
+
+def _printable(result: TripResult) -> TripResult:
+    """Return a result whose words every file can hold, whatever the names of its files."""
+    values = {f.name: getattr(result, f.name) for f in fields(result)}
+    changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
+    return replace(result, **changes)
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:

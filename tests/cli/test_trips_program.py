@@ -458,7 +458,7 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             ["trips={trips}", "monitor.trips.min_averages=x"],
             r"`trips\.min_averages` must be a finite num",
         ),
-        (["trips={trips}", "monitor._target_=os.system"], "must lie in suspnet"),
+        (["trips={trips}", "monitor._target_=os.system"], "got 'os.system', which is not trusted"),
         (
             ["trips={trips}", "monitor.reference=first_trips"],
             "the healthy reference asks for 5 first trips, 3 have an estimate",
@@ -509,7 +509,7 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["fleet.sides=up"], r"`sides` must be one of \('both', 'left'\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
-        (["fleet._target_=os.system"], "must lie in suspnet"),
+        (["fleet._target_=os.system"], "got 'os.system', which is not trusted"),
     ],
 )
 def test_mistake_with_simulate_gets_one_line(trips, tmp_path, overrides, message):

@@ -2,8 +2,10 @@
 
 import csv
 import json
+import multiprocessing
 import os
 import shutil
+import signal as signals
 from dataclasses import replace
 from html import unescape
 
@@ -20,7 +22,8 @@ from suspnet.data import CurveSettings
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
 from suspnet.runs.tensorboard import RunLog
-from suspnet.trips import fleet, output
+from suspnet.storage import read_arrays
+from suspnet.trips import finished, fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
 from suspnet.trips.limits import DEFAULT_LIMITS
 from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
@@ -139,6 +142,80 @@ def test_errors_are_of_trips_with_an_estimate_and_a_known_truth(alone):
     found = errors_percent([*unknown, alone[3]], OUTPUTS)
     assert found == errors_percent([alone[3]], OUTPUTS)
     assert list(errors_percent([unknown[1]], ("k_p",))) == ["k_p"]
+
+
+# going on
+
+
+def unread(*_, **__):
+    raise KeyboardInterrupt("read again")
+
+
+def copied(manifests, folder, names):
+    """Copy trips into a folder, without their files."""
+    for name, manifest in zip(names, manifests, strict=False):
+        changed(manifest, folder, name)
+    return folder
+
+
+@pytest.fixture
+def three(manifests, tmp_path):
+    (tmp_path / "trips").mkdir()
+    return copied(manifests, tmp_path / "trips", "abc")
+
+
+def test_finished_trips_are_not_read_again(three, model, no_figures, monkeypatch, tmp_path):
+    first = read(three, [model], tmp_path / "out")
+    monkeypatch.setattr(fleet, "evaluate_trip", unread)
+    again = read(three, [model], tmp_path / "out")
+    assert [repr(r.row(OUTPUTS)) for r in again] == [repr(r.row(OUTPUTS)) for r in first]
+    for one, other in zip(first, again, strict=True):
+        for name, values in vars(one.curves).items():
+            np.testing.assert_array_equal(values, getattr(other.curves, name))
+
+
+def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
+    three, manifests, model, no_figures, monkeypatch, tmp_path
+):
+    seen = []
+
+    def interrupted(path, *arguments, **options):
+        seen.append(path.stem)
+        if seen == ["a", "b"]:
+            raise KeyboardInterrupt("stop")
+        return evaluate_trip(path, *arguments, **options)
+
+    monkeypatch.setattr(fleet, "evaluate_trip", interrupted)
+    with pytest.raises(KeyboardInterrupt, match="stop"):
+        read(three, [model], tmp_path / "out")
+    assert not (tmp_path / "out" / "trips.csv").exists()
+    copied(manifests[3:], three, "d")  # a new one
+    found = read(three, [model], tmp_path / "out")
+    assert seen == ["a", "b", "b", "c", "d"]
+    assert estimates(found) == estimates(read(three, [model], tmp_path / "whole"))
+
+
+@pytest.mark.parametrize("what", ["file", "manifest", "model", "settings", "kept"])
+def test_trip_is_read_again_if_anything_differs(
+    three, manifests, model, no_figures, monkeypatch, tmp_path, what
+):
+    seen, models, settings = [], [model], SETTINGS
+    target = changed(manifests[0], three, "a", {"body": signal(manifests[0], "body")})
+    read(three, models, tmp_path / "out")
+    if what == "file":
+        changed(manifests[0], three, "a", {"body": 1.01 * signal(manifests[0], "body")})
+    if what == "manifest":
+        target.write_text(target.read_text() + "# text")
+    if what == "model":
+        models = [replace(model, training=model.training | {"seed": 1})]
+    if what == "settings":
+        settings = replace(SETTINGS, trips=TripSettings(level=0.95))
+    if what == "kept":
+        kept = sorted((tmp_path / "out" / finished.FOLDER).iterdir())[0]
+        kept.write_bytes(kept.read_bytes()[:-1])
+    monkeypatch.setattr(fleet, "evaluate_trip", lambda p, *_, **__: seen.append(p) or made_up(1)[0])
+    read(three, models, tmp_path / "out", settings)
+    assert len(seen) == (3 if what in ("model", "settings") else 1)
 
 
 # what is written
@@ -341,6 +418,46 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
 # failure
 
 
+def mortal(path, *arguments, **options):
+    """Do as `evaluate_trip` does, but die of some trips."""
+    if path.stem == "deadly":
+        assert multiprocessing.parent_process() is not None
+        os.kill(os.getpid(), signals.SIGKILL)
+    return evaluate_trip(path, *arguments, **options)
+
+
+def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, monkeypatch):
+    changed(manifests[0], three, "deadly")
+    changed(manifests[0], three, "far", mileage_km=1e19)
+    changed(manifests[0], three, "fast", channels={"body": {"rate_hz": 1e9}})
+    changed(manifests[0], three, os.fsdecode(b"n\xffme"))
+    changed(manifests[0], three, "surrogate", suspension="a \ud800 b")
+    changed(manifests[0], three, os.fsdecode(b"b\xffd"), channels={"body": {"rate_hz": 50.0}})
+    monkeypatch.setattr(fleet, "evaluate_trip", mortal)
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    out = three.parent / "out"
+    found = evaluate_fleet(three, [model], out, FleetSettings(TRIPS, workers=2), progress=False)
+    results = {r.trip: r for one in found for r in one.results}
+    assert {name for name, r in results.items() if r.status == "ok"} >= {
+        "a",
+        "b",
+        "c",
+        "n\\udcffme",
+    }
+    reasons = {
+        "deadly": "was killed (SIGKILL(-9)), and so was that of a second attempt",
+        "far": "`mileage_km` must be below 1e+09, got 1e+19",
+        "fast": "channel 'body' has 1e+09 Hz; at most 1e+06 Hz can be read",
+        "b\\udcffd": "channel 'body' has 50 Hz; at least 100 Hz are needed",
+    }
+    for name, reason in reasons.items():
+        assert results[name].status == "error"
+        assert reason in results[name].reason
+    assert results.keys() == {"a", "b", "c", "n\\udcffme", "surrogate", *reasons}
+    assert (out / "overview.html").is_file() == (len(found) > 1)
+    assert len(list(out.rglob("report.html"))) == len(found)
+
+
 @pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stop")])
 def test_interrupted_run_leaves_only_whole_files(
@@ -359,7 +476,10 @@ def test_interrupted_run_leaves_only_whole_files(
     with pytest.raises(type(error), match=str(error)):
         read(folder, [model], out)
     monkeypatch.undo()
-    left = {p.name for p in out.rglob("*") if p.is_file() and "tfevents" not in p.name}
+    files = {p for p in out.rglob("*") if p.is_file() and "tfevents" not in p.name}
+    kept = {p for p in files if p.parent.name == finished.FOLDER}
+    assert all(read_arrays(p) for p in kept)
+    left = {p.name for p in files - kept}
     assert "report.html" not in left
     assert not [name for name in left if name.startswith(".")]
     if place == "write_report":

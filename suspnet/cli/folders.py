@@ -1,0 +1,163 @@
+"""Folders of runs: one for each, however many begin in a second; going on in one given again."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from hydra.experimental.callback import Callback
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
+
+from suspnet.storage import new_folder
+
+log = logging.getLogger(__name__)
+ERROR = "error.txt"
+"""Name of the file in the folder of a job of a multirun that says why the job failed."""
+FINISHED = ("metrics.json", "speeds.json")
+"""Files of a training that are written last; the second is that of several speeds."""
+EVENTS = "events.out.tfevents.*"
+NOT_COMPARED = ("resume", "progress", "threads", "data.cache_dir")
+"""Keys that change no number, so that a run that differs in them alone is the same."""
+_to_go_on: list[str] = []
+
+
+class OwnFolder(Callback):
+    """Gives each run and multirun a folder of its own, or the one that `resume` names.
+
+    A folder that the command line names, ``hydra.run.dir`` or ``hydra.sweep.dir``, is taken as it
+    is. A multirun one of whose jobs failed ends with exit code 1 after the others.
+    """
+
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Choose the folder before Hydra makes it."""
+        before = HydraConfig.instance().cfg
+        HydraConfig.instance().set_config(config)  # the folder's name asks for it
+        try:
+            _choose(config, "run")
+        finally:
+            HydraConfig.instance().cfg = before
+        if OmegaConf.select(config, "trips") is not None:
+            _to_go_on[:] = [config.hydra.run.dir]
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Choose the folder before Hydra makes it, and tell the jobs."""
+        chosen = _choose(config, "sweep")
+        if chosen is not None:
+            quoted = str(chosen).replace("\\", "\\\\").replace("'", "\\'")
+            with read_write(config.hydra), open_dict(config.hydra):
+                config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
+        _to_go_on[:] = [config.hydra.sweep.dir]
+        for old in Path(config.hydra.sweep.dir).glob(f"*/{ERROR}"):
+            old.unlink()
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Exit with 1 if a job failed: it comes last, as Hydra asks callbacks in reverse."""
+        failed = sorted(Path(config.hydra.sweep.dir).glob(f"*/{ERROR}"))
+        if failed:
+            names = ", ".join(path.parent.name for path in failed)
+            print(
+                f"error: {len(failed)} jobs failed ({names}); the same command with "
+                f"resume={config.hydra.sweep.dir} runs these again",
+                file=sys.stderr,
+            )
+            sys.exit(1)
+
+
+def how_to_go_on() -> str:
+    """Return in words how to go on with the run that was interrupted."""
+    if _to_go_on:
+        return f"go on with the same command and resume={_to_go_on[0]}"
+    return "start again at any time"
+
+
+def _choose(config: DictConfig, kind: str) -> Path | None:
+    """Set the folder of a run or a "sweep" and return it; None if the command line names it."""
+    _to_go_on.clear()
+    named = OmegaConf.select(config, "resume")
+    if named is not None:
+        folder = Path(str(named))
+        if not folder.is_dir():  # an exception of a callback would end as a warning
+            raise SystemExit(f"error: resume={folder} is no folder; give that of the earlier run")
+    elif any(str(o).startswith(f"hydra.{kind}.dir=") for o in config.hydra.overrides.hydra):
+        return None
+    else:
+        try:
+            folder = new_folder(Path(config.hydra[kind].dir))
+        except OSError as error:
+            raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
+    with read_write(config.hydra), open_dict(config.hydra):
+        config.hydra[kind].dir = str(folder)
+    return folder
+
+
+def is_job() -> bool:
+    """Return whether this run is one of a multirun."""
+    return bool(HydraConfig.get().mode == RunMode.MULTIRUN)
+
+
+def finished_run(config: DictConfig, folder: Path) -> Path | None:
+    """Return the folder of a finished training of the same configuration, if the run goes on.
+
+    In a multirun it may be that of another job, as jobs are numbered anew if others were added. The
+    folder that the job then does not need is removed.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds a finished training of another configuration.
+    """
+    if not is_job() and OmegaConf.select(config, "resume") is None:
+        return None
+    wanted = _compared(OmegaConf.to_container(config, resolve=True))
+    if _is_finished(folder):
+        if _saved(folder) != wanted:
+            raise ValueError(
+                f"{folder} holds a finished run of other settings; give another folder"
+            )
+        return folder
+    if not is_job():
+        return None
+    for other in sorted(path.parent for path in folder.parent.glob("*/config.yaml")):
+        if other != folder and _is_finished(other) and _saved(other) == wanted:
+            if not (folder / "config.yaml").exists():
+                shutil.rmtree(folder)
+            return other
+    return None
+
+
+def clear(folder: Path) -> None:
+    """Remove what an interrupted run left in its folder and a new one would not replace."""
+    for pattern in (EVENTS, ERROR, ".*.????????"):
+        for path in folder.rglob(pattern):
+            if path.is_file():
+                path.unlink()
+
+
+def _is_finished(folder: Path) -> bool:
+    """Return whether a folder holds a training that ended."""
+    return any((folder / name).is_file() for name in FINISHED)
+
+
+def _saved(folder: Path) -> Any:
+    """Return what config.yaml holds, without what is not compared; None if it cannot be read."""
+    try:
+        return _compared(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")))
+    except (OSError, ValueError, yaml.YAMLError):
+        return None
+
+
+def _compared(content: Any) -> Any:
+    """Return a configuration without the keys that change no number."""
+    config = OmegaConf.create(content)
+    for key in NOT_COMPARED:
+        section, _, last = key.rpartition(".")
+        node = OmegaConf.select(config, section) if section else config
+        if isinstance(node, DictConfig):
+            node.pop(last, None)
+    return OmegaConf.to_container(config)

@@ -1,0 +1,375 @@
+"""What a configuration may do: build our own objects at their places, and choose among settings.
+
+A configuration may come from someone else (`--config-dir`), so nothing in it is trusted. Hydra
+itself builds callbacks, launcher and sweeper and sets up logging before a program's function is
+called; `CheckedLoader` therefore checks each configuration as soon as it is composed.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.config_repository import CachingConfigRepository
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.types import RunMode
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from omegaconf.grammar_parser import parse
+
+from suspnet.cli.configs import CONFIGS
+
+OBSERVATIONS = ("suspnet.data.curves.CurveSettings", "suspnet.data.estimates.EstimateSettings")
+TARGETS: Mapping[str, tuple[str, ...]] = {
+    "vehicle": ("suspnet.dynamics.Vehicle",),
+    "generator": (
+        "suspnet.dynamics.QuarterCar",
+        "suspnet.dynamics.VerticalVehicle",
+        "suspnet.dynamics.best_generator",
+    ),
+    "data": OBSERVATIONS,
+    "settings": OBSERVATIONS,
+    "protocol": ("suspnet.data.protocols.Protocol",),
+    "model": (
+        "suspnet.learning.MSVR",
+        "suspnet.learning.MVGPR",
+        "suspnet.learning.SVR",
+        "suspnet.learning.CurveFit",
+        "suspnet.learning.LinearRegression",
+    ),
+    "search": ("suspnet.learning.search.GridSearch",),
+    "fleet": ("suspnet.simulation.fleet.Fleet",),
+    "scenario": ("suspnet.simulation.scenarios.Scenario",),
+    "monitor": ("suspnet.trips.fleet.FleetSettings",),
+    "trips": ("suspnet.model.from_recording.TripSettings",),
+    "study": (
+        "suspnet.studies.identifiability.write_identifiability",
+        "suspnet.studies.reliability.write_reliability",
+    ),
+    "others": ("suspnet.cli.configs.read_vehicles",),
+}
+"""All that a configuration may build, by the key below which it may stand."""
+CALLBACKS = (
+    "suspnet.cli.evaluate.WorstExitCode",
+    "suspnet.studies.sweeps.Ablation",
+    "suspnet.studies.sweeps.Comparison",
+    "suspnet.studies.sweeps.Sensitivity",
+    "suspnet.studies.sweeps.Table5",
+    "suspnet.studies.sweeps.Table6",
+)
+"""All that may stand below hydra.callbacks."""
+SWEEPERS = ("hydra._internal.core_plugins.basic_sweeper.BasicSweeper",)
+LAUNCHERS = (
+    "hydra._internal.core_plugins.basic_launcher.BasicLauncher",
+    "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher",
+    "hydra_plugins.hydra_submitit_launcher.submitit_launcher.LocalLauncher",
+    "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher",
+)
+SLURM_WORDS = (
+    *("partition", "qos", "comment", "constraint", "exclude", "gres"),
+    *("mem_per_gpu", "mem_per_cpu", "account"),
+)
+"""Settings of the Slurm launcher that are words; they become lines of a shell script."""
+RESOLVERS = ("changed", "hydra", "now", "swept_by")
+"""Resolvers of the configurations as shipped; all others can hide what a value will be."""
+LOGGING = {
+    "job_logging": ("default", "disabled", "none", "stdout"),
+    "hydra_logging": ("default", "disabled", "hydra_debug", "none"),
+}
+"""Options of Hydra's own groups of logging; `"()"` and handler classes call any function."""
+PLAIN_WORD = re.compile(r"[\w.,:=/@+-]*", re.ASCII)
+FILE_NAME = re.compile(r"\.?\w[\w.-]*", re.ASCII)
+MAX_VALUES, MAX_DEPTH = 5_000, 50
+"""Size of a resolved configuration beyond which its interpolations are taken to have no end; as
+shipped it has fewer than 500 values, ten deep."""
+SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
+"""Keys that tell Hydra or Python's logging to call something."""
+
+
+class CheckedLoader(ConfigLoaderImpl):
+    """Hydra's loader of configurations, which refuses one that would run foreign code."""
+
+    def load_configuration(
+        self,
+        config_name: str | None,
+        overrides: list[str],
+        run_mode: RunMode,
+        from_shell: bool = True,
+        validate_sweep_overrides: bool = True,
+    ) -> DictConfig:
+        """Compose and check a configuration, and that of each job of a multirun.
+
+        Raises
+        ------
+        ValueError
+            If it asks for what is not trusted.
+        """
+        config = super().load_configuration(
+            config_name, overrides, run_mode, from_shell, validate_sweep_overrides
+        )
+        check_configuration(config)
+        foreign = any(source.provider == "command-line" for source in self.get_sources())
+        if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
+            # the sweeper would write a file before it composes the jobs
+            for job in _jobs(config, self):
+                self.load_sweep_config(config, job)
+        return config
+
+    def _process_config_searchpath(
+        self,
+        config_name: str | None,
+        parsed_overrides: list[Override],
+        repo: CachingConfigRepository,
+    ) -> None:
+        """Refuse further folders and packages to compose from: a package is run when imported."""
+        loaded = None if config_name is None else repo.load_config(config_path=config_name)
+        named = None if loaded is None else OmegaConf.select(loaded.config, "hydra.searchpath")
+        typed = any(one.get_key_element() == "hydra.searchpath" for one in parsed_overrides)
+        if named or typed:
+            raise ValueError(
+                "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
+            )
+
+
+def check_configuration(config: DictConfig) -> None:
+    """Raise unless a configuration keeps to what is trusted, as written and as resolved.
+
+    What cannot be resolved yet stands for a value that was checked where it is written.
+
+    Raises
+    ------
+    ValueError
+        If an object, a resolver or a block of Hydra is not trusted; the message names the key.
+    """
+    written = OmegaConf.to_container(config, resolve=False)
+    assert isinstance(written, dict)
+    hydra = written.pop("hydra", None)
+    _check_values(written, "")
+    if hydra is not None:
+        _check_hydra(hydra)
+    _check_resolved(config)
+
+
+def _check_values(value: Any, path: str) -> None:
+    """Check keys, targets and resolvers at and below a value as written."""
+    for key, name, one in _walk(value, path):
+        _check_key(key, name, one)
+        if isinstance(one, str):
+            _check_resolvers(name, one)
+
+
+def _walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+    """Yield key, path and value of each value below a mapping or list."""
+    pairs: Any = ()
+    if isinstance(value, dict):
+        pairs = value.items()
+    elif isinstance(value, list):
+        pairs = enumerate(value)
+    for key, one in pairs:
+        name = f"{path}.{key}" if path else str(key)
+        yield str(key), name, one
+        yield from _walk(one, name)
+
+
+def _check_key(key: str, name: str, value: Any) -> None:
+    """Raise ValueError unless a key is plain, or a target that is trusted at its place."""
+    if not SPECIAL.fullmatch(key) or (key == "_convert_" and value == "all"):
+        return
+    if key != "_target_":
+        raise ValueError(f"`{name}` is not allowed in a configuration of suspnet")
+    place = name.split(".")[-2] if "." in name else ""
+    trusted = TARGETS.get(place, ())
+    if not isinstance(value, str) or value not in trusted:
+        allowed = " or ".join(trusted) or "nothing: no object is built here"
+        raise ValueError(f"`{name}` must be {allowed}; got {value!r}, which is not trusted")
+
+
+def _check_resolvers(name: str, text: str) -> None:
+    """Raise ValueError if a text calls a resolver other than ours."""
+    for resolver in _resolvers(text):
+        if resolver not in RESOLVERS:
+            raise ValueError(
+                f"`{name}` uses the resolver {resolver!r}; only {', '.join(RESOLVERS)} are allowed"
+            )
+
+
+def _resolvers(text: str) -> list[str]:
+    """Return the names of the resolvers that a text calls, as OmegaConf itself parses it."""
+    if "${" not in text:
+        return []
+    stack: list[Any] = [parse(text)]
+    found = []
+    while stack:  # each node of the tree is taken off once
+        node = stack.pop()
+        if type(node).__name__ == "ResolverNameContext":
+            found.append(str(node.getText()))
+        children = getattr(node, "getChildren", tuple)  # of terminal nodes there are none
+        stack.extend(children())
+    return found
+
+
+def _check_resolved(config: DictConfig) -> None:
+    """Check keys and targets where interpolations put them; Hydra's own block excepted."""
+    stack: list[tuple[str, Any, int]] = [("", config, 0)]
+    n_values = 0
+    while stack:  # ends: at most MAX_VALUES values are taken off
+        path, node, depth = stack.pop()
+        n_values += 1
+        if n_values > MAX_VALUES or depth > MAX_DEPTH:
+            raise ValueError(f"`{path[:100]}` refers to itself, or to too many other values")
+        if isinstance(node, DictConfig) and not node._is_none():
+            keys: Any = node.keys()
+        elif isinstance(node, ListConfig) and not node._is_none():
+            keys = range(len(node))
+        else:
+            continue
+        for key in keys:
+            if not path and key == "hydra":
+                continue
+            try:
+                value = node[key]
+            except OmegaConfBaseException:
+                continue
+            name = f"{path}.{key}" if path else str(key)
+            _check_key(str(key), name, value)
+            stack.append((name, value, depth + 1))
+
+
+def _check_hydra(hydra: dict[str, Any]) -> None:
+    """Check Hydra's own block: as shipped but for folders, numbers, words, what is swept."""
+    rest = dict(hydra)
+    _check_callbacks(rest.pop("callbacks", None) or {})
+    _check_sweeper(rest.pop("sweeper", None))
+    _check_launcher(rest.pop("launcher", None))
+    for group in LOGGING:
+        _check_logging(group, rest.pop(group, None))
+    _check_values(rest, "hydra")
+    job = rest.get("job") or {}
+    for key in ("env_set", "env_copy"):
+        if job.get(key):
+            raise ValueError(f"`hydra.job.{key}` cannot be set; set the variables in your shell")
+    for name, value in (
+        ("job.name", job.get("name", "job")),
+        ("output_subdir", rest.get("output_subdir") or "none"),
+    ):
+        if not isinstance(value, str) or not FILE_NAME.fullmatch(value):
+            raise ValueError(f"`hydra.{name}` must be a plain name, got {value!r}")
+
+
+def _check_callbacks(callbacks: Any) -> None:
+    """Raise ValueError unless all callbacks are ours."""
+    for name, one in _block("hydra.callbacks", callbacks).items():
+        if one is None:
+            continue
+        arguments = _block(f"hydra.callbacks.{name}", one)
+        _check_choice(
+            f"hydra.callbacks.{name}._target_", arguments.pop("_target_", None), CALLBACKS
+        )
+        for key, value in arguments.items():
+            _check_plain(f"hydra.callbacks.{name}.{key}", key, value)
+
+
+def _check_sweeper(sweeper: Any) -> None:
+    """Raise ValueError unless the sweeper is Hydra's basic one and sweeps keys of ours."""
+    arguments = _block("hydra.sweeper", sweeper)
+    _check_choice("hydra.sweeper._target_", arguments.pop("_target_", None), SWEEPERS)
+    for key, value in _block("hydra.sweeper.params", arguments.pop("params", None) or {}).items():
+        if str(key).lstrip("+~").startswith("hydra"):
+            raise ValueError(f"`hydra.sweeper.params.{key}`: Hydra's own keys cannot be swept")
+        _check_plain(f"hydra.sweeper.params.{key}", str(key), value)
+    for key, value in arguments.items():
+        _check_number(f"hydra.sweeper.{key}", value)
+
+
+def _check_launcher(launcher: Any) -> None:
+    """Raise ValueError unless a launcher is one of the documented ones, but for numbers."""
+    arguments = _block("hydra.launcher", launcher)
+    target = arguments.pop("_target_", None)
+    _check_choice("hydra.launcher._target_", target, LAUNCHERS)
+    shipped = _shipped_launcher(target)
+    for key, value in arguments.items():
+        name = f"hydra.launcher.{key}"
+        if key in shipped and shipped[key] == value:
+            continue
+        if key in SLURM_WORDS and isinstance(value, str):
+            _check_resolvers(name, value)
+            if not PLAIN_WORD.fullmatch(value):
+                raise ValueError(f"`{name}` must be a plain word, got {value!r}")
+        else:
+            _check_number(name, value)
+
+
+def _shipped_launcher(target: str) -> dict[str, Any]:
+    """Return the settings of an installed launcher as its plugin ships them."""
+    store = ConfigStore.instance()
+    for file in store.list("hydra/launcher"):
+        content = OmegaConf.to_container(store.load(f"hydra/launcher/{file}").node)
+        if isinstance(content, dict) and content.get("_target_") == target:
+            return {str(key): value for key, value in content.items()}
+    return {}
+
+
+def _check_logging(group: str, content: Any) -> None:
+    """Raise ValueError unless a block of logging is one that Hydra ships, with our format."""
+    if content is not None and content not in _shipped_logging(group):
+        raise ValueError(
+            f"`hydra.{group}` must be as shipped; choose one by hydra/{group}="
+            f"{'|'.join(LOGGING[group])}, and a level by hydra.verbose"
+        )
+
+
+@functools.cache
+def _shipped_logging(group: str) -> list[Any]:
+    """Return the options of a group of logging, without and with what our programs change."""
+    folder = resources.files("hydra") / "conf" / "hydra" / group
+    ours = OmegaConf.load(Path(CONFIGS) / "base" / "program.yaml").hydra.get(group) or {}
+    options = [
+        OmegaConf.create((folder / f"{name}.yaml").read_text(encoding="utf-8"))
+        for name in LOGGING[group]
+    ]
+    merged = [OmegaConf.merge(option, ours) for option in options]
+    return [OmegaConf.to_container(option) for option in (*options, *merged)]
+
+
+def _block(name: str, value: Any) -> dict[str, Any]:
+    """Return a copy of a mapping; raise ValueError for anything else, such as an interpolation."""
+    if not isinstance(value, dict):
+        raise ValueError(f"`{name}` must be as shipped, got {value!r}")
+    return dict(value)
+
+
+def _check_choice(name: str, value: Any, trusted: tuple[str, ...]) -> None:
+    """Raise ValueError unless a target is one of those trusted."""
+    if not isinstance(value, str) or value not in trusted:
+        raise ValueError(f"`{name}` must be one of {', '.join(trusted)}; got {value!r}")
+
+
+def _check_plain(name: str, key: str, value: Any) -> None:
+    """Raise ValueError unless a value is a text, a number or null below a plain key."""
+    if SPECIAL.fullmatch(key) or isinstance(value, dict | list):
+        raise ValueError(f"`{name}` is not allowed in a configuration of suspnet")
+    if isinstance(value, str):
+        _check_resolvers(name, value)
+
+
+def _check_number(name: str, value: Any) -> None:
+    """Raise ValueError unless a changed setting of Hydra's is a number, a boolean or null."""
+    if value is not None and not isinstance(value, int | float):
+        raise ValueError(f"`{name}` must be as shipped, or a number; got {value!r}")
+
+
+def _jobs(config: DictConfig, loader: ConfigLoaderImpl) -> list[list[str]]:
+    """Return the overrides of each job of a multirun, as Hydra's basic sweeper finds them."""
+    swept = [f"{key}={value}" for key, value in (config.hydra.sweeper.params or {}).items()]
+    typed = list(config.hydra.overrides.task)
+    overrides = OverridesParser.create(config_loader=loader).parse_overrides(swept + typed)
+    (jobs,) = BasicSweeper.split_arguments(overrides, None)
+    return jobs

@@ -1,0 +1,143 @@
+"""Processes that end with the one that started them, and work that survives the end of one."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import os
+import re
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
+
+from joblib import cpu_count, register_parallel_backend
+from joblib.externals.loky import ProcessPoolExecutor
+from joblib.parallel import LokyBackend
+
+WATCH_S = 1.0
+"""Time between two looks at whether the parent process is alive [s]."""
+ATTEMPTS = 2
+"""Number of processes that may be killed over one item."""
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Environment variables that share the cores among processes."""
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class LostWorkerError(RuntimeError):
+    """Every process that worked on something was killed."""
+
+
+def guarded(n_workers: int) -> ProcessPoolExecutor:
+    """Return an executor of one process that ends with this one; `n_workers` share the cores."""
+    n_threads = str(max(cpu_count() // n_workers, 1))
+    env = {name: os.environ.get(name, n_threads) for name in THREADS}
+    return ProcessPoolExecutor(1, env=env, initializer=begin)
+
+
+def each(
+    function: Callable[[Item], Result], items: Iterable[Item], n_workers: int
+) -> Iterator[tuple[Item, Result | LostWorkerError]]:
+    """Yield every item with what a function returns for it, in the order in which they are done.
+
+    Each worker is a process of its own, so that the death of one costs the item that it had: the
+    item is tried in a new process, ``ATTEMPTS`` times in all. One worker is this process itself.
+
+    Parameters
+    ----------
+    function : callable
+        Can be pickled. What it raises is raised here.
+    items : iterable
+    n_workers : int
+
+    Yields
+    ------
+    item, result or LostWorkerError
+    """
+    if n_workers == 1 or multiprocessing.current_process().daemon:  # daemons have no children
+        for item in items:
+            yield item, function(item)
+        return
+    waiting = deque((item, 1) for item in items)
+    idle = [guarded(n_workers) for _ in range(min(n_workers, len(waiting)))]
+    running: dict[Future[Result], tuple[Item, int, ProcessPoolExecutor]] = {}
+    alive = set(idle)
+    try:
+        # ends: each turn ends an attempt at least, and an item has no more than ATTEMPTS of them
+        while waiting or running:
+            while waiting and idle:
+                item, attempt = waiting.popleft()
+                executor = idle.pop()
+                running[executor.submit(function, item)] = item, attempt, executor
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                item, attempt, executor = running.pop(future)
+                try:
+                    result: Result | LostWorkerError = future.result()
+                except BrokenProcessPool as error:
+                    executor.shutdown(kill_workers=True)
+                    alive.remove(executor)
+                    executor = guarded(n_workers)
+                    alive.add(executor)
+                    if attempt < ATTEMPTS:
+                        waiting.append((item, attempt + 1))
+                        idle.append(executor)
+                        continue
+                    result = LostWorkerError(_killed(error))
+                idle.append(executor)
+                yield item, result
+    finally:
+        for executor in alive:
+            executor.shutdown(kill_workers=True)
+
+
+def _killed(error: BrokenProcessPool) -> str:
+    """Return in words how the last process ended."""
+    codes = re.search(r"\{(.*)\}", str(error))
+    how = f" ({codes[1]})" if codes else ""
+    return (
+        f"the process that worked on it was killed{how}, and so was that of a second attempt; "
+        "is there too little memory? Fewer workers need less"
+    )
+
+
+def begin() -> None:
+    """Prepare a worker process: it ends with its parent, which alone hears Ctrl-C."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+
+
+@functools.cache
+def end_with_parent() -> None:
+    """End this process within ``WATCH_S`` of the one that started it, if it is a worker.
+
+    A parent that is killed cannot tell its workers, which wait for work from it forever.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None and parent.pid is not None and hasattr(os, "getppid"):
+        threading.Thread(target=_watch, args=(parent.pid,), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    """Wait for the end of the parent process, and end this one."""
+    while os.getppid() == parent:  # an orphan gets another parent
+        time.sleep(WATCH_S)
+    os._exit(128 + signal.SIGTERM)
+
+
+class _GuardedLoky(LokyBackend):  # type: ignore[misc]
+    """joblib's processes, which end with the process that started them."""
+
+    def configure(self, *args: Any, **options: Any) -> int:
+        """Do as joblib does, and prepare each process."""
+        return int(super().configure(*args, **options | {"initializer": begin}))
+
+
+def guard_joblib() -> None:
+    """Let all processes that joblib starts from now on end with this one."""
+    register_parallel_backend("loky", _GuardedLoky)

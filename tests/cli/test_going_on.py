@@ -1,0 +1,229 @@
+"""Runs get folders of their own; a multirun goes on where it stopped; one failed job is one row."""
+
+import csv
+import json
+import os
+import signal
+from datetime import datetime
+
+import pytest
+from cli_runner import SMALL, typed
+from hydra import compose, initialize_config_dir
+from hydra.core import utils
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import open_dict, read_write
+
+from suspnet.cli import evaluate, folders, program, simulate, train
+from suspnet.cli.program import CONFIGS
+from suspnet.storage import read_json
+from suspnet.studies.sweeps import job_rows
+
+LINEAR = ["model=linear", "data.n_calibrate=null", *(o for o in SMALL if "calibrate" not in o)]
+
+
+def metrics(job):
+    """Return what a run is measured to be, without the time that it took."""
+    found = read_json(job / "metrics.json")
+    return {key: value for key, value in found.items() if key not in ("seconds", "training")}
+
+
+def jobs(sweep):
+    return sorted(path.name for path in sweep.iterdir() if path.is_dir())
+
+
+def only(folder):
+    (found,) = folder.iterdir()
+    return found
+
+
+class Noon(datetime):
+    @classmethod
+    def now(cls, tz=None):
+        return cls(2026, 1, 1, 12)
+
+
+# folders
+
+
+@pytest.mark.parametrize("kind", ["run", "sweep"])
+def test_folder_is_reserved_unless_the_command_line_names_it(tmp_path, kind):
+    start = {"run": "on_run_start", "sweep": "on_multirun_start"}[kind]
+    found = []
+    for overrides in ([], [], [f"hydra.{kind}.dir={tmp_path / 'named'}"], [f"resume={tmp_path}"]):
+        with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+            config = compose("train", overrides=overrides, return_hydra_config=True)
+        HydraConfig.instance().set_config(config)
+        if not overrides:
+            with read_write(config.hydra), open_dict(config.hydra):
+                config.hydra[kind].dir = str(tmp_path / "it's noon")
+        getattr(folders.OwnFolder(), start)(config)
+        found.append(config.hydra[kind].dir)
+        told = [o for o in config.hydra.overrides.hydra if "it\\'s noon" in o]
+        assert len(told) == (kind == "sweep" and not overrides)
+    assert found == [str(tmp_path / name) for name in ("it's noon", "it's noon_2", "named")] + [
+        str(tmp_path)
+    ]
+    assert not (tmp_path / "named").exists()
+
+
+def test_two_trainings_in_the_same_second_get_two_folders(tmp_path, monkeypatch):
+    monkeypatch.setattr(utils, "datetime", Noon)
+    for _ in range(2):
+        assert typed(train, *LINEAR, cwd=tmp_path).returncode == 0
+        assert typed(train, "-m", "seed=0,1", *LINEAR, cwd=tmp_path).returncode == 0
+    made = {path.name: path for path in (tmp_path / "outputs" / "train").iterdir()}
+    assert len(made) == 4
+    assert sorted(name.endswith("_2") for name in made) == [False, False, True, True]
+    several = [path for path in made.values() if (path / "multirun.yaml").exists()]
+    assert len(several) == 2
+    for path in made.values():
+        assert len(list(path.rglob("metrics.json"))) == (2 if path in several else 1)
+
+
+def test_resumed_folder_must_exist(tmp_path):
+    for arguments in (["resume=nowhere"], ["-m", "seed=0,1", "resume=nowhere"]):
+        ended = typed(train, *arguments, *LINEAR, cwd=tmp_path)
+        assert ended.returncode == 1
+        assert ended.stderr == "error: resume=nowhere is no folder; give that of the earlier run\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+# multiruns
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """Return a sweep of three jobs, one of which failed, one a fault and one unfinished."""
+    folder = tmp_path_factory.mktemp("sweep")
+    run = train.train
+
+    def faulty(problem, *arguments, **options):
+        if problem.seed == 2:
+            raise KeyError("a fault")
+        return run(problem, *arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train, "train", faulty)
+        ended = typed(train, "-m", "seed=3,-1,2,1", *LINEAR, cwd=folder)
+    return only(folder / "outputs" / "train"), ended
+
+
+def test_failed_job_stops_no_other_and_the_table_is_sorted(interrupted):
+    sweep, ended = interrupted
+    assert ended.returncode == 1
+    first, second, last = ended.stderr.splitlines()
+    assert first == "error: `seed` must be a whole number >= 0, got -1"
+    assert second.startswith("error: KeyError: 'a fault'; see ")
+    assert last.startswith("error: 2 jobs failed (1_")
+    assert f"resume=outputs/train/{sweep.name} runs these again" in last
+    rows = list(csv.DictReader((sweep / "jobs.csv").read_text().splitlines()))
+    assert [row["state"] for row in rows] == ["finished", "finished", "failed", "failed"]
+    assert float(rows[0]["mean"]) < float(rows[1]["mean"])
+    assert "-> outputs/train" in ended.stdout
+    assert "rms error in %, least mean first" in ended.stdout
+    errors = {path.parent.name[0]: path.read_text() for path in sweep.glob("*/error.txt")}
+    assert errors.keys() == {"1", "2"}
+    assert "Traceback" in errors["2"]
+    assert errors["1"] == f"{first}\n"
+
+
+def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
+    sweep, _ = interrupted
+    begun = {path: path.stat().st_mtime_ns for path in sweep.glob("*/metrics.json")}
+    assert len(begun) == 2
+    (unfinished,) = sweep.glob("0_*")  # as if killed before the end
+    kept = {path: time for path, time in begun.items() if path.parent != unfinished}
+    (unfinished / "metrics.json").unlink()
+    (unfinished / ".model.json.0123abcd").touch()
+    seeds = "seed=3,0,2,4,1"  # one is added, so that the number of the last job changes
+    cwd = sweep.parents[2]
+    ended = typed(train, "-m", seeds, *LINEAR, f"resume={sweep}", "threads=1", cwd=cwd)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("finished before: ") == 1
+    assert typed(train, "-m", seeds, *LINEAR, cwd=tmp_path).returncode == 0
+    whole = only(tmp_path / "outputs" / "train")
+
+    def results(folder):
+        return {job["seed"]: job for job in map(metrics, (p.parent for p in finished(folder)))}
+
+    def finished(folder):
+        return sorted(folder.glob("*/metrics.json"))
+
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert results(sweep) == results(whole)
+    assert len(finished(sweep)) == 5
+    assert not list(sweep.rglob(".*.????????"))
+    assert not list(sweep.glob("*/error.txt"))
+    assert all(len(list(path.parent.glob(folders.EVENTS))) == 1 for path in finished(sweep))
+    again = typed(train, "-m", seeds, *LINEAR, f"hydra.sweep.dir={sweep}", cwd=cwd)
+    assert again.stdout.count("finished before: ") == 5
+    assert again.returncode == 0
+    other = typed(train, "-m", seeds, *LINEAR, "data.n_test=50", f"resume={sweep}", cwd=cwd)
+    assert other.returncode == 1
+    assert other.stderr.count("holds a finished run of other settings; give another") >= 1
+    assert results(sweep).keys() >= {0, 1, 2, 3, 4}
+
+
+def test_finished_run_is_not_run_again_and_another_one_is_refused(tmp_path):
+    assert typed(train, *LINEAR, "hydra.run.dir=run", cwd=tmp_path).returncode == 0
+    before = (tmp_path / "run" / "metrics.json").stat().st_mtime_ns
+    ended = typed(train, *LINEAR, "resume=run", "progress=true", cwd=tmp_path)
+    assert ended.returncode == 0
+    assert "finished before: " in ended.stdout
+    ended = typed(train, *LINEAR, "resume=run", "seed=5", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert "holds a finished run of other settings" in ended.stderr
+    assert (tmp_path / "run" / "metrics.json").stat().st_mtime_ns == before
+
+
+def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):
+    for name in "abc":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.yaml").touch()
+    (tmp_path / "a" / "metrics.json").write_text(json.dumps({"rms_percent": {"k_p": 2.0}}))
+    two = [{"rms_percent": {"k_p": 1.0, "c_p": 4.0}}, {"rms_percent": {"k_p": 2.0, "c_p": 0.0}}]
+    (tmp_path / "c" / "speeds.json").write_text(json.dumps(two))
+    assert job_rows(tmp_path) == [
+        {"job": "c", "mean": 1.75, "k_p": 1.5, "c_p": 2.0, "state": "finished"},
+        {"job": "a", "mean": 2.0, "k_p": 2.0, "c_p": None, "state": "finished"},
+        {"job": "b", "mean": None, "k_p": None, "c_p": None, "state": "unfinished"},
+    ]
+    assert job_rows(tmp_path / "a") == []
+
+
+# signals
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.parametrize(
+    ("module", "arguments", "hint"),
+    [
+        (train, LINEAR, "start again at any time"),
+        (train, ["-m", "seed=0,1", *LINEAR], "go on with the same command and resume=outputs/"),
+        (simulate, ["out=trips"], "start again at any time"),
+        (evaluate, ["run=x", "trips=y"], "go on with the same command and resume=outputs/"),
+    ],
+)
+def test_sigterm_ends_a_program_with_one_line(tmp_path, monkeypatch, module, arguments, hint):
+    before = signal.getsignal(signal.SIGTERM)
+
+    def killed(*_, **__):
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise AssertionError("unreachable")
+
+    for name in ("train", "write_fleet", "find_runs"):
+        monkeypatch.setattr(module, name, killed, raising=False)
+    ended = typed(module, *arguments, cwd=tmp_path)
+    assert ended.returncode == 143
+    assert ended.stderr.startswith(f"terminated: nothing was half-written; {hint}")
+    assert ended.stderr.count("\n") == 1
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_process_that_dies_in_a_multirun_is_one_line(tmp_path, monkeypatch, capsys):
+    def broken():
+        raise program.BrokenProcessPool("a worker was killed")
+
+    monkeypatch.setattr(folders, "_to_go_on", ["outputs/train/x"])
+    with pytest.raises(SystemExit, match=r"^error: a worker was killed; go on with .*resume=outp"):
+        program.run(broken)

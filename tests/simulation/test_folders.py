@@ -1,0 +1,116 @@
+"""A simulation goes on after an interruption, and keeps out of another one's folder."""
+
+import json
+import logging
+
+import pytest
+from trip_fixtures import SENSORS
+from vehicles import AM96
+
+from suspnet.dynamics import QuarterCar
+from suspnet.recordings.manifest import UNFINISHED, partial_words
+from suspnet.simulation import writing
+from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.folders import FolderTakenError
+from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.writing import write_fleet
+from suspnet.storage import locked
+
+FLEET = Fleet(n_trips=4, minutes=0.1, sensors=SENSORS)
+LOADS = Scenario("loads")
+
+
+def simulate(folder, fleet=FLEET, seed=3, **options):
+    return write_fleet(folder, fleet, LOADS, QuarterCar(AM96), seed=seed, **options)
+
+
+def contents(folder):
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture
+def stopped(tmp_path, monkeypatch):
+    """Return a folder in which a simulation was interrupted while it wrote its third trip."""
+    write_manifest, folder = writing.write_manifest, tmp_path / "fleet"
+
+    def write_two(manifest):
+        if manifest.name == "trip_003":
+            raise KeyboardInterrupt("stop")
+        return write_manifest(manifest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "write_manifest", write_two)
+        with pytest.raises(KeyboardInterrupt, match="stop"):
+            simulate(folder)
+    return folder
+
+
+def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
+    stopped, tmp_path, monkeypatch, caplog
+):
+    before = contents(stopped)
+    assert "truth.json" not in before
+    written, write_trip = [], writing._write_trip
+
+    def counted(trip, **options):
+        written.append(trip[1])
+        return write_trip(trip, **options)
+
+    monkeypatch.setattr(writing, "_write_trip", counted)
+    with caplog.at_level(logging.INFO):
+        paths = simulate(stopped)
+    assert written == [2, 3]
+    assert "2 of 4 trips are there, going on" in caplog.text
+    assert [path.name for path in paths] == [f"trip_{i:03d}.yaml" for i in range(1, 5)]
+    simulate(tmp_path / "whole")
+    assert contents(stopped) == contents(tmp_path / "whole")
+
+
+def test_partial_fleet_is_known_as_partial(stopped):
+    assert partial_words(stopped) == "partial: 2 of 4 trips are simulated"
+    (stopped / UNFINISHED).write_text("{")
+    assert partial_words(stopped) == "partial: 2 trips are simulated"
+    (stopped / UNFINISHED).unlink()
+    assert partial_words(stopped) == ""
+
+
+def test_trip_that_lost_a_file_is_written_again(stopped, tmp_path):
+    (stopped / "trip_001" / "body.parquet").unlink()
+    simulate(stopped)
+    simulate(tmp_path / "whole")
+    assert contents(stopped) == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("kind", ["unfinished", "whole", "foreign"])
+def test_trips_of_another_simulation_stay(stopped, kind):
+    if kind == "whole":
+        simulate(stopped)
+    if kind == "foreign":
+        (stopped / UNFINISHED).unlink()
+    before = contents(stopped)
+    with pytest.raises(FolderTakenError, match="fleet already holds trips; give another folder"):
+        simulate(stopped, seed=4)
+    assert contents(stopped) == before
+
+
+def test_folder_that_another_simulation_writes_to_is_left_to_it(tmp_path, caplog):
+    with locked(tmp_path / "fleet"), locked(tmp_path / "fleet_2"):
+        paths = simulate(tmp_path / "fleet")
+    assert {path.parent for path in paths} == {tmp_path / "fleet_3"}
+    assert "another simulation is writing to" in caplog.text
+    assert contents(tmp_path / "fleet") == {}
+
+
+def test_mistake_before_the_first_trip_leaves_nothing(tmp_path):
+    fleet = Fleet(n_trips=1, minutes=0.1, journey="service", sensors=SENSORS)
+    with pytest.raises(ValueError, match="stops in"):
+        simulate(tmp_path / "fleet", fleet)
+    assert not (tmp_path / "fleet").exists()
+
+
+def test_workers_change_nothing(tmp_path):
+    for folder, n_jobs in (("one", 1), ("two", 2)):
+        simulate(tmp_path / folder, n_jobs=n_jobs)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert set(json.loads((tmp_path / "one" / "truth.json").read_text())) >= {"numbers", "seed"}
