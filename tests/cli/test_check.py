@@ -305,6 +305,22 @@ def test_commands_of_the_docs_are_understood():
 
 
 @pytest.mark.slow
+def test_two_workers_find_what_one_finds(manifests, fleet, tmp_path):
+    output, words = fleet
+    options = ["--workers", "2", "-o", tmp_path / "o"]
+    done = python("-m", "suspnet.check", manifests[0].parent, *options, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.partition("->")[0] == words.partition("->")[0]
+    assert found_in(tmp_path / "o") == found_in(output)
+
+
+def test_number_of_workers_is_checked(manifests, tmp_path):
+    done = typed(check, manifests[0], "--workers", "0", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "`--workers` must be a whole number >= 1, got 0" in done.stderr
+
+
+@pytest.mark.slow
 def test_module_runs_as_a_program(manifests, tmp_path):
     done = python("-m", "suspnet.check", manifests[0], "-o", tmp_path / "o", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
