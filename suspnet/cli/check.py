@@ -6,16 +6,20 @@ import sys
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from tqdm import tqdm
 
+from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.cli.configs import read_vehicles
 from suspnet.data.parallel import quiet
 from suspnet.inspection.check import CheckSettings, Opened, check_trip, find_trips
 from suspnet.inspection.records import PROBLEM, TripCheck
 from suspnet.inspection.summary import summary, with_shared_data, write_checks
+from suspnet.storage import new_folder
+from suspnet.workers import LostWorkerError, each
 
 DESCRIPTION = """\
 Read manifests and recordings without a model. Tell everything that is wrong with all of them at
@@ -58,6 +62,13 @@ def parser() -> ArgumentParser:
     )
     found.add_argument("--no-pictures", action="store_true", help="draw nothing, which is faster")
     found.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        metavar="N",
+        help="trips that are read at the same time, each in a process; 1 if not given",
+    )
+    found.add_argument(
         "--config-dir",
         type=Path,
         metavar="DIR",
@@ -68,6 +79,7 @@ def parser() -> ArgumentParser:
 
 def check(arguments: Namespace) -> int:
     """Check what the command line names and return the exit code."""
+    check_number("--workers", arguments.workers, low=1, whole=True)
     vehicles = read_vehicles()
     if arguments.config_dir is not None:
         if not (arguments.config_dir / "vehicle").is_dir():
@@ -77,12 +89,28 @@ def check(arguments: Namespace) -> int:
     known = {vehicle.name: vehicle for vehicle in vehicles.values()}
     settings = CheckSettings(known, pictures=None if arguments.no_pictures else output)
     paths, elsewhere = find_trips(arguments.trips)
-    bar = tqdm(paths, desc="trips", unit="trip", disable=quiet(True))
-    names, opened = picture_names(paths), Opened()
-    checks = with_shared_data([check_trip(path, settings, names[path], opened) for path in bar])
+    checks = with_shared_data(_checked(paths, settings, arguments.workers))
     page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
     return exit_code(checks, elsewhere)
+
+
+def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> list[TripCheck]:
+    """Return the check of each manifest, in their order."""
+    opened = Opened() if n_workers == 1 else None  # processes share nothing
+    names = picture_names(paths)
+    done = each(partial(_check_one, settings=settings, opened=opened), names.items(), n_workers)
+    found = {}
+    for (path, _), result in tqdm(done, "trips", len(paths), unit="trip", disable=quiet(True)):
+        if isinstance(result, LostWorkerError):
+            result = TripCheck(path, problems=(str(result),))
+        found[path] = result
+    return [found[path] for path in paths]
+
+
+def _check_one(item: tuple[Path, str], settings: CheckSettings, opened: Opened | None) -> TripCheck:
+    """Return the check of a manifest whose picture has a name."""
+    return check_trip(item[0], settings, item[1], opened)
 
 
 def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
@@ -110,16 +138,7 @@ def _folder(wanted: Path | None) -> Path:
     if wanted is not None:
         wanted.mkdir(parents=True, exist_ok=True)
         return wanted
-    base = Path("outputs/check") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    folder, number = base, 1
-    while True:  # ends: there are fewer folders than numbers
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            number += 1
-            folder = base.with_name(f"{base.name}_{number}")
-        else:
-            return folder
+    return new_folder(Path("outputs/check") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
 
 
 def main() -> None:

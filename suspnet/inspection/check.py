@@ -312,7 +312,7 @@ def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
     """Return that nothing can be estimated from a part of a trip, because of its noise."""
     return (
         f"at {part.speed_m_per_s:.1f} m/s the responses are uncertain by "
-        f"{part.deviation_percent:.2g} %, at most {100 * settings.max_deviation:g} % are accepted: "
+        f"{part.deviation_percent:.0f} %, at most {100 * settings.max_deviation:g} % are accepted: "
         "the sensors hardly show the same motion"
     )
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.recordings.manifest import Place
+from suspnet.storage import printable
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
 """States of a trip: it can be estimated; it can be read, but too little of it can be used; it
@@ -89,7 +90,7 @@ class TripCheck:
     @property
     def name(self) -> str:
         """Name of the trip; bytes that are not UTF-8 stand in hex."""
-        return _printable(self.manifest.stem)
+        return printable(self.manifest.stem)
 
     @property
     def n_averages(self) -> float:
@@ -107,11 +108,6 @@ class TripCheck:
     def row(self) -> dict[str, Any]:
         """Return the check as JSON-able values."""
         return asdict(self) | {
-            "manifest": _printable(str(self.manifest)),
+            "manifest": printable(str(self.manifest)),
             "n_averages": self.n_averages,
         }
-
-
-def _printable(name: str) -> str:
-    """Return a file's name as text that can be printed."""
-    return name.encode("utf-8", "backslashreplace").decode()
