@@ -62,6 +62,7 @@ CALLBACKS = (
     "suspnet.cli.folders.OwnFolder",
     "suspnet.studies.sweeps.Ablation",
     "suspnet.studies.sweeps.Comparison",
+    "suspnet.studies.sweeps.Jobs",
     "suspnet.studies.sweeps.Sensitivity",
     "suspnet.studies.sweeps.Table5",
     "suspnet.studies.sweeps.Table6",
