@@ -590,7 +590,7 @@ def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monk
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",
-        lambda path, *_: replace(
+        lambda path, *_, **__: replace(
             evaluate_trip(path, [model], TRIPS), flags="odd" if path == manifests[1] else ""
         ),
     )
