@@ -125,6 +125,23 @@ def outcome(module, config):
     return "ran", ""
 
 
+def unchanged(module, config, folder):
+    """Run a program as it is: it must work, and imports what it needs without a limit of time."""
+    config = config.copy()
+    if "out" in config:
+        config.out = str(folder / "out" / "unchanged")
+    HydraConfig.instance().set_config(config)
+    with open_dict(config):
+        del config["hydra"]
+    (folder / "output").mkdir(exist_ok=True)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        try:
+            module.compose(config)
+        except SystemExit as ended:
+            if isinstance(ended.code, str):
+                raise ValueError(ended.code) from None
+
+
 def prepare(folder):
     """Make the runs and the trip that evaluate.py reads; return their places."""
     quick = [*TINY, "data.n_calibrate=100", "model=linear", "figures=false"]
@@ -145,6 +162,8 @@ def fuzz(program, n_values, seed, folder, n_bases=None):
     cases = [
         (i, key, value) for i, (_, names) in enumerate(found) for key in names for value in VALUES
     ]
+    for config, _ in found:
+        unchanged(module, config, folder)
     counts, failures = Counter(), []
     for n, (i, key, value) in enumerate(draw.sample(cases, min(n_values, len(cases)))):
         config = found[i][0].copy()

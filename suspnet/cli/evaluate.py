@@ -103,7 +103,7 @@ def compose(config: DictConfig) -> int:
     program.save_config(config, output)
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]
-        settings = instantiate(config.monitor, _convert_="all")
+        settings = program.build(config, "monitor", _convert_="all")
         done = evaluate_fleet(Path(config.trips), models, output, settings, config.progress)
         return exit_code(done)
     results = [
@@ -113,7 +113,7 @@ def compose(config: DictConfig) -> int:
             seed=config.seed,
             n_test=config.data.n_test,
             snr_db=config.data.snr_db,
-            protocol=instantiate(config.protocol) if config.get("protocol") else None,
+            protocol=program.build(config, "protocol") if config.get("protocol") else None,
             threads=program.n_threads(config.threads),
             device=config.device,
             progress=config.progress,

@@ -23,6 +23,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
@@ -234,6 +235,20 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
     return "error: " + " ".join(words.split())
+
+
+def build(config: DictConfig, key: str, **options: Any) -> Any:
+    """Return the object that a configuration describes below a key; `options` are of Hydra.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    node = config[key]
+    if not isinstance(node, DictConfig) or "_target_" not in node:
+        raise ValueError(f"`{key}` must be an option of the group {key}, got {node!r}")
+    return instantiate(node, **options)
 
 
 def run_folder() -> Path:

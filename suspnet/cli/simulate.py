@@ -6,7 +6,6 @@ import logging
 from pathlib import Path
 
 import hydra
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from suspnet.checks import check_number
@@ -25,9 +24,9 @@ def compose(config: DictConfig) -> None:
     try:
         manifests = write_fleet(
             Path(config.out),
-            instantiate(config.fleet),
-            instantiate(config.scenario),
-            instantiate(config.generator),
+            program.build(config, "fleet"),
+            program.build(config, "scenario"),
+            program.build(config, "generator"),
             seed=config.seed,
             scatter=config.scatter,
             n_jobs=config.workers,

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig
 
 from suspnet.checks import check_number
@@ -60,7 +59,7 @@ def compose(config: DictConfig) -> None:
         found.data.speed_half_width = one.half_width
         return found
 
-    if instantiate(bound(ranges[0]).generator).speed_m_per_s is None:
+    if program.build(bound(ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
     healthy = _commissioned(bound(ranges[0]), folder)
     program.save_config(config, folder)
@@ -80,13 +79,13 @@ def _commissioned(config: DictConfig, folder: Path) -> _Healthy | None:
     """Return the vehicle that healthy trips show, where a folder of them is named."""
     if config.healthy is None:
         return None
-    settings = instantiate(config.data)
+    settings = program.build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
     check_number("n_healthy", config.n_healthy, low=LEAST_TRIPS, whole=True, optional=True)
     found, outcome = commission_folder(
         Path(config.healthy),
-        instantiate(config.generator),
+        program.build(config, "generator"),
         settings,
         TripSettings(),
         n_first=config.n_healthy,
@@ -98,7 +97,7 @@ def _commissioned(config: DictConfig, folder: Path) -> _Healthy | None:
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
     """Return the source of training curves: as configured, or as its healthy trips show it."""
-    plain: ResponseGenerator = instantiate(config.generator)
+    plain: ResponseGenerator = program.build(config, "generator")
     if healthy is None or plain.speed_m_per_s is None:
         return plain
     return replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
@@ -108,14 +107,14 @@ def _train(config: DictConfig, folder: Path, healthy: _Healthy | None) -> Metric
     """Train what a configuration names and fill a folder."""
     problem = Problem(
         generator=_generator(config, healthy),
-        task=instantiate(config.protocol).task(config.group),
-        settings=instantiate(config.data),
+        task=program.build(config, "protocol").task(config.group),
+        settings=program.build(config, "data"),
         seed=config.seed,
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
-    model = instantiate(config.model)
-    search = instantiate(config.search) if config.get("search") else None
+    model = program.build(config, "model")
+    search = program.build(config, "search") if config.get("search") else None
     resolved = program.save_config(config, folder)
     return train(
         problem,

@@ -59,8 +59,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
 """All that a configuration may build, by the key below which it may stand."""
 CALLBACKS = (
     "suspnet.cli.evaluate.WorstExitCode",
+    "suspnet.cli.folders.OwnFolder",
     "suspnet.studies.sweeps.Ablation",
     "suspnet.studies.sweeps.Comparison",
+    "suspnet.studies.sweeps.Jobs",
     "suspnet.studies.sweeps.Sensitivity",
     "suspnet.studies.sweeps.Table5",
     "suspnet.studies.sweeps.Table6",

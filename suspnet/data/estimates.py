@@ -46,6 +46,8 @@ the body sounds there with modes of its structure, of which the model holds the 
 HIGHEST_HZ = 25.0
 """Highest end of a band that follows from the vehicle: recordings are read up to a quarter of their
 rate, which is 100 Hz unless told otherwise; [Hz]."""
+MOST_BINS = 100_000
+"""Largest number of frequency bins of a curve; a band up to 25 Hz has 500."""
 SMOOTHED_BINS = 5
 """Number of neighbouring bins over which a trip's measured covariance is averaged."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
@@ -131,6 +133,13 @@ class EstimateSettings:
             check_number(f"data.rates_hz[{i}]", rate_hz, above=0, most=1e6)
         check_flag("data.short_waves", self.short_waves)
         track_spectrum(self.track, self.short_waves)
+        check_number("data.segment_s", self.segment_s, above=0)
+        highest = HIGHEST_HZ if self.high_hz is None else self.high_hz
+        if highest * self.segment_s > MOST_BINS:
+            raise ValueError(
+                f"segments of {self.segment_s:g} s make more than {MOST_BINS} bins up to "
+                f"{highest:g} Hz; take shorter ones or a narrower band"
+            )
         if self.n_averages < 4:
             raise ValueError(
                 f"`data.minutes`={self.minutes:g} is too short: {self.n_averages:.1f} averages of "

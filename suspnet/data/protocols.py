@@ -44,6 +44,11 @@ class Task:
         Whether the measured car-body mass ratio is one more input.
     log_ratios : bool
         Whether a model sees logarithms of the ratios to healthy, or the ratios themselves.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a name is unknown or a number is out of range.
     """
 
     protocol: str
@@ -61,6 +66,24 @@ class Task:
     mass_step: float
     mass_known: bool
     log_ratios: bool
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("varied", PARAMETERS),
+            ("outputs", PARAMETERS),
+            ("responses", RESPONSES),
+        ):
+            chosen = getattr(self, name)
+            if not chosen or set(chosen) - set(allowed) or len(set(chosen)) < len(chosen):
+                raise ValueError(f"`{name}` must be from {allowed}, each once, got {chosen!r}")
+        check_choice("sampling", self.sampling, ("grid", "sobol"))
+        for low, high in (("lower", "upper"), ("mass_lower", "mass_upper")):
+            check_number(low, getattr(self, low), above=0, most=100)
+            check_number(high, getattr(self, high), above=getattr(self, low), most=100)
+        for name in ("step", "mass_step"):
+            check_number(name, getattr(self, name), above=0, most=100)
+        for name in ("mass_known", "log_ratios"):
+            check_flag(name, getattr(self, name))
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from suspnet.dynamics.generator import check_ratios
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
+from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, check_vehicle
 from suspnet.tensors import as_tensor, check_device
 from suspnet.types import FloatArray
 
@@ -66,6 +66,7 @@ class QuarterCar:
     """It does not roll: each sensor is as good as the mean of two."""
 
     def __post_init__(self) -> None:
+        check_vehicle(self.vehicle)
         check_device(self.device)
 
     def parameters(self, ratios: Tensor | ArrayLike) -> Tensor:

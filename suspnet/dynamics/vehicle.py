@@ -132,6 +132,12 @@ _FIELD = {
 }
 
 
+def check_vehicle(vehicle: object) -> None:
+    """Raise TypeError unless a generator's vehicle is one."""
+    if not isinstance(vehicle, Vehicle):
+        raise TypeError(f"`vehicle` must be a Vehicle, got {vehicle!r}")
+
+
 def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:
     """Raise ValueError if an uncoupled natural frequency suggests a wrong unit."""
     low, high = FREQUENCY_RANGE_HZ

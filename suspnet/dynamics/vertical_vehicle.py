@@ -23,7 +23,7 @@ from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.quarter_car import QuarterCar
-from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle
+from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle, check_vehicle
 from suspnet.dynamics.vertical_motion import vertical_motion
 from suspnet.dynamics.vertical_response import Layout, bounced, rolled, wheels_of
 from suspnet.tensors import as_tensor, check_device
@@ -83,6 +83,7 @@ class VerticalVehicle:
     distribution: LogNormal | None = None
 
     def __post_init__(self) -> None:
+        check_vehicle(self.vehicle)
         check_device(self.device)
         missing = [name for name in GEOMETRY if getattr(self.vehicle, name) is None]
         if missing:

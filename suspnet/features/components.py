@@ -108,6 +108,8 @@ class CurveFeatures:
             "n_components", self.n_components, low=1, most=10_000, whole=True, optional=True
         )
         check_number("explained", self.explained, above=0, below=1)
+        for name in ("low_hz", "high_hz"):
+            check_number(name, getattr(self, name), above=0, optional=True, most=1e4)
 
     @property
     def names(self) -> tuple[str, ...]:

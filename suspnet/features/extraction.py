@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, Protocol, Self
 import torch
 from torch import Tensor
 
-from suspnet.checks import check_number
+from suspnet.checks import check_choice, check_number
 from suspnet.features.peaks import (
     PeakFit,
     PeakReason,
@@ -161,6 +161,8 @@ class PeakFeatures:
         unknown = [name for name in self.peaks if name not in PEAK_NAMES]
         if unknown or not self.peaks:
             raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
+        check_choice("shape", self.shape, ("lorentzian", "gaussian"))
+        check_number("smoothing_hz", self.smoothing_hz, above=0, most=1e4)
         for name, most in (("low_hz", 1e4), ("high_hz", 1e4), ("window", 100)):
             check_number(name, getattr(self, name), above=0, most=most)
         if not self.low_hz < self.high_hz:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -17,6 +18,7 @@ from suspnet.features import FEATURE_SETS
 from suspnet.learning import METHODS, Scaling
 from suspnet.model.fitted import ModelFileError
 from suspnet.model.trained import TrainedModel
+from suspnet.model.validity import check_arrays, check_model, check_numbers, check_same
 from suspnet.storage import (
     DamagedFileError,
     content_hash,
@@ -27,6 +29,7 @@ from suspnet.storage import (
     write_atomically,
     write_json,
 )
+from suspnet.tensors import check_device
 from suspnet.types import FloatArray
 from suspnet.uncertainty.intervals import Intervals
 from suspnet.uncertainty.ood import OODDetector
@@ -35,6 +38,13 @@ from suspnet.uncertainty.physics import Unexplained
 SCHEMA_VERSION = 7
 FEATURES, INTERVALS, OOD, PHYSICS = "features.", "intervals.", "ood.", "physics."
 """Prefixes of the names of the arrays of the feature set and of the calibrated parts."""
+NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
+"""Entries of model.json that do not describe the model itself."""
+NOT_A_MODEL = (
+    *(ValueError, TypeError, KeyError, AttributeError, IndexError, ArithmeticError),
+    *(AssertionError, RuntimeError, MemoryError, Warning),
+)
+"""What building a model from files that hold something else may raise."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -51,7 +61,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     OSError
         If the folder cannot be written.
     """
-    content, description = _described(model)
+    content, description = _files(model)
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)
         write_json(folder / "model.json", description)
@@ -59,15 +69,22 @@ def save_model(folder: Path, model: TrainedModel) -> None:
 
 def fingerprint(model: TrainedModel) -> str:
     """Return a hash of all that a model's files would hold."""
-    return str(_described(model)[1]["description_sha256"])
+    return str(_files(model)[1]["description_sha256"])
 
 
-def _described(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
+def _files(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
     """Return what model.safetensors and model.json hold."""
     arrays = dict(model.estimator.state())
     for prefix, part in ((FEATURES, model.task.extractor), *_calibration(model)):
         arrays |= {prefix + name: array for name, array in part.state().items()}
     content = dump_arrays(arrays)
+    description = _described(model) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
+    description["description_sha256"] = content_hash(description)
+    return content, description
+
+
+def _described(model: TrainedModel) -> dict[str, Any]:
+    """Return what a model is as JSON-able values, without the hashes of its files."""
     description = {
         "schema_version": SCHEMA_VERSION,
         "suspnet_version": __version__,
@@ -83,11 +100,9 @@ def _described(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
         "corrected": model.corrected,
         "refined": model.refined,
         "training": model.training,
-        "arrays_sha256": hashlib.sha256(content).hexdigest(),
     }
-    description = _plain(description)
-    description["description_sha256"] = content_hash(description)
-    return content, description
+    plain: dict[str, Any] = _plain(description)
+    return plain
 
 
 def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:
@@ -110,17 +125,44 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
     path = folder / "model.json"
     if not path.is_file():
         raise FileNotFoundError(f"{folder} holds no model.json; is it the folder of a run?")
+    check_device(device)
     try:
         content = read_json(path)
         _check_description(path, content)
         arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
-        return _build(content, arrays, device)
+        return _checked(content, arrays, device)
+    except ModelFileError:
+        raise
     except DamagedFileError as error:
         raise ModelFileError(f"{error}; train again or copy the run again") from error
     except FileNotFoundError as error:
         raise ModelFileError(f"{folder} holds model.json but no model.safetensors") from error
-    except (KeyError, TypeError, AttributeError) as error:
+    except RecursionError as error:
+        raise ModelFileError(f"{path} is not a suspnet model: it is nested too deeply") from error
+    except NOT_A_MODEL as error:
         raise ModelFileError(f"{path} is not a suspnet model: {error!r}") from error
+
+
+def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+    """Return the model of a description and its arrays, after all checks.
+
+    Raises
+    ------
+    TypeError, ValueError, KeyError, ...
+        If a setting, a shape or a number is not that of a model.
+    """
+    check_numbers(content)
+    check_arrays(arrays)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # arithmetic that warns is that of a forged model
+        model = _build(content, dict(arrays), device)
+        check_model(model)
+        built = _described(model)
+    for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
+        built[part][key] = content[part].get(key)  # which depend on where the model is used
+    told = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
+    check_same(told, built)
+    return model
 
 
 def parameters(estimator: Any) -> dict[str, Any]:
@@ -173,7 +215,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         estimator=estimator,
         task=Task(**task | {"extractor": feature_set}),
         generator=_untagged(generator, GENERATORS),
-        settings=_untagged(content["settings"], OBSERVATIONS),
+        settings=_untagged(_without_folder(content["settings"]), OBSERVATIONS),
         healthy_features=np.array(content["healthy_features"]),
         input_scaling=_scaling(content["inputs"]),
         output_scaling=_scaling(content["outputs"]),
@@ -184,6 +226,13 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         unexplained=unexplained,
         training=content["training"],
     )
+
+
+def _without_folder(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return settings whose cache is where it is by default, or nowhere: a file names no folder."""
+    default = {field.name: field.default for field in fields(OBSERVATIONS[settings["kind"]])}
+    folder = settings.get("cache_dir")
+    return settings | {"cache_dir": folder if folder == default["cache_dir"] else None}
 
 
 def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:

@@ -34,6 +34,9 @@ MISSING = frozenset(
 )
 """Cells without a value."""
 
+_DASHES = frozenset(("", "-", "--", "---", "*", "***"))
+"""Cells that may stand in lines of names or units, too."""
+
 _INFINITE = r"[-+]?(?:inf|Inf|INF|infinity|Infinity)"
 _NUMBER = {
     ".": re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|{_INFINITE}"),
@@ -117,7 +120,8 @@ class _Candidate:
             return False
         numbers = [cells[i] for i in self.numeric if cells[i] not in MISSING]
         stamps = [cells[i] for i in self.stamped if cells[i] not in MISSING]
-        return bool(numbers or stamps) and (
+        filled = [cells[i] for i in (*self.numeric, *self.stamped)]
+        return not all(cell in _DASHES for cell in filled) and (
             all(_NUMBER[self.decimal].fullmatch(cell) for cell in numbers)
             and all(_STAMP.fullmatch(cell) for cell in stamps)
         )
@@ -291,10 +295,10 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
     if not units:
         units = [unit_in_name(name) for name in names]
     stamps = [""] * one.n_columns
-    row = one.splits(lines[first])
-    for i in one.stamped:
-        match = _STAMP.fullmatch(row[i])
-        stamps[i] = "utc" if match and match.group(1) else "local"
+    for line in lines[first : first + TAIL_LINES]:
+        for i, cell in enumerate(one.splits(line)[: one.n_columns]):
+            if not stamps[i] and (match := _STAMP.fullmatch(cell)):
+                stamps[i] = "utc" if match.group(1) else "local"
     return Found(
         "",
         one.delimiter,

@@ -59,7 +59,7 @@ def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
     )
     delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
     parse = pa.csv.ParseOptions(delimiter=delimiter)
-    with path.open("rb") as stream:
+    with pa.OSFile(str(path)) as stream:
         source: Any = stream
         if found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
             source = pa.transcoding_input_stream(source, found.encoding, "utf8")

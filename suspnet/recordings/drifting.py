@@ -7,6 +7,7 @@ time; if a logger loses samples, it jumps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -18,7 +19,8 @@ from scipy.signal import get_window
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
-from suspnet.types import BoolArray, ComplexArray, FloatArray
+from suspnet.recordings.speed import STANDING_M_PER_S
+from suspnet.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 WINDOW_S = 20.0
 """Length of the windows whose delays are compared, [s]."""
@@ -28,6 +30,18 @@ BAND_HZ = (1.0, 15.0)
 
 LEAST_WINDOWS = 6
 """Least number of windows with a clear peak."""
+
+SPEED_CLASS = 0.05
+"""Relative width of a class of speed, and largest change of the speed within a window."""
+
+TRIMS = 3
+"""Number of times that windows far off are left out."""
+
+JUMP_SHARE = 0.25
+"""The delay jumps if that leaves less than this share of the squares that a drift leaves."""
+
+FINEST_S = 1e-5
+"""Least deviation of a delay, [s]."""
 
 LEAST_CORRELATION = 0.4
 """Least correlation of a window's cross-spectrum with the common one for its peak to be clear."""
@@ -52,21 +66,22 @@ class Drift:
 
     Attributes
     ----------
-    rate : float, [-]
-        Change of the delay over time.
-    deviation : float, [-]
+    is_jump : bool
+        It jumps rather than drifts.
+    size : float, [s] or [-]
+        The jump, or the change of the delay over time. Infinite if the signals have nothing in
+        common before or after the jump.
+    deviation : float
         Its standard deviation.
-    jump_s, jump_deviation_s : float, [s]
-        The largest jump if the delay jumps rather than drifts, and its deviation; otherwise 0.
     jump_at_s : float, [s]
+        When it jumps.
     seconds : float, [s]
         Time between the first and the last window.
     """
 
-    rate: float
+    is_jump: bool
+    size: float
     deviation: float
-    jump_s: float
-    jump_deviation_s: float
     jump_at_s: float
     seconds: float
 
@@ -105,7 +120,7 @@ def clock_faults(
                 f"{manifest.path}: channel {second!r}: clock {words}; correct that or give a "
                 "column of `time`"
             )
-        if size_s > TOLD_S:
+        if size_s >= TOLD_S:
             faults.append(
                 Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words)
             )
@@ -125,23 +140,28 @@ def _compared(manifest: TripManifest) -> list[tuple[str, str]]:
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
     """Return what is wrong with the second sensor's clock, and how much the delay changes [s]."""
-    if abs(drift.jump_s) > SIGNIFICANT * drift.jump_deviation_s:
-        later = "ahead of" if drift.jump_s < 0 else "behind"
-        words = (
-            f"jumps {1e3 * abs(drift.jump_s):.3g} ms {later} that of {first} about "
-            f"{drift.jump_at_s:.0f} s after the begin: were samples lost?"
-        )
-        return words, abs(drift.jump_s)
-    if abs(drift.rate) < SIGNIFICANT * drift.deviation:
+    if abs(drift.size) < SIGNIFICANT * drift.deviation:
         return "", 0.0
-    size_s = abs(drift.rate) * drift.seconds
+    if math.isinf(drift.size):
+        words = (
+            f"seems to jump against that of {first}: only on one side of {drift.jump_at_s:.0f} s "
+            "after the begin do they show the same motion; were samples lost?"
+        )
+        return words, TOLD_S
+    if drift.is_jump:
+        words = (
+            f"jumps by {1e3 * drift.size:+.3g} ms against that of {first} about "
+            f"{drift.jump_at_s:.0f} s after the begin: were samples lost or added?"
+        )
+        return words, abs(drift.size)
+    size_s = abs(drift.size) * drift.seconds
     words = (
-        f"runs {1e6 * drift.rate:+.3g} ppm against that of {first}, {1e3 * size_s:.3g} ms along "
+        f"runs {1e6 * drift.size:+.3g} ppm against that of {first}, {1e3 * size_s:.3g} ms along "
         "the trip"
     )
     stated_hz = manifest.sensors()[second].rate_hz
     if stated_hz is not None:
-        words += f"; with `rate_hz` {stated_hz * (1 + drift.rate):.8g} they would agree"
+        words += f"; with `rate_hz` {stated_hz * (1 + drift.size):.8g} they would agree"
     return words, size_s
 
 
@@ -173,9 +193,27 @@ def find_drift(
     delays_s, clear = _delays(spectra, size, rate_hz)
     if np.count_nonzero(clear) < LEAST_WINDOWS:
         return None
+    first_clear, last_clear = np.flatnonzero(clear)[[0, -1]]
+    if len(clear) - 1 - last_clear >= LEAST_WINDOWS or first_clear >= LEAST_WINDOWS:
+        place = last_clear if len(clear) - 1 - last_clear >= first_clear else first_clear - 1
+        lost_s = WINDOW_S * float(np.flatnonzero(good)[place] + 1)
+        return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))
     middles_s = WINDOW_S * (np.flatnonzero(good)[clear] + 0.5)
-    slowness = 1 / speed_m_per_s[whole].reshape(n_windows, size)[good].mean(axis=1)[clear]
-    return _fitted(np.asarray(middles_s), delays_s[clear], slowness)
+    speeds = speed_m_per_s[whole].reshape(n_windows, size)[good][clear]
+    return _fitted(np.asarray(middles_s), delays_s[clear], _speed_classes(speeds))
+
+
+def _speed_classes(speeds: FloatArray) -> IntArray:
+    """Return a number for each window that windows of like speed share; -1 if it is not steady.
+
+    Parameters
+    ----------
+    speeds : array of shape (n_windows, n_samples), [m/s]
+    """
+    mean = speeds.mean(axis=1)
+    steady = (mean > STANDING_M_PER_S) & (np.ptp(speeds, axis=1) <= SPEED_CLASS * mean)
+    classes = np.round(np.log(np.maximum(mean, STANDING_M_PER_S)) / SPEED_CLASS).astype(np.intp)
+    return np.where(steady, classes - classes.min(), -1)
 
 
 def _cross_spectra(
@@ -240,31 +278,37 @@ def _peak(spectra: ComplexArray, omega: FloatArray, n_fft: int, rate_hz: float) 
     return np.asarray(delays)
 
 
-def _fitted(middles_s: FloatArray, delays_s: FloatArray, slowness: FloatArray) -> Drift:
-    """Return drift and jump of delays, which also depend on the slowness of the train, [s/m]."""
-    ramp = middles_s - middles_s.mean()
-    columns = [np.ones_like(ramp), ramp]
-    if slowness.std() > 0.01 * slowness.mean():
-        columns.append(slowness - slowness.mean())
-    design = np.stack(columns, axis=1)
-    kept = np.ones(len(ramp), dtype=np.bool_)
-    for _ in range(3):
-        solution = np.linalg.lstsq(design[kept], delays_s[kept], rcond=None)[0]
-        residuals = delays_s - design @ solution
-        spread = 1.4826 * float(np.median(np.abs(residuals[kept])))
-        kept = np.abs(residuals) <= max(4 * spread, 1e-6)
-    n_free = max(np.count_nonzero(kept) - design.shape[1], 1)
-    variance = float((residuals[kept] ** 2).sum()) / n_free
-    covariance = np.linalg.pinv(design[kept].T @ design[kept]) * variance
-    rate, deviation = float(solution[1]), float(np.sqrt(covariance[1, 1]))
-    steps = np.diff(delays_s)
-    noise = 1.4826 * float(np.median(np.abs(steps - np.median(steps)))) + 1e-5
-    k = int(np.argmax(np.abs(steps)))
-    before, after = (np.median(part) for part in (delays_s[: k + 1][-10:], delays_s[k + 1 :][:10]))
-    jump = float(after - before)
-    lasting = min(k + 1, len(steps) - k) >= 2 and abs(jump) > 0.5 * abs(steps[k])
-    seconds = float(middles_s[-1] - middles_s[0])
-    if not lasting or abs(steps[k]) < SIGNIFICANT * noise:
-        return Drift(rate, deviation, 0.0, 0.0, 0.0, seconds)
-    at_s = float(middles_s[k] + middles_s[k + 1]) / 2
-    return Drift(rate, deviation, jump, noise, at_s, seconds)
+def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> Drift | None:
+    """Return drift or jump of delays, whichever explains them better; None if neither can be told.
+
+    Delays depend on the speed, so that each class of speed has a mean of its own.
+    """
+    kept = classes >= 0
+    for _ in range(1 + TRIMS):
+        at = np.flatnonzero(kept)
+        if len(at) < LEAST_WINDOWS:
+            return None
+        _, place, count = np.unique(classes[at], return_inverse=True, return_counts=True)
+        later = np.tri(len(at), len(at), -1)[:, 1:-2]  # column k: after window k + 1
+        regressors = np.column_stack([middles_s[at], later, delays_s[at]])
+        sums = np.zeros((len(count), regressors.shape[1]))
+        np.add.at(sums, place, regressors)
+        regressors -= (sums / count[:, None])[place]
+        target, regressors = regressors[:, -1], regressors[:, :-1]
+        power = np.einsum("ij,ij->j", regressors, regressors)
+        known = power > 1e-6 * len(at)
+        slopes = np.divide(regressors.T @ target, power, out=np.zeros(len(power)), where=known)
+        explained = slopes**2 * power
+        best = 1 + int(np.argmax(explained[1:]))
+        left = np.maximum(target @ target - explained[[0, best]], 0.0)
+        is_jump = bool(left[1] < JUMP_SHARE * left[0])
+        chosen = best if is_jump else 0
+        if not known[chosen]:
+            return None
+        residuals = target - slopes[chosen] * regressors[:, chosen]
+        spread = max(1.4826 * float(np.median(np.abs(residuals))), FINEST_S)
+        kept[at[np.abs(residuals) > 5 * spread]] = False
+    deviation = spread / math.sqrt(power[chosen])
+    seconds = float(middles_s[at[-1]] - middles_s[at[0]])
+    jump_at_s = float(middles_s[at[best]] + middles_s[at[best + 1]]) / 2 if is_jump else 0.0
+    return Drift(is_jump, float(slopes[chosen]), deviation, jump_at_s, seconds)

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from logging import CRITICAL, getLogger
 from pathlib import Path
 from threading import Lock
 from traceback import walk_tb
@@ -86,6 +87,7 @@ def _tdms_column(name: str, channel: Any) -> Column:
 def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open an MDF file; each channel group has its own times."""
     asammdf = needed(path, "asammdf", "mdf", "an MDF file")
+    getLogger("asammdf").setLevel(CRITICAL)  # it prints what it raises or mends
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
@@ -217,14 +219,12 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that are not of interest
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         try:
-            rate_hz, data = wavfile.read(stream, mmap=True)
+            rate_hz, data = _call(wavfile.read, stream, mmap=True)
         except ValueError as error:
             if "not compatible" not in str(error):
                 raise
             stream.seek(0)
-            rate_hz, data = wavfile.read(stream)  # 24 bits cannot be mapped to memory
-        except wavfile.WavFileWarning as warning:
-            raise ValueError(str(warning)) from warning
+            rate_hz, data = _call(wavfile.read, stream)  # 24 bits cannot be mapped to memory
     data = data[:, None] if data.ndim == 1 else data
     names = [f"channel_{i + 1}" for i in range(data.shape[1])]
     full_scale, zero = None, 0.0
@@ -247,7 +247,7 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Return what a function of asammdf or pyuff returns; on damage they raise any error."""
+    """Return what a function of a package returns that may raise any error on damaged files."""
     try:
         return read(*arguments, **named)
     except Exception as error:

@@ -200,7 +200,7 @@ def _thinned(
     """Yield blocks of times and speeds, averaged where they come faster than needed."""
     for seconds, speeds in blocks:
         steps = np.diff(seconds)
-        size = int(1 / (HIGHEST_RATE_HZ * np.median(steps))) if len(steps) else 1
+        size = int(1 / (HIGHEST_RATE_HZ * np.median(steps)) + 1e-6) if len(steps) else 1
         if size < 2:
             yield seconds, speeds
             continue

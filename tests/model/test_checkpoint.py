@@ -44,7 +44,7 @@ def trained(estimator):
     return TrainedModel(
         name,
         estimator,
-        shipped_protocol("paper").task("primary"),
+        shipped_protocol("paper", log_ratios=True).task("primary"),
         QuarterCar(AM96),
         CurveSettings(n_train=60),
         np.array([5.4, 2.1, 0.7]),

@@ -490,7 +490,7 @@ def test_interrupted_run_leaves_only_whole_files(
 
 
 def test_ctrl_c_in_a_trip_ends_the_run(manifests, model, monkeypatch, tmp_path):
-    def interrupt(*_):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt("stop")
 
     monkeypatch.setattr(fleet, "evaluate_trip", interrupt)

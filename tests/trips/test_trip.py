@@ -600,4 +600,7 @@ def test_unknown_speed_is_a_reason(manifests, model, tmp_path):
     speed = signal(manifests[0], "speed").copy()
     speed[::15] = np.nan
     result = evaluated(changed(manifests[0], tmp_path, signals={"speed": speed}), model)
-    assert result.reason == "no segment of 20 s is free of faults: the speed is unknown in part"
+    assert result.reason == (
+        "no segment of 20 s is free of faults: speed: gap of 19 samples (19 s) from 15.000 s on, "
+        "not usable; the speed is unknown in part"
+    )

@@ -1,0 +1,201 @@
+"""Absolute times: found in numbers, stamps and headers, aligned, and refused where ambiguous."""
+
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from recording_files import write_mdf, write_tdms
+
+from suspnet.recordings.clocks import Times, Zero, offsets_s
+from suspnet.recordings.columns import Column
+from suspnet.recordings.manifest import CHANNELS, Source, TripError, TripManifest, read_manifest
+from suspnet.recordings.recording import Recording, load_recording
+
+RATE_HZ = 250.0
+BEGIN = np.datetime64("2015-08-03T06:00:00", "ns")  # in UTC
+EPOCH_S = BEGIN.astype(np.int64) / 1e9
+LATE_S = {"axle_box": 0.0, "bogie": 1.7523, "body": 3.25, "speed": -2.0}
+
+
+def motion(times_s: np.ndarray) -> np.ndarray:
+    """Return a sum of sinusoids [m/s2] by the time since BEGIN."""
+    frequencies_hz = np.array([0.5, 1.3, 4.0, 7.7, 12.0])
+    return np.cos(2 * np.pi * times_s[:, None] * frequencies_hz + np.arange(5) ** 2).sum(axis=1)
+
+
+def elapsed(name: str) -> np.ndarray:
+    rate_hz = 1.0 if name == "speed" else RATE_HZ
+    return LATE_S[name] + np.arange(round(70 * rate_hz)) / rate_hz
+
+
+def stamped(name: str, zone: str | None, shift_h: float = 0.0):
+    steps = np.round(1e9 * elapsed(name)).astype(np.int64) + round(3600e9 * shift_h)
+    return pa.array(BEGIN + steps.astype("timedelta64[ns]"), pa.timestamp("ns", zone))
+
+
+WAYS = {
+    "seconds": lambda name: EPOCH_S + elapsed(name),
+    "milliseconds": lambda name: 1e3 * EPOCH_S + 1e3 * elapsed(name),
+    "microseconds": lambda name: np.round(1e6 * EPOCH_S + 1e6 * elapsed(name)).astype(np.int64),
+    "nanoseconds": lambda name: (
+        np.round(1e9 * elapsed(name)).astype(np.int64) + BEGIN.astype(np.int64)
+    ),
+    "utc": lambda name: stamped(name, "UTC"),
+    "zoned": lambda name: stamped(name, "Europe/Berlin"),
+}
+
+
+def write(folder: Path, times: dict, said: dict | None = None, **changes) -> Path:
+    """Write a trip whose times are given by source; None takes the time column away."""
+    sources = {}
+    for name in (*CHANNELS, "speed"):
+        values = np.full(70, 30.0) if name == "speed" else motion(elapsed(name))
+        columns = {"a": values} | ({} if times[name] is None else {"t": times[name]})
+        pq.write_table(pa.table(columns), folder / f"{name}.parquet")
+        sources[name] = {"file": f"{name}.parquet", "column": "a"}
+        sources[name]["unit"] = "m/s" if name == "speed" else "m/s2"
+        timing = {"time": "t"} if times[name] is not None else {"rate_hz": len(values) / 70}
+        sources[name] |= timing | (said or {}).get(name, {})
+    speed = sources.pop("speed")
+    content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}
+    content |= {"mileage_km": 1.0, "speed": speed, "channels": sources} | changes
+    (folder / "trip.yaml").write_text(yaml.safe_dump(content))
+    return folder / "trip.yaml"
+
+
+def load(path: Path) -> Recording:
+    return load_recording(read_manifest(path))
+
+
+def assert_aligned(recording: Recording, first_s: float = 0.0) -> None:
+    """Check that all channels show the motion, whose clock began at `first_s` of the trip's."""
+    at = recording.start_s + np.arange(len(recording.usable)) / recording.rate_hz - first_s
+    assert at[0] > 3.25
+    for signal in recording.signals:
+        np.testing.assert_allclose(signal, motion(at), atol=3e-4)
+
+
+# --- reference -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_dated_sources_are_aligned(tmp_path, way):
+    path = write(tmp_path, {name: WAYS[way](name) for name in LATE_S})
+    assert_aligned(load(path), 2.0)  # the speed's clock is the first
+
+
+def test_dated_sources_of_any_kind_are_aligned(tmp_path):
+    ways = dict(zip(LATE_S, ("milliseconds", "zoned", "utc", "seconds"), strict=True))
+    assert_aligned(load(write(tmp_path, {n: WAYS[way](n) for n, way in ways.items()})), 2.0)
+
+
+def test_start_dates_what_has_no_date(tmp_path):
+    times = {name: stamped(name, "UTC") for name in LATE_S} | {"axle_box": None}
+    for start in ("2015-08-03T08:00:00+02:00", "2015-08-03T06:00:00Z"):
+        assert_aligned(load(write(tmp_path, times, start=start)))
+    path = write(tmp_path, times, {"axle_box": {"start_s": 60.0}}, start="2015-08-03T05:59:00Z")
+    assert_aligned(load(path), 60.0)
+
+
+def test_local_times_are_aligned_by_their_zone(tmp_path):
+    times = {name: stamped(name, "UTC") for name in LATE_S}
+    times |= {"bogie": stamped("bogie", None, 2.0), "body": stamped("body", None, -3.5)}
+    said = {"bogie": {"time_zone": "Europe/Berlin"}, "body": {"time_zone": "-03:30"}}
+    assert_aligned(load(write(tmp_path, times, said)), 2.0)
+    assert_aligned(load(write(tmp_path, {name: stamped(name, None) for name in LATE_S})), 2.0)
+
+
+def test_the_only_column_of_time_stamps_needs_no_name(tmp_path):
+    path = write(tmp_path, {name: stamped(name, "UTC") for name in LATE_S})
+    content = yaml.safe_load(path.read_text())
+    for source in (content["speed"], *content["channels"].values()):
+        source.pop("time")
+        source.pop("column")
+    path.write_text(yaml.safe_dump(content))
+    assert_aligned(load(path), 2.0)
+
+
+@pytest.mark.parametrize(("write_one", "suffix"), [(write_tdms, ".tdms"), (write_mdf, ".mf4")])
+def test_headers_date_channels(tmp_path, write_one, suffix):
+    path = write(tmp_path, {name: stamped(name, "UTC") for name in LATE_S})
+    content = yaml.safe_load(path.read_text())
+    start = datetime(2015, 8, 3, 6, tzinfo=UTC) + timedelta(seconds=LATE_S["bogie"])
+    start = start.replace(tzinfo=None) if suffix == ".tdms" else start
+    values = motion(elapsed("bogie"))
+    write_one(tmp_path / f"b{suffix}", {"a": values}, rate_hz=RATE_HZ, start=start, unit="m/s2")
+    content["channels"]["bogie"] = {"file": f"b{suffix}"}
+    path.write_text(yaml.safe_dump(content))
+    assert_aligned(load(path), 2.0)
+
+
+def test_equal_headers_begin_with_the_trip():
+    manifest = TripManifest(Path("trip.yaml"), "trip", "", "", 0.0, None, 1.0, {})
+    stated = Zero(10**18 + 7, is_stated=True)
+    assert offsets_s(manifest, {"a": stated, "b": stated, "c": Zero()}) == dict.fromkeys("abc", 0.0)
+    assert offsets_s(manifest, {"a": Zero(), "b": Zero()}) == dict.fromkeys("ab", 0.0)
+    late = Zero(10**18 + 10**9, is_stated=True)
+    assert offsets_s(manifest, {"a": Zero(10**18), "b": late}) == {"a": 0.0, "b": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("source", "unit", "size"),
+    [({"time_unit": "ms"}, None, 1e-3), ({}, "ms", 1e-3), ({"time_unit": "us"}, "µs", 1e-6),
+     ({}, None, 1.0), ({}, "V", 1.0)],
+)  # fmt: skip
+def test_numbers_are_in_their_unit(source, unit, size):
+    times = Times("here", Source("f", time="t", **source), Column("t", unit), None)
+    np.testing.assert_allclose(
+        times.seconds(np.array([5.0, 7.0, np.nan])), [5 * size, 7 * size, np.nan]
+    )
+    assert times.zero.ns is None
+
+
+# --- failure -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("times", "said", "changes", "message"),
+    [
+        ({"body": None}, {}, {}, "axle_box, bogie, speed have absolute times, body have not; give"),
+        ({"body": "local"}, {}, {}, "the times of body name no time zone, others do; give their"),
+        ({"body": None}, {}, {"start": "2015-08-03T06:00:00"}, "are in UTC; write the time zone"),
+        ({}, {"body": {"time_zone": "UTC"}}, {}, "its time stamps name a zone; leave out"),
+        ({"body": "numbers"}, {"body": {"time_zone": "UTC"}}, {}, "`time_zone` is for time stamps"),
+        ({"body": None}, {"body": {"time_zone": "UTC"}}, {}, "are for a column of `time`"),
+        ({"body": "autumn"}, {"body": {"time_zone": "Europe/Berlin"}}, {}, "is not one instant in"),
+        ({"body": "empty"}, {}, {}, "its times are empty"),
+        ({"body": "years"}, {}, {}, r"only 0\.0 s are common to all channels"),
+    ],
+)  # fmt: skip
+def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, said, changes, message):
+    kinds = {
+        None: lambda: None,
+        "local": lambda: stamped("body", None),
+        "numbers": lambda: EPOCH_S + elapsed("body"),
+        "autumn": lambda: stamped("body", None, 24 * 83 - 3.5),  # 25 October, 02:30
+        "empty": lambda: pa.array([None] * len(elapsed("body")), pa.timestamp("ns", "UTC")),
+        "years": lambda: stamped("body", "UTC", 1e5),
+    }
+    given = {name: stamped(name, "UTC") for name in LATE_S}
+    given |= {name: kinds[kind]() for name, kind in times.items()}
+    with pytest.raises(TripError, match=message) as caught:
+        load(write(tmp_path, given, said, **changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_units_of_time_that_differ_are_refused():
+    times = Times("here", Source("f", time="t", time_unit="s"), Column("t", "ms"), None)
+    with pytest.raises(TripError, match="here: `time_unit` says 's', its file says 'ms'"):
+        times.seconds(np.arange(3.0))
+
+
+def test_offset_of_a_zone_in_summer():
+    source = Source("f", time="t", time_zone="Europe/Berlin")
+    times = Times("here", source, Column("t", is_time=True), None)
+    times.seconds(np.array(["2015-08-03T08:00:00.5"], "datetime64[ns]"))
+    summer = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))
+    assert times.zero == Zero(round(summer.timestamp()) * 10**9)

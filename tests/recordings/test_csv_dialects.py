@@ -1,0 +1,225 @@
+"""CSV files as loggers write them: the dialect is found out, or the error says what to give."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspnet.recordings import csv_dialect, csv_files
+from suspnet.recordings.csv_dialect import find_dialect
+from suspnet.recordings.formats import open_columns, open_file
+from suspnet.recordings.manifest import CsvDialect, TripError
+
+ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
+
+
+def read(path: Path, *columns, csv: CsvDialect | None = None) -> list[np.ndarray]:
+    blocks = list(open_columns(path, columns, csv))
+    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
+
+
+def table(delimiter=",", decimal=".", head=("t,a,b",), end="\n", empty="") -> str:
+    """Return rows as a logger would write them; names are parted as the rows are."""
+    cell = [
+        [empty if np.isnan(x) else repr(x).replace(".", decimal) for x in row]
+        for row in ROWS.tolist()
+    ]
+    lines = [line.replace(",", delimiter) for line in head]
+    return end.join([*lines, *(delimiter.join(row) for row in cell), ""])
+
+
+# --- reference: the same numbers whatever the dialect ------------------------------------------
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    ("delimiter", "decimal"),
+    [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", "."), ("  ", ".")],
+)
+@pytest.mark.parametrize(
+    "head",
+    [
+        ["t,a,b"],
+        ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"],
+        ["Größe,3,2.5", "t,a,b", "s,m/s2,g"],
+    ],
+)
+def test_numbers_are_those_written(tmp_path, delimiter, decimal, encoding, end, head):
+    path = tmp_path / "data.csv"
+    text = table(delimiter, decimal, head, end, empty="NaN" if delimiter == "  " else "")
+    path.write_bytes(text.encode(encoding))
+    got = read(path, "b", "t", "a")
+    np.testing.assert_array_equal(got, ROWS[:, [2, 0, 1]].T)
+    with open_file(path) as file:
+        units = [column.unit for column in file.columns]
+        assert units == (["s", "m/s2", "g"] if "s,m/s2,g" in head else [None] * 3)
+        assert f"names in line {head.index('t,a,b') + 1}," in file.words
+        assert f"decimal sign {decimal!r}" in file.words
+
+
+def test_what_is_found_is_named(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(["Prüfer;7", "", "Zeit;a [g];", "0,5;1,25;", "1,0;2,5;"]), "utf-16")
+    with open_file(path) as file:
+        assert file.words == (
+            "data.csv: delimiter ';', decimal sign ',', names in line 3, rows from line 4 on, "
+            "utf-16 with byte-order mark"
+        )
+        assert [column.name for column in file.columns] == ["Zeit", "a [g]", "column_3"]
+        assert file.column("a [g]").unit == "g"
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "expected"),
+    [
+        ("a\n0,5\n1,5\n", ["a"], [[0.5, 1.5]]),
+        ("t,a\n0,5\n1,5\n", ["a"], [[5, 5]]),
+        ('"t","a"\n"0,5","1,5"\n"0,6","2,5"\n', ["t", "a"], [[0.5, 0.6], [1.5, 2.5]]),
+        ("1.5;2.5\n3.5;4.5\n", ["column_2"], [[2.5, 4.5]]),
+        ("# t a\n0 1\n1 2\n", ["a"], [[1, 2]]),
+        ("t;state;a\n0;OK;1\n1;3D fix;2\n2;;3\n", ["a"], [[1, 2, 3]]),
+        ("t,a\n---,---\n0,1\n1,2\n", ["a"], [[1, 2]]),
+        ("x;1;2\nt;a;b\n0;1;2\n1;2;3\n", ["b"], [[2, 3]]),
+        ("a\nnan\ninf\n-inf\n", ["a"], [[np.nan, np.inf, -np.inf]]),
+        ("t,a\n0,-\n1,***\n2,NULL\n3,4\n", ["a"], [[np.nan] * 3 + [4]]),
+        ("   t    a\n 0.5    1\n10.5   -2\n", ["t", "a"], [[0.5, 10.5], [1, -2]]),
+        ("\ufefft,a\n0,1\n", ["t"], [[0]]),
+        ("t,a\r0,1\r1,2\r", ["a"], [[1, 2]]),
+        ("1\n2\n3\n", [None], [[1, 2, 3]]),
+    ],
+)
+def test_small_files_are_read_as_they_are_meant(tmp_path, text, columns, expected):
+    path = tmp_path / "data.csv"
+    path.write_text(text, "utf-8", newline="")
+    np.testing.assert_array_equal(read(path, *columns), expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected", "zoned"),
+    [
+        ("t,a\n2015-08-03T08:00:00Z,1\n2015-08-03T08:00:01Z,2\n", 0, True),
+        ("t,a\n2015-08-03 08:00:00.250,1\n2015-08-03 08:00:00.5,2\n", 0.25, False),
+        ("t;a\n2015-08-03T10:00:00,5+02:00;1,5\n2015-08-03T10:00:01,5+02:00;2,5\n", 0.5, True),
+        ("t\ta\n2015-08-03T13:30:00+0530\t1\n\t2\n", 0, True),
+    ],
+)
+def test_time_stamps_are_read(tmp_path, text, expected, zoned):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    (times, _) = read(path, "t", None)
+    begin = np.datetime64("2015-08-03T08:00:00", "ns")
+    assert (times[0] - begin) / np.timedelta64(1, "s") == expected
+    with open_file(path) as file:
+        assert (file.column("t").is_time, file.column("t").is_zoned) == (True, zoned)
+
+
+def test_blocks_of_any_size_give_the_same(tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((4000, 2))
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(["t  a", *(f" {x!r}   {y!r}  " for x, y in values.tolist())]))
+    monkeypatch.setattr(csv_files, "BLOCK_BYTES", 501)
+    np.testing.assert_array_equal(read(path, "t", "a"), values.T)
+    path.write_text(path.read_text(), "utf-16")
+    np.testing.assert_array_equal(read(path, "t", "a"), values.T)
+
+
+def test_only_the_beginning_is_read_to_find_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(csv_dialect, "SAMPLE_BYTES", 2**10)
+    path = tmp_path / "data.csv"
+    path.write_text("t;a\n" + "0,5;1,5\n" * 9999)
+    assert find_dialect(path).decimal == ","
+    assert len(read(path, "a")[0]) == 9999
+
+
+# --- property ------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2), min_size=2),
+    st.sampled_from([(";", ","), ("\t", ","), (",", "."), (";", "."), ("|", ",")]),
+    st.sampled_from(["utf-8", "utf-16", "utf-8-sig"]),
+    st.integers(0, 3),
+)
+def test_every_number_is_kept(tmp_path_factory, rows, dialect, encoding, n_lines):
+    delimiter, decimal = dialect
+    path = tmp_path_factory.mktemp("csv") / "data.csv"
+    cells = [delimiter.join(repr(x).replace(".", decimal) for x in row) for row in rows]
+    lines = [*(f"about line {i}" for i in range(n_lines)), f"t{delimiter}a", *cells]
+    path.write_text("\n".join(lines), encoding)
+    try:
+        got = read(path, "t", "a")
+    except TripError as error:
+        assert "a comma may be its decimal sign" in str(error)  # noqa: PT017
+        got = read(path, "t", "a", csv=CsvDialect(decimal=decimal))
+    np.testing.assert_array_equal(got, np.transpose(rows))
+
+
+# --- failure -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "reason", "given", "expected"),
+    [
+        ("0,5\n1,5\n", "has no names and may be read with", CsvDialect(delimiter=","), [5, 5]),
+        (
+            "a;b\n1,234;5\n2,345;6\n",
+            "a comma may be its decimal sign or separate thousands",
+            CsvDialect(decimal=","),
+            [1.234, 2.345],
+        ),
+        (
+            "Time (s) Accel (g)\n0 1.5\n1 2.5\n",
+            "no row has as many values as there are names",
+            CsvDialect(header_line=0),
+            [0, 1],
+        ),
+    ],
+)
+def test_ambiguous_files_are_refused_until_told(tmp_path, text, reason, given, expected):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    message = rf"data\.csv: .*{reason}.*; say how it is written in the manifest.*`csv: \{{delimi"
+    with pytest.raises(TripError, match=message) as caught:
+        read(path, "a")
+    assert "\n" not in str(caught.value)
+    name = find_dialect(path, given).names[0 if len(expected) != 2 or expected != [5, 5] else 1]
+    np.testing.assert_array_equal(read(path, name, csv=given)[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "message"),
+    [
+        ("only words\n" * 9, None, "no row of numbers was found"),
+        ("t,a\n", None, "no row of numbers was found: it is empty"),
+        ("t;a\n0;1\n", CsvDialect(delimiter=","), "no row of numbers was found"),
+        ("t;a\n0;1\n", CsvDialect(encoding="utf-16"), "it is not utf-16 text"),
+        ("t;a\n0;1\n", CsvDialect(header_line=7), "no row of numbers was found"),
+    ],
+)
+def test_files_that_are_no_table_are_refused(tmp_path, text, given, message):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    with pytest.raises(TripError, match=rf"data\.csv: {message}"):
+        read(path, "a", csv=given)
+
+
+def test_later_rows_of_another_dialect_are_refused(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
+    message = r"text in a column of numbers.*Row #200002.*'0,5'.*decimal sign is taken to be '\.'"
+    with pytest.raises(TripError, match=message):
+        read(path, "t")
+    path.write_text("t;a\n" + "2015-08-03T08:00:00;1\n" * 200_000 + "2015-08-03T08:00:00Z;1\n")
+    with pytest.raises(TripError, match="a time stamp is not like the first"):
+        read(path, "t", "a")
+
+
+def test_dialects_are_for_csv_files(tmp_path):
+    np.save(tmp_path / "data.npy", ROWS)
+    (tmp_path / "data.npy").rename(tmp_path / "data.mat")
+    with pytest.raises(TripError, match=r"`csv` is for files of type \['\.csv', '\.txt'"):
+        read(tmp_path / "data.mat", "a", csv=CsvDialect(decimal=","))

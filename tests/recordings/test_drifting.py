@@ -1,0 +1,103 @@
+"""Clocks that run apart: drift and jumps come back, and sound ones are left alone."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from suspnet.recordings.cleaning import Fault
+from suspnet.recordings.drifting import clock_faults, find_drift
+from suspnet.recordings.manifest import CHANNELS, Channel, TripError, TripManifest
+
+RATE_HZ, SECONDS = 100.0, 600.0
+AT = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
+
+
+@cache
+def track(seed: int = 0) -> np.ndarray:
+    """Return band-limited noise, sampled finely enough for linear interpolation, at 1600 Hz."""
+    rng = np.random.default_rng(seed)
+    return lfilter([0.01], [1, -0.99], rng.standard_normal(round(1700 * SECONDS)))
+
+
+def sensor(times_s, noise: float = 0.05, smoothing: float = 0.9, seed: int = 1) -> np.ndarray:
+    """Return what a sensor shows whose samples are taken at these times."""
+    fine = lfilter([1 - smoothing], [1, -smoothing], track())
+    values = np.interp(times_s, np.arange(len(fine)) / 1600, fine)
+    rng = np.random.default_rng(seed)
+    return values + noise * values.std() * rng.standard_normal(len(values))
+
+
+def found(second, usable=None, speed=None):
+    usable = np.ones(len(AT), dtype=bool) if usable is None else usable
+    speed = np.full(len(AT), 50.0) if speed is None else speed
+    return find_drift(sensor(AT, smoothing=0.0, seed=2), second, usable, speed, RATE_HZ)
+
+
+@pytest.mark.parametrize("ppm", [0.0, 5.0, -30.0, 100.0, -1000.0])
+def test_drift_comes_back(ppm):
+    drift = found(sensor(AT * (1 - 1e-6 * ppm)))
+    assert not drift.is_jump
+    assert 1e6 * drift.size == pytest.approx(ppm, abs=1.0 + 2e-3 * abs(ppm))
+    assert 0 < 1e6 * drift.deviation < 1.0
+    assert drift.seconds == SECONDS - 20
+
+
+@pytest.mark.parametrize("lost_s", [0.005, -0.02, 0.5, -3.0])
+def test_jump_comes_back(lost_s):
+    drift = found(sensor(AT + lost_s * (AT > 250) + 3.0 * (lost_s < 0)))
+    assert drift.is_jump
+    assert drift.size == pytest.approx(-lost_s, abs=5e-4)
+    assert drift.jump_at_s == pytest.approx(250, abs=20)
+
+
+def test_loss_of_more_than_a_window_is_found():
+    drift = found(sensor(AT + 40 * (AT > 300)))
+    assert drift.is_jump
+    assert np.isinf(drift.size)
+    assert drift.jump_at_s == pytest.approx(300, abs=20)
+
+
+def test_speed_explains_delays():
+    speed = np.where(AT < 300, 50.0, 30.0)
+    later = sensor(AT - np.where(AT < 300, 0.0, 0.03))
+    drift = found(later, speed=speed)
+    assert not drift.is_jump
+    assert abs(drift.size) < 6 * drift.deviation
+    assert found(later).is_jump
+
+
+def test_what_has_nothing_in_common_tells_nothing():
+    assert found(np.random.default_rng(0).standard_normal(len(AT))) is None
+    assert found(np.zeros(len(AT))) is None
+    assert found(sensor(AT), usable=AT % 20 > 1) is None
+    assert find_drift(*[AT[:9000]] * 2, *[np.ones(9000, dtype=bool)] * 2, RATE_HZ) is None
+
+
+def manifest(**rates) -> TripManifest:
+    channels = {name: Channel("f", "g", name, rates.get(name)) for name in CHANNELS}
+    return TripManifest(Path("trip.yaml"), "trip", "", "", 0.0, None, 1.0, channels)
+
+
+def faults(seconds, **rates) -> tuple[Fault, ...]:
+    values = dict(zip(CHANNELS, (sensor(at, seed=i) for i, at in enumerate(seconds)), strict=True))
+    usable = np.ones(len(AT), dtype=bool)
+    return clock_faults(manifest(**rates), values, usable, np.full(len(AT), 50.0), RATE_HZ)
+
+
+def test_drift_is_told_with_the_rate_that_would_be_right():
+    (fault,) = faults([AT, AT, AT * (1 - 2e-5)], body=2000.0)
+    assert str(fault).startswith("body: clock runs +20")
+    assert "ppm against that of bogie, 11.6 ms along the trip; with `rate_hz` 2000.04" in str(fault)
+    assert not fault.repaired
+    assert faults([AT, AT, AT]) == ()
+
+
+def test_clocks_far_apart_are_refused():
+    message = r"trip\.yaml: channel 'bogie': clock runs -\S+ ppm against that of axle_box, 5[78]"
+    with pytest.raises(TripError, match=message):
+        faults([AT, AT * (1 + 1e-4), AT * (1 + 1e-4)])
+    with pytest.raises(TripError, match=r"jumps by .* were samples lost or added"):
+        faults([AT, AT, AT + 0.1 * (AT > 200)])

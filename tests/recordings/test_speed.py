@@ -1,0 +1,87 @@
+"""Speeds: what is missing or wrong is found and told."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspnet.recordings.clocks import Zero
+from suspnet.recordings.speed import SpeedTrack, _thinned, find_wrong_speeds, speed_at
+
+AT = np.arange(0, 100, 0.01)
+
+
+def told(speeds, seconds=None) -> tuple[np.ndarray, list[str]]:
+    """Return the speed at AT and the faults in words."""
+    speeds = np.asarray(speeds, dtype=float)
+    seconds = np.arange(len(speeds)) * 1.0 if seconds is None else np.asarray(seconds, dtype=float)
+    track = SpeedTrack(seconds, speeds, Zero(), float(np.median(np.diff(seconds))), "")
+    found, faults = speed_at(None, track, 0.0, AT)
+    return found, [str(fault) for fault in faults]
+
+
+def test_sound_speeds_have_no_faults():
+    braking = np.concatenate([np.full(20, 30.0), np.arange(30.0, 0, -1.0), np.zeros(20),
+                              np.arange(0, 31.0)])  # fmt: skip
+    found, faults = told(braking)
+    assert faults == []
+    np.testing.assert_array_equal(found, np.interp(AT, np.arange(len(braking)), braking))
+
+
+@pytest.mark.parametrize(
+    ("zeros", "words"),
+    [
+        (slice(0, 30), "speed: zero of 30 samples (30 s) from 0.000 s on, not usable"),
+        (slice(40, 41), "speed: zero of 1 samples (1 s) from 40.000 s on, not usable"),
+        (slice(40, 70), "speed: zero of 30 samples (30 s) from 40.000 s on, not usable"),
+        (slice(95, 110), "speed: zero of 5 samples (5 s) from 95.000 s on, not usable"),
+    ],
+)
+def test_zeros_of_a_lost_receiver_are_no_stop(zeros, words):
+    speeds = np.full(110, 50.0)
+    speeds[zeros] = 0.0
+    found, faults = told(speeds)
+    assert faults == [words]
+    assert np.isnan(found[(AT > zeros.start) & (AT < zeros.stop - 1)]).all()
+    known = np.isfinite(found)
+    assert (found[known] == 50.0).all()
+    assert known[(AT < zeros.start - 1) | (AT > zeros.stop + 1)].all()
+
+
+def test_empty_cells_and_jumps_are_told():
+    speeds = np.full(110, 50.0)
+    speeds[[10, 11]], speeds[30:33], speeds[60] = np.nan, 90.0, -1.0
+    found, faults = told(speeds)
+    assert faults == [
+        "speed: gap of 3 samples (3 s) from 10.000 s on, not usable",
+        "speed: jump of 3 samples (3 s) from 30.000 s on, not usable",
+    ]
+    assert (found[np.isfinite(found)] == 50.0).all()
+
+
+def test_missing_rows_are_told():
+    seconds = np.delete(np.arange(110.0), [*range(10, 13), *range(50, 70)])
+    found, faults = told(np.full(len(seconds), 50.0), seconds)
+    assert faults == [
+        "speed: gap of 3 samples (3 s) from 9.000 s on, repaired",
+        "speed: gap of 20 samples (20 s) from 49.000 s on, not usable",
+    ]
+    np.testing.assert_array_equal(np.isnan(found), (AT > 49.001) & (AT < 70.001))
+
+
+@given(st.lists(st.floats(-10, 200) | st.just(np.nan) | st.just(0.0), min_size=1, max_size=60))
+def test_wrong_speeds_are_known_ones(speeds):
+    speeds = np.array(speeds)
+    zero, jump = find_wrong_speeds(np.arange(len(speeds)) * 1.0, speeds)
+    assert not (zero & jump).any()
+    assert np.isfinite(speeds[zero | jump]).all()
+    assert (speeds[zero] < 0.5).all()
+
+
+def test_fast_speeds_are_averaged():
+    seconds = np.arange(1000) / 1000
+    parts = list(_thinned([(seconds, 3 * seconds)]))
+    assert len(parts[0][0]) == 20
+    np.testing.assert_allclose(parts[0][1], 3 * parts[0][0])
+    slow = np.arange(100) / 20
+    assert next(_thinned([(slow, slow)]))[0] is slow
