@@ -16,7 +16,7 @@ from hydra.errors import HydraException
 from trip_fixtures import model_at, small_fleet
 
 from suspnet.cli.configs import CONFIGS, TABLES
-from suspnet.cli.program import check_targets
+from suspnet.cli.trusted import check_configuration
 from suspnet.data import CurveSettings
 from suspnet.learning import LinearRegression
 from suspnet.model import save_model
@@ -146,7 +146,7 @@ def test_every_command_composes():
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         for (program, job), line in asked.items():
             try:
-                check_targets(compose(program, list(job)))
+                check_configuration(compose(program, list(job)))
             except HydraException as error:
                 raise AssertionError(f"{line}: {error}") from error
 

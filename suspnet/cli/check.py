@@ -15,7 +15,8 @@ from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.cli.configs import read_vehicles
 from suspnet.data.parallel import quiet
-from suspnet.inspection.check import CheckSettings, Opened, check_trip, find_trips
+from suspnet.inspection.check import CheckSettings, check_trip
+from suspnet.inspection.manifests import Opened, find_trips
 from suspnet.inspection.records import PROBLEM, TripCheck
 from suspnet.inspection.summary import summary, with_shared_data, write_checks
 from suspnet.storage import new_folder

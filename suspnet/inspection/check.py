@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -18,17 +16,15 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import Vehicle, best_generator
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.inspection.figures import trip_figure, write_picture
+from suspnet.inspection.manifests import Opened, check_columns
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
 from suspnet.recordings.checked_mapping import all_of
-from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import (
     CHANNELS,
     Place,
     TripError,
     TripManifest,
-    find_manifests,
-    named_sources,
     parse_manifest,
     read_content,
 )
@@ -47,10 +43,6 @@ UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
 
 
-Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
-"""Why columns of a file cannot be opened, by file, times and column; empty if they can."""
-
-
 @dataclass(frozen=True)
 class CheckSettings:
     """How trips are checked.
@@ -67,41 +59,6 @@ class CheckSettings:
     vehicles: Mapping[str, Vehicle]
     trips: TripSettings = field(default_factory=TripSettings)
     pictures: Path | None = None
-
-
-def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """Return the manifests that files and folders stand for, and what is wrong with the others.
-
-    A folder stands for its ``*.yaml`` files, or if it has none for those of its subfolders.
-    """
-    found: list[Path] = []
-    problems = []
-    for path in paths:
-        try:
-            found += _manifests(path)
-        except OSError as error:
-            words = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            problems.append(words)
-    return list(dict.fromkeys(found)), problems
-
-
-def _manifests(path: Path) -> list[Path]:
-    """Return the manifests that one file or folder stands for; OSError if there are none."""
-    if not path.is_dir():
-        if not os.path.lexists(path):
-            raise FileNotFoundError(f"there is no file or folder {path}")
-        if path.suffix not in (".yaml", ".yml"):
-            raise OSError(f"{path} is no manifest (*.yaml); to write one: suspnet-init {path}")
-        return [path]
-    if not any(path.glob("*.yaml")):
-        parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")
-        inside = [one for part in parts for one in sorted(part.glob("*.yaml")) if one.is_file()]
-        if inside:
-            return inside
-        others = sorted(one.name for one in path.glob("*.yml"))
-        if others:
-            raise OSError(f"{path} holds no *.yaml file; rename {', '.join(others[:5])}")
-    return find_manifests(path)
 
 
 def check_trip(
@@ -124,7 +81,7 @@ def check_trip(
     try:
         content = read_content(path)
         manifest, _ = all_of(
-            [partial(parse_manifest, path, content), partial(_check_columns, path, content, opened)]
+            [partial(parse_manifest, path, content), partial(check_columns, path, content, opened)]
         )
         result = _described(result, manifest)
         recording = load_recording(manifest, settings.trips.rate_hz)
@@ -135,35 +92,6 @@ def check_trip(
         log.debug("trip %s failed", path, exc_info=True)
         told = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
     return _with_problems(result, told)
-
-
-def _check_columns(path: Path, content: Any, opened: Opened) -> None:
-    """Raise TripError if a column that a manifest names cannot be opened, whatever else is wrong.
-
-    Only the first block is read. A file that is missing is for others to tell.
-    """
-    told: dict[str, None] = {}
-    for source in named_sources(content).values():
-        file, time, column = path.parent / source["file"], source.get("time"), source.get("column")
-        named = all(one is None or isinstance(one, str) for one in (time, column))
-        if not named or source.get("csv") is not None or not os.path.isfile(file):
-            continue  # told by others; how a CSV file is written is known when all is parsed
-        key = (file, time, column)
-        if key not in opened:
-            opened[key] = _opening(file, [column] if time is None else [time, column])
-        told |= dict.fromkeys(opened[key])
-    if told:
-        raise TripError(*told)
-
-
-def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
-    """Return why some columns of a file cannot be opened; empty if they can."""
-    try:
-        for _ in open_columns(file, columns):
-            return ()
-    except TripError as error:
-        return error.problems
-    return ()
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:

@@ -21,8 +21,9 @@ from trip_fixtures import changed, signal, small_fleet
 from suspnet.cli import check, init
 from suspnet.cli.configs import CONFIGS, read_vehicles
 from suspnet.features.welch import Welch
-from suspnet.inspection.check import CheckSettings, check_trip, find_trips
+from suspnet.inspection.check import CheckSettings, check_trip
 from suspnet.inspection.figures import trip_figure
+from suspnet.inspection.manifests import find_trips
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE
 from suspnet.recordings.manifest import read_manifest
 from suspnet.recordings.overview import WINDOWS
