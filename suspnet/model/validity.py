@@ -14,6 +14,7 @@ import numpy as np
 from suspnet.checks import LARGEST, check_flag, check_number
 from suspnet.learning import Scaling
 from suspnet.model.trained import TrainedModel
+from suspnet.problem import Problem
 from suspnet.types import FloatArray
 
 MAY_BE_INFINITE = ("ood.thresholds",)
@@ -21,6 +22,10 @@ MAY_BE_INFINITE = ("ood.thresholds",)
 LARGEST_RATIO = 1000.0
 """Factor from the healthy value, up or down, beyond which no model estimates the middle of its
 training data."""
+SAME_FEATURES = 1e-6
+"""Relative difference of features that other processors may make."""
+FAR = 1000.0
+"""Deviations by which the mean of training data may lie from the healthy vehicle."""
 DEPTH = 20
 """Levels of nesting of a description; the deepest has 5."""
 
@@ -44,9 +49,9 @@ def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
     for name, array in arrays.items():
         if array.dtype not in (np.float32, np.float64) or array.ndim > 3:
             raise ValueError(f"array {name!r} is of {array.dtype}, {array.ndim}-dimensional")
-        allowed = np.isfinite(array) | (np.isinf(array) & (name in MAY_BE_INFINITE))
+        allowed = (np.abs(array) <= LARGEST) | (np.isinf(array) & (name in MAY_BE_INFINITE))
         if not allowed.all():
-            raise ValueError(f"array {name!r} holds numbers that are not finite")
+            raise ValueError(f"array {name!r} holds numbers that are not finite, or too large")
 
 
 def check_model(model: TrainedModel) -> None:
@@ -56,7 +61,7 @@ def check_model(model: TrainedModel) -> None:
     """
     task = model.task
     n_inputs, n_outputs = len(task.inputs), len(task.outputs)
-    _check_vector("healthy_features", model.healthy_features, len(task.extractor.names))
+    _check_healthy(model)
     for name in ("corrected", "refined"):
         check_flag(name, getattr(model, name))
     scalings = (model.input_scaling, model.output_scaling)
@@ -82,6 +87,16 @@ def _check_vector(name: str, values: FloatArray, size: int) -> None:
         raise ValueError(f"`{name}` must be {size} numbers, got shape {values.shape}")
 
 
+def _check_healthy(model: TrainedModel) -> None:
+    """Raise ValueError unless the healthy features are those of the vehicle as it is observed."""
+    generator = model.generator.on("cpu")
+    expected = Problem(generator, model.task, model.settings).healthy_features()
+    _check_vector("healthy_features", model.healthy_features, len(expected))
+    atol = SAME_FEATURES * float(np.abs(expected).max())
+    if not np.allclose(model.healthy_features, expected, rtol=SAME_FEATURES, atol=atol):
+        raise ValueError("`healthy_features` are not those of the vehicle, settings and task")
+
+
 def _check_scaling(name: str, scaling: Scaling | None, size: int, log: bool) -> None:
     """Raise TypeError or ValueError unless a scaling is the task's."""
     if scaling is None:
@@ -91,8 +106,8 @@ def _check_scaling(name: str, scaling: Scaling | None, size: int, log: bool) -> 
         raise ValueError(f"`{name}.log` must be {log}, as the task says")
     _check_vector(f"{name}.mean", scaling.mean, size)
     _check_vector(f"{name}.scale", scaling.scale, size)
-    if not (scaling.scale > 0).all():
-        raise ValueError(f"`{name}.scale` must be positive")
+    if not (scaling.scale > 0).all() or not (np.abs(scaling.mean) <= FAR * scaling.scale).all():
+        raise ValueError(f"`{name}.scale` must be positive, and the mean at most {FAR:g} times it")
 
 
 def _check_estimator(model: TrainedModel, n_inputs: int, n_outputs: int) -> None:
@@ -121,8 +136,8 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
         if residual_scale is not None:
             known = n_outputs if model.estimator.works_on_curves else n_inputs + n_outputs
             found = residual_scale.predict(np.zeros((1, known)))
-            if not np.isfinite(found).all():
-                raise ValueError("the residual scale is not finite")
+            if not (found < LARGEST_RATIO).all():
+                raise ValueError(f"the residual scale predicts {found[0].tolist()}")
     if ood is not None:
         if len(ood.reference) and ood.reference.shape[1] != n_inputs:
             raise ValueError(f"the reference of the OOD detector is not of {n_inputs} inputs")

@@ -17,6 +17,7 @@ from suspnet.dynamics.distribution import LogNormal
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.checkpoint import load_model, save_model
+from suspnet.problem import Problem
 from suspnet.storage import content_hash, dump_arrays, read_arrays
 from suspnet.uncertainty.conformal import Conformal
 from suspnet.uncertainty.intervals import Intervals, ResidualScale
@@ -41,13 +42,15 @@ def trained(estimator):
     if not isinstance(estimator, CurveFit):
         estimator.fit(scalings[0].apply(inputs), scalings[1].apply(outputs))
     name = next(key for key, kind in METHODS.items() if type(estimator) is kind)
+    task = shipped_protocol("paper", log_ratios=True).task("primary")
+    generator, settings = QuarterCar(AM96), CurveSettings(n_train=60)
     return TrainedModel(
         name,
         estimator,
-        shipped_protocol("paper", log_ratios=True).task("primary"),
-        QuarterCar(AM96),
-        CurveSettings(n_train=60),
-        np.array([5.4, 2.1, 0.7]),
+        task,
+        generator,
+        settings,
+        Problem(generator, task, settings).healthy_features(),
         *scalings,
         training={"seed": 0},
     )
@@ -103,7 +106,9 @@ def test_posterior_of_what_may_be_absent_survives_exactly(tmp_path):
     assert -0.02 < posterior.median[0] < 0
     generator = VerticalVehicle(AM96, parts=("rubber", "guidance"), distribution=posterior)
     settings = EstimateSettings(body_high_hz=9.0, cache_dir=None).bound(AM96)
-    model = replace(trained(LinearRegression()), generator=generator, settings=settings)
+    plain = trained(LinearRegression())
+    healthy = Problem(generator, plain.task, settings).healthy_features()
+    model = replace(plain, generator=generator, settings=settings, healthy_features=healthy)
     save_model(tmp_path, model)
     loaded = load_model(tmp_path)
     assert loaded.generator == generator
