@@ -211,7 +211,7 @@ def evaluate_fleet(
         try:
             where = output / group.name
             done.append(_evaluate_group(group, models, where, settings, progress))
-        except ValueError as error:
+        except (ValueError, ArithmeticError) as error:
             done.append(Evaluated(group.name, group.place, error=str(error)))
             log.warning("%s is not read: %s", group.name, error)
     if all(one.error for one in done):

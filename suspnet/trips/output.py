@@ -76,11 +76,13 @@ def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dic
     known = [r for r in results if r.status == OK and all(name in r.truth for name in outputs)]
     if not known:
         return {}
-    return {
-        name: 100
-        * float(np.sqrt(np.mean([(r.estimates[name] / r.truth[name] - 1) ** 2 for r in known])))
-        for name in outputs
-    }
+    found, truth = (
+        np.array([[values[name] for name in outputs] for values in part])
+        for part in ([r.estimates for r in known], [r.truth for r in known])
+    )
+    with np.errstate(over="ignore"):  # a manifest may say any truth
+        rms = 100 * np.sqrt(np.mean((found / truth - 1) ** 2, axis=0))
+    return dict(zip(outputs, rms.tolist(), strict=True))
 
 
 def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:

@@ -431,6 +431,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, m
     changed(manifests[0], three, "far", mileage_km=1e19)
     changed(manifests[0], three, "fast", channels={"body": {"rate_hz": 1e9}})
     changed(manifests[0], three, os.fsdecode(b"n\xffme"))
+    changed(manifests[0], three, "untrue", truth=dict.fromkeys(OUTPUTS, 1e-299))
     changed(manifests[0], three, "surrogate", suspension="a \ud800 b")
     changed(manifests[0], three, os.fsdecode(b"b\xffd"), channels={"body": {"rate_hz": 50.0}})
     monkeypatch.setattr(fleet, "evaluate_trip", mortal)
@@ -453,7 +454,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, m
     for name, reason in reasons.items():
         assert results[name].status == "error"
         assert reason in results[name].reason
-    assert results.keys() == {"a", "b", "c", "n\\udcffme", "surrogate", *reasons}
+    assert results.keys() == {"a", "b", "c", "n\\udcffme", "surrogate", "untrue", *reasons}
     assert (out / "overview.html").is_file() == (len(found) > 1)
     assert len(list(out.rglob("report.html"))) == len(found)
 
