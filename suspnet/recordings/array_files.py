@@ -147,7 +147,7 @@ def _notes(name: str, dataset: Any, said: Mapping[str, Any]) -> dict[str, Any]:
     if slash:
         for key, item in said.items():
             if key.rpartition("/")[0] == group and item.size < 100:
-                is_text = item.attrs.get("MATLAB_class") == b"char"
+                is_text = item.dtype == np.uint16 and item.attrs.get("MATLAB_class") == b"char"
                 beside[key.rpartition("/")[2]] = _text(item[()]) if is_text else item[()]
     return _stated(beside) | _stated(dict(dataset.attrs))
 
