@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,13 @@ RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", 
 UNIT_NAMES = ("unit", "units")
 """Names of fields and attributes, in lower case and without blanks and underscores, that say the
 rate [Hz] and the unit of the data beside them."""
+
+NUMERIC = (
+    "single",
+    "double",
+    *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
+)
+"""Classes of the variables of a MAT file that hold numbers."""
 
 MOST_PARTS = 1000
 """Largest number of columns of a matrix."""
@@ -68,10 +77,15 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         with open_hdf5(path) as file:
             yield file
         return
-    names = [name for name, _, kind in variables if kind not in ("function", "opaque", "object")]
-    content = loadmat(path, variable_names=names, simplify_cells=True) if names else {}
-    leaves = dict(_leaves({name: content[name] for name in names if name in content}))
-    arrays = {
+    arrays: dict[str, Any] = {
+        name: _Variable(path, name, shape)
+        for name, shape, kind in variables
+        if kind in NUMERIC and len(shape) <= 2
+    }
+    structs = [name for name, _, kind in variables if kind == "struct"]
+    content = loadmat(path, variable_names=structs, simplify_cells=True) if structs else {}
+    leaves = dict(_leaves({name: content[name] for name in structs if name in content}))
+    arrays |= {
         name: np.atleast_1d(leaf)
         for name, leaf in leaves.items()
         if isinstance(leaf, np.ndarray | np.number | float | int)
@@ -81,6 +95,26 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     }
     with _opened(path, arrays, {name: _beside(name, leaves) for name in arrays}) as found:
         yield found
+
+
+@dataclass(frozen=True)
+class _Variable:
+    """A numeric variable of a MAT file, which is read when it is asked for."""
+
+    path: Path
+    name: str
+    shape: tuple[int, ...]
+
+    @cached_property
+    def values(self) -> Any:
+        return loadmat(self.path, variable_names=[self.name])[self.name]
+
+    @property
+    def dtype(self) -> Any:
+        return self.values.dtype
+
+    def __getitem__(self, part: Any) -> Any:
+        return self.values[part]
 
 
 @contextmanager
@@ -147,7 +181,7 @@ def _notes(name: str, dataset: Any, said: Mapping[str, Any]) -> dict[str, Any]:
     if slash:
         for key, item in said.items():
             if key.rpartition("/")[0] == group and item.size < 100:
-                is_text = item.attrs.get("MATLAB_class") == b"char"
+                is_text = item.dtype == np.uint16 and item.attrs.get("MATLAB_class") == b"char"
                 beside[key.rpartition("/")[2]] = _text(item[()]) if is_text else item[()]
     return _stated(beside) | _stated(dict(dataset.attrs))
 

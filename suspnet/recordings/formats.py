@@ -186,5 +186,6 @@ _DAMAGE = (
     RuntimeError,
     OverflowError,
     MemoryError,
+    UnboundLocalError,
 )
 """Errors that the readers of the formats raise on damaged files."""
