@@ -146,7 +146,7 @@ def test_every_command_composes():
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         for (program, job), line in asked.items():
             try:
-                check_targets(compose(program, list(job)))
+                check_configuration(compose(program, list(job)))
             except HydraException as error:
                 raise AssertionError(f"{line}: {error}") from error
 
