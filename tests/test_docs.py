@@ -16,7 +16,7 @@ from hydra.errors import HydraException
 from trip_fixtures import model_at, small_fleet
 
 from suspnet.cli.configs import CONFIGS, TABLES
-from suspnet.cli.program import check_targets
+from suspnet.cli.trusted import check_configuration
 from suspnet.data import CurveSettings
 from suspnet.learning import LinearRegression
 from suspnet.model import save_model
