@@ -36,6 +36,8 @@ SECONDS = 3.0
 MEMORY_BYTES = 12 << 30
 TINY = ["data.n_train=64", "data.n_test=32", "data.cache_dir=null", "progress=false", "threads=1"]
 SHORT = ["fleet.n_trips=1", "fleet.minutes=0.1", "workers=1", "progress=false"]
+SLOW_SENSORS = [f"fleet.sensors.{name}.rate_hz=200" for name in ("axle_box", "bogie", "body")]
+SLOW_SENSORS += ["fleet.minutes=8", "fleet.n_stops=0"]
 BASES = {
     "train": [
         [*TINY, "data.n_calibrate=100", "model.n_components=16", "figures=false", "refine=true"],
@@ -54,7 +56,7 @@ BASES = {
     ],
     "simulate": [
         [*SHORT],
-        [*SHORT, "generator=quarter_car", "scatter=0", "fleet.journey=service"],
+        [*SHORT, *SLOW_SENSORS, "generator=quarter_car", "scatter=0", "fleet.journey=service"],
         [*SHORT, "scenario=random", "generator=vertical_vehicle", "fleet.sides=left"],
     ],
 }
@@ -129,11 +131,12 @@ def unchanged(module, config, folder):
     """Run a program as it is: it must work, and imports what it needs without a limit of time."""
     config = config.copy()
     if "out" in config:
-        config.out = str(folder / "out" / "unchanged")
+        config.out = str(folder / "out")
+    config.hydra.runtime.output_dir = str(folder)
     HydraConfig.instance().set_config(config)
     with open_dict(config):
         del config["hydra"]
-    (folder / "output").mkdir(exist_ok=True)
+    folder.mkdir(parents=True)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         try:
             module.compose(config)
@@ -162,8 +165,8 @@ def fuzz(program, n_values, seed, folder, n_bases=None):
     cases = [
         (i, key, value) for i, (_, names) in enumerate(found) for key in names for value in VALUES
     ]
-    for config, _ in found:
-        unchanged(module, config, folder)
+    for i, (config, _) in enumerate(found):
+        unchanged(module, config, folder / f"unchanged_{i}")
     counts, failures = Counter(), []
     for n, (i, key, value) in enumerate(draw.sample(cases, min(n_values, len(cases)))):
         config = found[i][0].copy()

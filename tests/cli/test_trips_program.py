@@ -505,7 +505,7 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["fleet.sensors.body.rate_hz=0"], "`sensor.rate_hz` must be a finite number > 0, got 0"),
         (["scenario.spread=2"], r"`scenario.spread` must be a finite number >= 0 and < 1, got 2"),
         (["scatter=-1"], "`scatter` must be a finite number >= 0 and <= 5, got -1"),
-        (["scatter=nan"], "`scatter` must be a finite number >= 0 and <= 5, got nan"),
+        (["scatter=nan"], "`scatter` must be a finite number, got nan"),
         (["fleet.sides=up"], r"`sides` must be one of \('both', 'left'\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
