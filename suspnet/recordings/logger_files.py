@@ -40,6 +40,7 @@ TIME_RESPONSE = 1
 def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a TDMS file; columns are named "group/channel"."""
     nptdms = needed(path, "nptdms", "tdms", "a TDMS file")
+    getLogger("nptdms").setLevel(CRITICAL)  # it prints what it raises or mends
     # Opened here because npTDMS does not close what it fails to read.
     with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
         if file.file_status.incomplete_final_segment:

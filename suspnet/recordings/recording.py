@@ -27,7 +27,7 @@ from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 from suspnet.recordings.timeline import Timeline
 from suspnet.types import BoolArray, FloatArray
 
-MOST_AT_ONCE = 3
+MOST_AT_ONCE = 2
 """Number of sensors that are read at the same time, which bounds the memory that this takes."""
 
 SHORTEST_S = 60.0
