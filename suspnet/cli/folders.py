@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -47,6 +48,11 @@ class OwnFolder(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it, and tell the jobs."""
+        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise SystemExit(
+                "error: a multirun cannot be spread by torchrun: start it with python, and "
+                "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
+            )
         chosen = _choose(config, "sweep")
         if chosen is not None:
             quoted = str(chosen).replace("\\", "\\\\").replace("'", "\\'")

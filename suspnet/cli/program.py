@@ -22,7 +22,6 @@ from hydra._internal import hydra as hydra_application
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
-from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -62,10 +61,9 @@ def run(main: Callable[[], Any]) -> None:
 
     The exit code of SIGTERM is 143. HYDRA_FULL_ERROR=1 shows the traceback instead.
     """
-    os.environ[DEBUG] = "1"
     guard_joblib()
     try:
-        with _terminable(), _one_writer(), _checked_loader():
+        with _terminable(), _one_writer(), _whole_errors(), _checked_loader():
             main()
     except (KeyboardInterrupt, _Terminated) as ended:
         verb, code = ("terminated", 143) if isinstance(ended, _Terminated) else ("interrupted", 130)
@@ -84,6 +82,19 @@ def run(main: Callable[[], Any]) -> None:
         if _debugging or NO_SLURM not in str(error):
             raise
         sys.exit(one_line(error))
+
+
+@contextmanager
+def _whole_errors() -> Iterator[None]:
+    """Let Hydra raise what it would print, in this process and those that it starts."""
+    before = os.environ.get(DEBUG)
+    os.environ[DEBUG] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[DEBUG]
+        if before is not None:
+            os.environ[DEBUG] = before
 
 
 class _Terminated(BaseException):
@@ -150,18 +161,7 @@ def _without_words() -> Iterator[None]:
 
 
 def join_ranks(device: str) -> None:
-    """Join the other processes if torchrun started this one.
-
-    Raises
-    ------
-    ValueError
-        In a multirun, which a launcher spreads instead.
-    """
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and HydraConfig.get().mode == RunMode.MULTIRUN:
-        raise ValueError(
-            "a multirun cannot be spread by torchrun: start it with python, and "
-            "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
-        )
+    """Join the other processes if torchrun started this one; no multirun comes so far."""
     ranks.start(device)
 
 

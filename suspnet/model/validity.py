@@ -122,7 +122,8 @@ def _check_estimator(model: TrainedModel, n_inputs: int, n_outputs: int) -> None
         raise ValueError(f"the arrays are of {middle.size} outputs, not {n_outputs}")
     with np.errstate(over="ignore"):
         estimate = model.output_scaling.undo(middle.reshape(1, n_outputs))
-    if not ((estimate > 1 / LARGEST_RATIO) & (estimate < LARGEST_RATIO)).all():
+    size = np.abs(estimate)
+    if not (size < LARGEST_RATIO).all() or (model.log and not (size > 1 / LARGEST_RATIO).all()):
         raise ValueError(f"the middle of the training data is estimated as {estimate[0].tolist()}")
 
 
