@@ -22,7 +22,8 @@ from vehicles import AM96
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.track import make_profile
-from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest, write_manifest
+from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M
 
 SIDES = ("left", "right")

@@ -19,7 +19,8 @@ from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest, write_manifest
+from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation import Scenario
 from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M, profile_length_m
 

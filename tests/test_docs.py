@@ -21,7 +21,7 @@ from suspnet.data import CurveSettings
 from suspnet.learning import LinearRegression
 from suspnet.model import save_model
 from suspnet.problem import Problem
-from suspnet.recordings.manifest import read_manifest
+from suspnet.recordings.manifest_files import read_manifest
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 

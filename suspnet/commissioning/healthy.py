@@ -12,13 +12,8 @@ from suspnet.data.estimates import EstimateSettings, Speeds
 from suspnet.data.parallel import quiet
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
-from suspnet.recordings.manifest import (
-    Place,
-    TripError,
-    TripManifest,
-    find_manifests,
-    read_manifest,
-)
+from suspnet.recordings.manifest import Place, TripError, TripManifest
+from suspnet.recordings.manifest_files import find_manifests, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import (
     in_band,

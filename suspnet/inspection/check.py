@@ -20,14 +20,8 @@ from suspnet.inspection.manifests import Opened, check_columns
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
 from suspnet.recordings.checked_mapping import all_of
-from suspnet.recordings.manifest import (
-    CHANNELS,
-    Place,
-    TripError,
-    TripManifest,
-    parse_manifest,
-    read_content,
-)
+from suspnet.recordings.manifest import CHANNELS, Place, TripError, TripManifest
+from suspnet.recordings.manifest_files import parse_manifest, read_content
 from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import (

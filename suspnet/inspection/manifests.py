@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import TripError, find_manifests, named_sources
+from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_files import find_manifests, named_sources
 
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 """Why columns of a file cannot be opened, by file, times and column; empty if they can."""

@@ -11,13 +11,7 @@ from pathlib import Path
 
 from suspnet.inspection import guess
 from suspnet.inspection.contents import ACCELERATION, SPEED, Signal
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    CHANNELS,
-    FORMAT,
-    SIDES,
-    SPEED_UNITS,
-)
+from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
 from suspnet.recordings.units import size_of
 
 BLANK = "FILL_IN"

@@ -1,6 +1,7 @@
 """Recordings of trips: manifests, files, cleaning, one clock for all channels."""
 
-from suspnet.recordings.manifest import TripError, TripManifest, read_manifest, write_manifest
+from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest_files import read_manifest, write_manifest
 from suspnet.recordings.recording import Recording, load_recording
 
 __all__ = [

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Column
-from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest, time_zone
+from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
+from suspnet.recordings.manifest_files import time_zone
 from suspnet.recordings.units import size_of
 from suspnet.types import FloatArray
 

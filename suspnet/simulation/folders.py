@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from suspnet._version import __version__
-from suspnet.recordings.manifest import UNFINISHED, TripError, read_manifest
+from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.scenarios import Scenario
 from suspnet.storage import content_hash, locked, read_json, write_json

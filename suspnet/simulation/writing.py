@@ -30,15 +30,8 @@ from suspnet.dynamics.track import (
     make_profile,
     track_spectrum,
 )
-from suspnet.recordings.manifest import (
-    CHANNELS,
-    SIDES,
-    Channel,
-    Pair,
-    SpeedSource,
-    TripManifest,
-    write_manifest,
-)
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
+from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.folders import described, is_whole, own_folder, unfinished
 from suspnet.simulation.scatter import scattered, true_numbers

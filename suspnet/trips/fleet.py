@@ -20,7 +20,8 @@ from suspnet.data.parallel import quiet
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
-from suspnet.recordings.manifest import Place, partial_words, read_manifest
+from suspnet.recordings.manifest import Place
+from suspnet.recordings.manifest_files import partial_words, read_manifest
 from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.commissionings import (

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from suspnet.recordings.manifest import Place, find_manifests, read_place
+from suspnet.recordings.manifest import Place
+from suspnet.recordings.manifest_files import find_manifests, read_place
 
 log = logging.getLogger(__name__)
 TAKEN = ("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures")

@@ -20,7 +20,8 @@ from suspnet.model.from_spectra import trip_settings
 from suspnet.model.sides import with_sides
 from suspnet.model.speed_bin import SpeedBin, combined
 from suspnet.model.trained import TrainedModel
-from suspnet.recordings.manifest import TripError, TripManifest, read_manifest
+from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments

@@ -25,7 +25,7 @@ from suspnet.inspection.check import CheckSettings, check_trip
 from suspnet.inspection.figures import trip_figure
 from suspnet.inspection.manifests import find_trips
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE
-from suspnet.recordings.manifest import read_manifest
+from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import WINDOWS
 from suspnet.recordings.recording import load_recording
 

@@ -16,7 +16,8 @@ from suspnet.cli import check, init
 from suspnet.inspection import guess
 from suspnet.inspection.contents import look_into
 from suspnet.inspection.template import BLANK
-from suspnet.recordings.manifest import CHANNELS, read_manifest
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import read_manifest
 
 FILLED = {"vehicle": "am96", "suspension": "car 7", "mileage_km": "1000.0"}
 

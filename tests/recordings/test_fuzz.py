@@ -10,7 +10,8 @@ import yaml
 from recording_files import WRITERS
 
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import CHANNELS, TripError, read_manifest, read_place
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest_files import read_manifest, read_place
 
 VALUES = (
     "no",

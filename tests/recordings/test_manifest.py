@@ -19,6 +19,8 @@ from suspnet.recordings.manifest import (
     SpeedSource,
     TripError,
     TripManifest,
+)
+from suspnet.recordings.manifest_files import (
     find_manifests,
     read_manifest,
     read_place,

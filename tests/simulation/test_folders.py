@@ -8,7 +8,7 @@ from trip_fixtures import SENSORS
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar
-from suspnet.recordings.manifest import UNFINISHED, partial_words
+from suspnet.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.simulation import writing
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.folders import FolderTakenError

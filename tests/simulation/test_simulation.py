@@ -15,7 +15,8 @@ from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.features.transfer_estimate import tfestimate
 from suspnet.features.welch import Welch
-from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, read_manifest
+from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
+from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.writing import (

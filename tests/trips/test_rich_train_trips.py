@@ -13,7 +13,8 @@ from vehicles import AM96
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.features.cross_spectra import PAIRS
-from suspnet.recordings.manifest import CHANNELS, read_manifest
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation import Fleet, Scenario, write_fleet
 
 RATES = dict(zip(CHANNELS, (1000.0, 500.0, 500.0), strict=True))
