@@ -252,7 +252,8 @@ def inject(name, folder, n_kills, rng, counts):
 def main(folder, n_kills, seed, names):
     rng, counts = random.Random(seed), Counter()
     if "evaluate" in names:
-        prepare(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+    prepare(folder)
     for i, name in enumerate(names):
         share = n_kills * (i + 1) // len(names) - n_kills * i // len(names)
         inject(name, folder, share, rng, counts)
