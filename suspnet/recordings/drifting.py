@@ -193,14 +193,19 @@ def find_drift(
     delays_s, clear = _delays(spectra, size, rate_hz)
     if np.count_nonzero(clear) < LEAST_WINDOWS:
         return None
-    first_clear, last_clear = np.flatnonzero(clear)[[0, -1]]
-    if len(clear) - 1 - last_clear >= LEAST_WINDOWS or first_clear >= LEAST_WINDOWS:
-        place = last_clear if len(clear) - 1 - last_clear >= first_clear else first_clear - 1
-        lost_s = WINDOW_S * float(np.flatnonzero(good)[place] + 1)
-        return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))
-    middles_s = WINDOW_S * (np.flatnonzero(good)[clear] + 0.5)
-    speeds = speed_m_per_s[whole].reshape(n_windows, size)[good][clear]
-    return _fitted(np.asarray(middles_s), delays_s[clear], _speed_classes(speeds))
+    begins_s = WINDOW_S * np.flatnonzero(good)
+    classes = _speed_classes(speed_m_per_s[whole].reshape(n_windows, size)[good])
+    # at another speed, or while it changes, the motion may be another one
+    alike = (classes >= 0) & np.isin(classes, classes[clear])
+    among = np.flatnonzero(clear[alike])
+    if len(among):
+        before, after = among[0], np.count_nonzero(alike) - 1 - among[-1]
+        if max(before, after) >= LEAST_WINDOWS:
+            place = among[-1] if after >= before else among[0] - 1
+            lost_s = float(begins_s[alike][place]) + WINDOW_S
+            return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))
+    middles_s = np.asarray(begins_s[clear] + WINDOW_S / 2, dtype=np.float64)
+    return _fitted(middles_s, delays_s[clear], classes[clear])
 
 
 def _speed_classes(speeds: FloatArray) -> IntArray:

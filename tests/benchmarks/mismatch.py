@@ -43,7 +43,7 @@ from suspnet.model.estimate import Estimate  # noqa: E402
 from suspnet.model.from_recording import NoEstimateError, TripSettings  # noqa: E402
 from suspnet.model.trained import TrainedModel  # noqa: E402
 from suspnet.problem import TRAIN, Problem  # noqa: E402
-from suspnet.recordings.manifest import find_manifests  # noqa: E402
+from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
 from suspnet.runs.calibrate import calibrated, with_unexplained  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402

@@ -60,6 +60,17 @@ def test_loss_of_more_than_a_window_is_found():
     assert drift.jump_at_s == pytest.approx(300, abs=20)
 
 
+def test_other_motion_at_another_speed_or_at_a_stop_is_no_loss():
+    """As left and right move otherwise at another speed, and not at all at a stop."""
+    other = sensor(AT).std() * np.random.default_rng(5).standard_normal(len(AT))
+    later = np.where(AT < 300, sensor(AT), other)
+    for low in (30.0, 0.0):
+        speed = np.where(AT < 300, 50.0, low)
+        drift = found(later, speed=speed)
+        assert drift is None or abs(drift.size) < 6 * drift.deviation
+    assert np.isinf(found(later).size)
+
+
 def test_speed_explains_delays():
     speed = np.where(AT < 300, 50.0, 30.0)
     later = sensor(AT - np.where(AT < 300, 0.0, 0.03))
