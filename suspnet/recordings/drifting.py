@@ -46,6 +46,10 @@ FINEST_S = 1e-5
 LEAST_CORRELATION = 0.4
 """Least correlation of a window's cross-spectrum with the common one for its peak to be clear."""
 
+RELIABLE = 0.9
+"""Least share of clear windows between the first and the last clear one for the others to mean that
+samples were lost: sensors left and right have little in common where the rails differ."""
+
 NEWTON_STEPS = 3
 """Number of steps from the highest sample of the cross-correlation to its peak."""
 
@@ -200,7 +204,8 @@ def find_drift(
     among = np.flatnonzero(clear[alike])
     if len(among):
         before, after = among[0], np.count_nonzero(alike) - 1 - among[-1]
-        if max(before, after) >= LEAST_WINDOWS:
+        share = clear[alike][among[0] : among[-1] + 1].mean()
+        if max(before, after) >= LEAST_WINDOWS and share >= RELIABLE:
             place = among[-1] if after >= before else among[0] - 1
             lost_s = float(begins_s[alike][place]) + WINDOW_S
             return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))

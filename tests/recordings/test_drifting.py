@@ -71,6 +71,14 @@ def test_other_motion_at_another_speed_or_at_a_stop_is_no_loss():
     assert np.isinf(found(later).size)
 
 
+def test_little_in_common_throughout_is_no_loss():
+    """As of axle boxes left and right: now and then a window is clear."""
+    own = np.random.default_rng(6).standard_normal(len(AT))
+    for share in (1.0, 1.5, 2.0, 2.5):
+        drift = found(sensor(AT) + share * sensor(AT).std() * own)
+        assert drift is None or np.isfinite(drift.size)
+
+
 def test_speed_explains_delays():
     speed = np.where(AT < 300, 50.0, 30.0)
     later = sensor(AT - np.where(AT < 300, 0.0, 0.03))
