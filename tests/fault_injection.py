@@ -246,7 +246,10 @@ def inject(name, folder, n_kills, rng, counts):
             counts["lost"] += sum(now.get(path) != content for path, content in before.items())
             counts["resumed"] += 1
             counts["other results"] += result(where) != expected
-        counts["tracebacks"] += "Traceback" in (where / "output.log").read_text()
+        output = (where / "output.log").read_text()
+        if "Traceback" in output:
+            counts["tracebacks"] += 1
+            print(output, file=sys.stderr)
 
 
 def main(folder, n_kills, seed, names):

@@ -106,6 +106,8 @@ def compose(config: DictConfig) -> int:
         settings = program.build(config, "monitor", _convert_="all")
         done = evaluate_fleet(Path(config.trips), models, output, settings, config.progress)
         return exit_code(done)
+    if not isinstance(config.data, DictConfig):
+        raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
     results = [
         evaluate(
             folder,
