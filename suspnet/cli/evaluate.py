@@ -12,7 +12,6 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from hydra.utils import instantiate
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import folders, program
@@ -96,7 +95,7 @@ def compose(config: DictConfig) -> int:
     if config.study is not None:
         program.n_threads(config.threads)
         program.save_config(config, program.run_folder())
-        instantiate(config.study, folder=program.run_folder())
+        program.build(config, "study", folder=program.run_folder())
         return FINE
     runs, output = _runs(config.run), program.run_folder()
     folders.clear(output)

@@ -182,6 +182,12 @@ class EstimateSettings:
                 )
         return bound
 
+    def beyond(self, frequencies_hz: Tensor) -> Tensor:
+        """Return which bins (n_freq,) lie beyond `body_high_hz`, bool (2, n_freq): G_s alone."""
+        end = math.inf if self.body_high_hz is None else self.body_high_hz
+        beyond = frequencies_hz > end + 1e-9
+        return torch.stack([torch.zeros_like(beyond), beyond])
+
     def frequencies_hz(self) -> Tensor:
         """Return the bins of the estimate, multiples of 1 / segment_s, shape (n_freq,), [Hz].
 
@@ -321,9 +327,7 @@ class EstimateObserver:
     @cached_property
     def beyond(self) -> Tensor:
         """Which bins lie beyond `body_high_hz`, where G_s is not used, bool (2, n_freq)."""
-        end = math.inf if self.settings.body_high_hz is None else self.settings.body_high_hz
-        beyond = self.frequencies_hz > end + 1e-9
-        return torch.stack([torch.zeros_like(beyond), beyond])
+        return self.settings.beyond(self.frequencies_hz)
 
     def for_features(self, curves: Tensor) -> Tensor:
         """Return estimates as the feature set is to see them: of the nominal speed, none weak.

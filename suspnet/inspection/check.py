@@ -18,7 +18,7 @@ from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.inspection.figures import trip_figure, write_picture
 from suspnet.inspection.manifests import Opened, check_columns
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
-from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
+from suspnet.model.from_recording import TripSettings, certainty_of, speed_of, steady_groups
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.manifest import CHANNELS, Place, TripError, TripManifest
 from suspnet.recordings.manifest_files import parse_manifest, read_content
@@ -205,17 +205,13 @@ def _part(
 ) -> SteadyPart:
     """Return what the chosen segments give; G_s counts as far as an estimate uses it."""
     spectra = band.average(chosen)
-    beyond = torch.zeros(2, len(band.frequencies_hz), dtype=torch.bool)
-    if estimate.body_high_hz is not None:
-        beyond[1] = band.frequencies_hz > estimate.body_high_hz + 1e-9
-    coherences = spectra.coherences().masked_fill(beyond, np.nan).nanmean(dim=1)
-    deviations = spectra.deviations(estimate.method).masked_fill(beyond, np.nan)
+    coherences, deviation = certainty_of(spectra, estimate, band.frequencies_hz)
     return SteadyPart(
         speed_m_per_s=speed_of(speeds[chosen], band)[0],
         n_averages=spectra.n_averages,
-        coherence_p=float(coherences[0]),
-        coherence_s=float(coherences[1]),
-        deviation_percent=100 * float(deviations.nanmedian(dim=1).values.amax()),
+        coherence_p=coherences[0],
+        coherence_s=coherences[1],
+        deviation_percent=100 * deviation,
     )
 
 

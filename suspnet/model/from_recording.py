@@ -12,8 +12,9 @@ from scipy.signal import get_window
 from torch import Tensor
 
 from suspnet.checks import check_flag, check_number
-from suspnet.data.estimates import Speeds
+from suspnet.data.estimates import EstimateSettings, Speeds
 from suspnet.dynamics import ResponseGenerator
+from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.estimate import Estimate
@@ -21,7 +22,6 @@ from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_spectra import (
     MissingFeaturesError,
     estimate_with_noise,
-    trip_observer,
     trip_settings,
 )
 from suspnet.model.sides import with_sides
@@ -235,14 +235,11 @@ def _speed_bin(
             f"{_advice(segments, within, settings)}"
         )
     spectra = band.average(chosen)
-    beyond = trip_observer(method).beyond
-    deviations = spectra.deviations(trained.method).masked_fill(beyond, math.nan)
-    deviation = float(deviations.nanmedian(dim=1).values.amax())
+    coherences, deviation = certainty_of(spectra, trained, band.frequencies_hz)
     if deviation > settings.max_deviation:
-        coherences = spectra.coherences().masked_fill(beyond, math.nan)
         raise NoEstimateError(
             f"the responses are uncertain by {100 * deviation:.2g} % (coherence "
-            f"{float(coherences.nanmean(dim=1).amin()):.2f}, {n_averages:.0f} averages), "
+            f"{min(coherences):.2f}, {n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     mean, deviation = speed_of(speeds[chosen], segments)
@@ -253,6 +250,31 @@ def _speed_bin(
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
     return SpeedBin(method, spectra, band, chosen, mean, estimate, noise_share, doubts)
+
+
+def certainty_of(
+    spectra: CrossSpectra, settings: EstimateSettings, frequencies_hz: Tensor
+) -> tuple[list[float], float]:
+    """Return how certain the responses are on the bins that estimates use.
+
+    Parameters
+    ----------
+    spectra : CrossSpectra
+        Of shape (3, n_freq).
+    settings : EstimateSettings
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+    Returns
+    -------
+    coherences : list of 2 floats, [-]
+        Means over the bins, of G_p and G_s.
+    deviation : float, [-]
+        Standard deviation of the log-magnitudes: median over the bins, of the less certain one.
+    """
+    beyond = settings.beyond(frequencies_hz)
+    coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
+    deviations = spectra.deviations(settings.method).masked_fill(beyond, math.nan)
+    return coherences.tolist(), float(deviations.nanmedian(dim=1).values.amax())
 
 
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:

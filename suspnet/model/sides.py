@@ -19,7 +19,7 @@ from suspnet.features.side_difference import (
     side_difference,
 )
 from suspnet.model.estimate import Estimate
-from suspnet.model.speed_bin import SpeedBin
+from suspnet.model.speed_bin import SpeedBin, largest
 from suspnet.recordings.manifest import SIDES
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.segments import difference_segments, in_band
@@ -55,8 +55,7 @@ def with_sides(
     bins : sequence of SpeedBin
     recording : Recording
     """
-    largest = max(bins, key=lambda b: b.spectra.n_averages)
-    words = spoken_sides(weaker_sides(largest, recording, estimate.values[0]))
+    words = spoken_sides(weaker_sides(largest(bins), recording, estimate.values[0]))
     if not words:
         return estimate, ""
     told = f"both sides are taken as equal, but {words}"

@@ -47,6 +47,11 @@ class SpeedBin:
     doubts: str
 
 
+def largest(bins: Sequence[SpeedBin]) -> SpeedBin:
+    """Return the group of segments with the most averages."""
+    return max(bins, key=lambda b: b.spectra.n_averages)
+
+
 def combined(bins: Sequence[SpeedBin]) -> Estimate:
     """Return one estimate from several groups of segments: means of the logarithms.
 
@@ -79,6 +84,6 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
     found = [b for b in bins if b.estimate.flags.flagged.any()]
     if not found:
         return Flags.none(1)
-    worst = max(found, key=lambda b: b.spectra.n_averages)
+    worst = largest(found)
     at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
     return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))

@@ -57,11 +57,11 @@ MEMORY = 0.2
 """Weight of the newest window in the common cross-spectrum that follows a drifting clock."""
 
 SIGNIFICANT = 6.0
-"""A drift or jump is told if it is larger than this many standard deviations ..."""
+"""Least size of a drift or jump that is told, in standard deviations."""
 
 TOLD_S, REFUSED_S = 0.003, 0.02
-"""... and changes the delay along the trip by more than the first, [s]. More than the second costs
-estimates 2 % and more: such a trip is refused."""
+"""Changes of the delay along the trip from which a drift or jump is told, and above which the trip
+is refused, [s]: more than the second costs estimates 2 % and more."""
 
 
 @dataclass(frozen=True)

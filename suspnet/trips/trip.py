@@ -18,7 +18,7 @@ from suspnet.features.welch import Welch
 from suspnet.model.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.model.from_spectra import trip_settings
 from suspnet.model.sides import with_sides
-from suspnet.model.speed_bin import SpeedBin, combined
+from suspnet.model.speed_bin import SpeedBin, combined, largest
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
@@ -163,7 +163,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
-    best = bins[int(np.argmax(weights))]
+    best = largest(bins)
     healthy = best.method.healthy
     return replace(
         result,
