@@ -4,20 +4,22 @@ Intervals are calibrated on curves with the averages and the noise that a model 
 and a trip has its own. So the noise part of the residual scale in training is replaced by that of
 the trip::
 
-    s^2 = w^2 (l^2 + b^2) + n^2,    l^2 = max(s_0^2 - n_0^2, 0)
+    s^2 = w^2 (l^2 + b^2 + f^2) + n^2,    l^2 = max(s_0^2 - n_0^2, 0)
     half width = s q(level) / q(ONE_SIGMA)
 
 with s_0 the standard deviation that the calibration gives and q its quantiles, n_0 the noise part
 expected of such a vehicle in training, n that of the trip. l^2 is the variance of the
 regression's own error and of the generator's uncertain quantities; b is the cost of what the
-healthy trips of a commissioned vehicle left unexplained (`suspnet.uncertainty.physics`), w is
-``COMMON`` for these and 1 for others. Of refined estimates n is the deviation that Gauss-Newton
+healthy trips of a commissioned vehicle left unexplained (`suspnet.uncertainty.physics`), f that of
+damping which does not wear (`unworn_deviations`), w is ``COMMON`` for these; others have w = 1 and
+b = f = 0. Of refined estimates n is the deviation that Gauss-Newton
 gives if all numbers are known, and what it gives beyond that adds to l^2; of others n is the spread
 of estimates from drawn spectra.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,10 +46,13 @@ from the same random numbers and err alike: at a quarter of the averages half wi
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; measured, a fourth changes nothing where the
 speed is within a tenth of that trained for."""
-COMMON = 1.6
+COMMON = 1.8
 """Factor on what lasts from trip to trip of a commissioned vehicle: the error that healthy trips
 leave is one draw for all that follow. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle whose draw is bad."""
+UNWORN = {"c_p": 0.05}
+"""Standard deviation of the share of a healthy vehicle's damping that does not wear. Dry friction
+in a primary suspension acts as a damper does, and no healthy trip tells them apart."""
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""
 
@@ -118,10 +123,32 @@ def estimate_with_noise(
         scale = _residual_scale(method, inputs, predicted)
         lasting = _lasting(usual * scale, noise_0)
     if method.unexplained is not None:
-        lasting = COMMON**2 * (lasting + method.unexplained.costs**2)
+        costs = method.unexplained.costs**2 + unworn_deviations(method.task.outputs, values) ** 2
+        lasting = COMMON**2 * (lasting + costs)
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
+
+
+def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
+    """Return what damping that does not wear costs the logarithm of each output.
+
+    A damper at the ratio r beside a share u of the healthy damping that stays as it is reads as
+    (1 - u) r + u: wrong by u (1 - r) / r of r, which is nothing where nothing is worn.
+
+    Parameters
+    ----------
+    outputs : sequence of str
+    ratios : array of shape (n_outputs,), [-]
+        Estimates.
+
+    Returns
+    -------
+    array of shape (n_outputs,), [-]
+        u |1 - r| / r with u the deviation of ``UNWORN``, 0 of what it does not hold.
+    """
+    shares = np.array([UNWORN.get(name, 0.0) for name in outputs])
+    return np.asarray(shares * np.abs(1 - ratios) / ratios)
 
 
 def trip_settings(method: FittedMethod) -> EstimateSettings:
