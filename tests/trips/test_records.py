@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
-from suspnet.trips.records import Quality, TripResult, first_trips, relative_to_first
+from suspnet.history.records import Quality, TripResult, first_trips, relative_to_first
 
 FEW = ("k_p", "M_s")
 
@@ -21,13 +21,13 @@ def made_up(n=8, missing=(1, 5)):
 def test_row_is_flat_and_in_order():
     result = replace(trip(3, {"k_p": 0.9}), raw={"k_p": 0.8, "M_s": 0.7})
     row = result.row(FEW)
-    assert list(row)[:10] == [
+    assert list(row)[:12] == [
         *("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle", "suspension"),
-        *("bogie", "side"),
+        *("bogie", "side", "train", "car"),
     ]
     limits = ["k_p_low", "k_p_high", "M_s_low", "M_s_high"]
     others = ["k_p_raw", "M_s_raw", "k_p_truth", "M_s_truth"]
-    assert list(row)[10:20] == ["k_p", "M_s", *limits, *others]
+    assert list(row)[12:22] == ["k_p", "M_s", *limits, *others]
     assert row["k_p"] == result.estimates["k_p"]
     assert (row["k_p_raw"], row["M_s_raw"]) == (0.8, 0.7)
     assert row["k_p_truth"] == 0.9

@@ -20,13 +20,13 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.welch import Welch
+from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.model import from_recording as recording
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import estimate_with_noise
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
 from suspnet.trips import trip
-from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
 from suspnet.trips.trip import evaluate_trip
 from suspnet.uncertainty.ood import Flags
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.recordings.manifest import Place
 from suspnet.types import ComplexArray, FloatArray
 
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
@@ -98,9 +99,9 @@ class TripResult:
 
     Attributes
     ----------
-    trip, manifest, vehicle, suspension : str
-    bogie, side : str
-        Where on the vehicle the suspension is; empty if the manifest does not say.
+    trip, manifest, vehicle : str
+    place : Place
+        Which suspension it is of.
     mileage_km : float, [km]
     start : str
         ISO 8601, or empty.
@@ -136,9 +137,7 @@ class TripResult:
     trip: str
     manifest: str
     vehicle: str = ""
-    suspension: str = ""
-    bogie: str = ""
-    side: str = ""
+    place: Place = field(default_factory=Place)
     mileage_km: float = np.nan
     start: str = ""
     status: str = OK
@@ -179,7 +178,7 @@ class TripResult:
         head = {
             f: getattr(self, f)
             for f in ("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle")
-        } | {"suspension": self.suspension, "bogie": self.bogie, "side": self.side}
+        } | asdict(self.place)
         numbers = {name: self.estimates.get(name, np.nan) for name in outputs}
         for name in outputs:
             numbers[f"{name}_low"], numbers[f"{name}_high"] = self.interval(name)
