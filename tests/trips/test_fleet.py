@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
+from dying_readers import open_dying
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal
 from trip_records import fleet as made_up
@@ -21,6 +22,8 @@ from trip_records import fleet as made_up
 from suspnet.data import CurveSettings
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
+from suspnet.recordings.apart import LIMIT, apart
+from suspnet.recordings.formats import READERS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import read_arrays
 from suspnet.trips import finished, fleet, output
@@ -457,6 +460,24 @@ def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, m
     assert results.keys() == {"a", "b", "c", "n\\udcffme", "surrogate", "untrue", *reasons}
     assert (out / "overview.html").is_file() == (len(found) > 1)
     assert len(list(out.rglob("report.html"))) == len(found)
+
+
+def test_file_that_kills_or_hangs_its_reader_costs_its_row(three, manifests, model, monkeypatch):
+    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setenv(LIMIT, "2")
+    for what in ("exit", "crash:1", "hang"):
+        (three / f"{what}.mat").write_text(what)
+        channels = {"body": {"file": f"{what}.mat", "column": "a", "unit": "g"}}
+        changed(manifests[0], three, what, channels=channels)
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    out = three.parent / "out"
+    found = evaluate_fleet(three, [model], out, SETTINGS, progress=False)
+    results = {r.trip: r for one in found for r in one.results}
+    assert {name for name, r in results.items() if r.status == "ok"} == {"a", "b", "c"}
+    assert results["exit"].reason.endswith("reader crashed (exit code 3), so the file is damaged")
+    assert results["crash:1"].reason.endswith("crashed (SIGSEGV), so the file is damaged")
+    assert "hang.mat: its reader took longer than 2 s for one step" in results["hang"].reason
+    assert len(list(out.rglob("report.html"))) == len(found) == 1
 
 
 @pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
