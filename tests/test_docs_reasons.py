@@ -92,7 +92,9 @@ def sentences(file, least_blanks=2):
             continue
         if "".join(part or "x" for part in parts).count(" ") < least_blanks:
             continue
-        if n_letters(parts) >= FEWEST_LETTERS and not words.removeprefix(": ").startswith(NO_REASON):
+        if n_letters(parts) >= FEWEST_LETTERS and not words.removeprefix(": ").startswith(
+            NO_REASON
+        ):
             found.append(parts)
     return found
 
