@@ -10,9 +10,17 @@ from typing import Any
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.util import logging
 from sphinx.util.math import get_node_equation_number
 
 ROOT = Path(__file__).parents[1]
+LOADED_FROM_OUTSIDE = re.compile(
+    r"""<(?:script|img|iframe|source|video)\b[^>]*\bsrc=["']?(?:https?:)?//"""
+    r"""|<link\b[^>]*\brel=["']?(?:stylesheet|preload)\b[^>]*\bhref=["']?(?:https?:)?//"""
+    r"""|@import\s+(?:url\()?["']?(?:https?:)?//|\burl\(["']?(?:https?:)?//"""
+)
+"""What a browser would load from the internet when it shows a page; links are no such thing."""
+
 sys.path.insert(0, str(ROOT))
 import suspnet  # noqa: E402
 
@@ -32,6 +40,7 @@ extensions = [
 root_doc = "index"
 exclude_patterns = ["_build", "_templates"]
 templates_path = ["_templates"]
+smartquotes = False
 default_role = "py:obj"
 nitpicky = True
 # docstrings write names of arguments and values in single backticks too
@@ -86,7 +95,17 @@ def link_downloads(app: Sphinx, page: str, source: list[str]) -> None:
     source[0] = re.sub(r"(?<!!)(\[[^\]]*\]\()\.\./", r"\1path:../", source[0])
 
 
+def check_offline(app: Sphinx, failure: Exception | None) -> None:
+    """Warn of every page and style sheet that would load something from the internet."""
+    for file in () if failure else sorted(app.outdir.rglob("*")):
+        if file.suffix in (".html", ".css"):
+            found = LOADED_FROM_OUTSIDE.search(file.read_text(encoding="utf-8"))
+            if found:
+                logging.getLogger(__name__).warning("%s needs the internet: %s", file, found[0])
+
+
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulas, and what is done to the text of a page."""
+    """Register the renderer of formulas, and what is done to pages before and after."""
     app.connect("source-read", link_downloads)
+    app.connect("build-finished", check_offline)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displayed_math, None))
