@@ -2,10 +2,10 @@
 What wear does to the Bode plot
 ===============================
 
-A suspension filters what the track does to the wheels. Two frequency responses describe it: G_p from
-the axle box to the bogie frame and G_s from the frame to the car body, both between accelerations.
-This example draws them for a healthy vehicle, and then what is left of them when a spring or a damper
-has lost 30 %.
+A suspension filters what the track does to the wheels. Two frequency responses describe it: G_p
+from the axle box to the bogie frame and G_s from the frame to the car body, both between
+accelerations. This example draws them for a healthy vehicle, and then what is left of them when a
+spring or a damper has lost 30 %.
 """
 
 import matplotlib.pyplot as plt
@@ -19,7 +19,7 @@ TICKS_HZ = [0.5, 1, 2, 5, 10, 20]
 vehicle = read_vehicles()["am96"]
 model = QuarterCar(vehicle)
 frequencies_hz = torch.arange(0.3, 20.0, 0.01, dtype=torch.float64)
-vehicle
+print(vehicle.source)
 
 # %%
 # The healthy vehicle
@@ -44,7 +44,8 @@ for axis in (upper, lower):
 
 # %%
 # G_p has two peaks. In the lower one, near 1.3 Hz, body and frame move together; in the upper one,
-# near 5 Hz, the frame bounces between its springs. G_s has one peak, that of the body on its springs.
+# near 5 Hz, the frame bounces between its springs. G_s has one peak, that of the body on its
+# springs.
 #
 # Wear
 # ----
@@ -71,10 +72,10 @@ axes[0].legend(ncols=2)
 axes[1].set_xlabel("frequency [Hz]")
 
 # %%
-# G_s does not feel the primary suspension at all: the frame's motion is its input. G_p feels all four,
-# but c_p by a few tenths of a decibel only: on this vehicle the secondary damper is six times as
-# strong, and c_p is what every method estimates worst. The same in numbers, of the peak of G_s and the
-# larger one of G_p:
+# G_s does not feel the primary suspension at all: the frame's motion is its input. G_p feels all
+# four, but c_p by a few tenths of a decibel only: on this vehicle the secondary damper is six
+# times as strong, and c_p is what every method estimates worst. The same in numbers, of the peak
+# of G_s and the larger one of G_p:
 
 print("30 % less of   G_p: peak at Hz   height     G_s: peak at Hz   height")
 for name in ("nothing", *PARAMETERS[:4]):
@@ -88,9 +89,9 @@ for name in ("nothing", *PARAMETERS[:4]):
 # %%
 # What this does not show
 # -----------------------
-# A heavier body moves the peaks too, so a shifted peak alone says nothing about wear: G_s depends on
-# k_s and c_s only through their quotient with the car-body mass. Both curves together tell them apart,
-# because the bogie mass is known. A real vehicle also pitches, rolls and bends, which
+# A heavier body moves the peaks too, so a shifted peak alone says nothing about wear: G_s depends
+# on k_s and c_s only through their quotient with the car-body mass. Both curves together tell them
+# apart, because the bogie mass is known. A real vehicle also pitches, rolls and bends, which
 # ``VerticalVehicle`` has and this model does not. And the curves here have no noise.
 
 ratios = torch.ones(2, len(PARAMETERS), dtype=torch.float64)

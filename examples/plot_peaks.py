@@ -2,9 +2,9 @@
 Peaks of noisy curves and what their fits are worth
 ===================================================
 
-The paper reduces a frequency response to the position, height and width of its resonance peaks. Here
-a Lorentzian curve is fitted to the top of each peak of noisy responses, and the scatter of these
-features is compared with what a little wear does to them.
+The paper reduces a frequency response to the position, height and width of its resonance peaks.
+Here a Lorentzian curve is fitted to the top of each peak of noisy responses, and the scatter of
+these features is compared with what a little wear does to them.
 """
 
 import matplotlib.pyplot as plt
@@ -59,13 +59,14 @@ for axis, row, title in zip(axes, (0, 1), ("$|G_p|$", "$|G_s|$"), strict=True):
     axis.legend()
 
 # %%
-# The fits follow the tops, not the skirts: a peak of G_p is no single resonance, and its Lorentzian is
-# a summary, not a model. That does no harm, as the features of training curves are made alike.
+# The fits follow the tops, not the skirts: a peak of G_p is no single resonance, and its
+# Lorentzian is a summary, not a model. That does no harm, as the features of training curves are
+# made alike.
 #
 # How much wear can be seen
 # -------------------------
-# 300 noisy curves of the healthy vehicle, and 300 of one with a single parameter 5 % lower. A feature
-# helps if the two clouds part.
+# 300 noisy curves of the healthy vehicle, and 300 of one with a single parameter 5 % lower. A
+# feature helps if the two clouds part.
 
 n_curves = 300
 clouds = {}
@@ -103,7 +104,7 @@ for name in ("k_p", "c_p", "k_s", "c_s"):
 #
 # What this does not show
 # -----------------------
-# One parameter changes here and all others are known. With an unknown body mass several features move
-# together, and it takes a regression on all nine to part the causes: see
-# :ref:`the table of the paper <sphx_glr_gallery_plot_table6.py>`. Noise that is not white, and
-# responses estimated from a trip, scatter differently.
+# One parameter changes here and all others are known. With an unknown body mass several features
+# move together, and it takes a regression on all nine to part the causes: see :ref:`the table of
+# the paper <sphx_glr_gallery_plot_table6.py>`. Noise that is not white, and responses estimated
+# from a trip, scatter differently.
