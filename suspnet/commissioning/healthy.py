@@ -8,8 +8,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.estimates import EstimateSettings
 from suspnet.data.parallel import quiet
+from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
 from suspnet.recordings.manifest import Place, TripError, TripManifest

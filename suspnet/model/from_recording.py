@@ -12,7 +12,8 @@ from scipy.signal import get_window
 from torch import Tensor
 
 from suspnet.checks import check_flag, check_number
-from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import Speeds
 from suspnet.dynamics import ResponseGenerator
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
