@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -56,9 +57,23 @@ def _is_of(result: TripResult, model: TrainedModel) -> bool:
     return bool(same) and (since[0] == since[1] or bool(np.isnan(since).all()))
 
 
-def since_last(events: Sequence[Event], results: Sequence[TripResult]) -> list[TripResult]:
-    """Return the trips since the last maintenance; all, if there was none."""
-    if not events:
-        return list(results)
-    last_km = max(event.mileage_km for event in events)
-    return [r for r in results if not r.mileage_km < last_km]
+def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
+    """Return the trips before, between and since maintenance; one without a mileage is since.
+
+    Parameters
+    ----------
+    events, results : sequence
+        In any order.
+
+    Returns
+    -------
+    list of n_events + 1 lists
+        In the order of the mileage; some may be empty.
+    """
+    ends = sorted(event.mileage_km for event in events)
+    found: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
+    for result in results:
+        unknown = np.isnan(result.mileage_km)
+        place = len(ends) if unknown else bisect_right(ends, result.mileage_km)
+        found[place].append(result)
+    return found

@@ -3,13 +3,14 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from test_fleet import SETTINGS, no_figures  # noqa: F401
 from trip_fixtures import changed
 from trip_records import fleet
 
 from suspnet.history import Event, History
-from suspnet.trips.earlier import since_last
+from suspnet.trips.earlier import between
 from suspnet.trips.fleet import evaluate_fleet
 
 
@@ -69,8 +70,15 @@ def test_a_folder_is_read_with_the_trips_of_earlier_ones(
     assert metrics["maintenance"][0]["words"] == "new springs"
 
 
-def test_trips_since_the_last_maintenance():
+def test_trips_between_maintenance():
     results = fleet(10, missing=(), with_curves=False)
-    assert since_last([], results) == results
-    events = [Event(50_000.0), Event(20_000.0)]
-    assert [r.mileage_km for r in since_last(events, results)] == [1e4 * i for i in range(5, 11)]
+    assert between([], results) == [results]
+    lost = replace(results[0], mileage_km=np.nan)
+    events = [Event(50_000.0), Event(20_000.0), Event(1e6)]
+    found = between(events, [lost, *results[::-1]])
+    assert [[r.mileage_km for r in part] for part in found[:3]] == [
+        [1e4],
+        [4e4, 3e4, 2e4],
+        [1e4 * i for i in range(10, 4, -1)],
+    ]
+    assert found[3] == [lost]
