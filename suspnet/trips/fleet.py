@@ -32,7 +32,7 @@ from suspnet.trips.commissionings import (
     with_truth_of_each,
 )
 from suspnet.trips.finished import FinishedTrips
-from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.trips.limits import DEFAULT_LIMITS, Limits, Severity, read_limits
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
 from suspnet.trips.places import Group, find_groups
@@ -51,6 +51,7 @@ else:
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
+UNKNOWN_HEALTHY = "healthy is not known yet"
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def evaluate_fleet(
     ModelFileError
         If a model cannot read trips.
     ValueError
-        If too few trips can serve as reference, or no suspension could be read.
+        If no suspension could be read.
     """
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
@@ -246,6 +247,10 @@ def _evaluate_group(
     results = with_truth_of_each(results, states)
     write_tables(results, outputs, output)
     found = _assessments(of_last_era(results, states), outputs, fitting, settings.limits)
+    missing = _missing_reference(settings, results)
+    if missing:
+        log.warning("%s: %s", group.folder, missing)
+        found = [_without_reference(one) for one in found]
     details = _details(group.folder, fitting, settings, results)
     partial = partial_words(group.folder)
     if partial:
@@ -344,10 +349,14 @@ def _details(
     trained = trip_settings(first)
     reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
     if settings.reference == "first_trips":
-        reference = f"the median of the first {settings.n_reference} trips (k and c)"
-        flagged = sum(bool(r.flags) for r in first_trips(results, settings.n_reference))
+        first_ones = first_trips(results, settings.n_reference)
+        reference = f"the median of the first {len(first_ones)} trips (k and c)"
+        flagged = sum(bool(r.flags) for r in first_ones)
         if flagged:
             reference += f", {flagged} of them flagged"
+        missing = _missing_reference(settings, results)
+        if missing:
+            reference = f"{reference}; {missing}" if first_ones else missing
     return {
         "trips": printable(str(folder)),
         "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
@@ -362,6 +371,26 @@ def _details(
         "intervals": _interval_words(first, settings.trips.level),
         "limits": "; ".join(f"{name}: {one}" for name, one in settings.limits.items()) or "none",
     }
+
+
+def _missing_reference(settings: FleetSettings, results: list[TripResult]) -> str:
+    """Return in words what the first trips lack to say what is healthy; empty if nothing."""
+    n_found = len(first_trips(results, settings.n_reference))
+    if settings.reference != "first_trips" or n_found == settings.n_reference:
+        return ""
+    return (
+        f"{UNKNOWN_HEALTHY}: {n_found} trips have an estimate, the first "
+        f"{settings.n_reference} are to say it (lower monitor.n_reference, or take "
+        "monitor.reference=vehicle)"
+    )
+
+
+def _without_reference(one: Assessment) -> Assessment:
+    """Return an assessment where healthy is not known: the parameter cannot be judged, at least."""
+    if not one.limited:
+        return one
+    severity = max(one.severity, Severity.UNKNOWN)
+    return replace(one, severity=severity, words=f"{UNKNOWN_HEALTHY}; {one.words}")
 
 
 def healthy_words(model: TrainedModel) -> str:

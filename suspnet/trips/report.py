@@ -333,7 +333,7 @@ def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
         half = 100 * known[-1].healthy_half_widths.get(name, 0.0)
         found[name] = _with_unit(f"{value / KILO:.4g}", name)
         if half > 0:
-            found[name] += f" ± {half:.2g}\N{NO-BREAK SPACE}%"
+            found[name] += f" ±\N{NO-BREAK SPACE}{half:.2g}\N{NO-BREAK SPACE}%"
     return found
 
 

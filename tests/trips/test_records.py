@@ -85,10 +85,11 @@ def test_order_of_the_trips_does_not_matter():
 
 
 @pytest.mark.parametrize("n_first", [7, 30])
-def test_too_few_trips_for_a_reference(n_first):
-    message = f"the healthy reference asks for {n_first} first trips, 6 have an estimate"
-    with pytest.raises(ValueError, match=message):
-        relative_to_first(made_up(), n_first)
+def test_too_few_trips_are_the_reference_as_far_as_they_go(n_first):
+    results = made_up()
+    assert relative_to_first(results, n_first) == relative_to_first(results, 6)
+    failed = [replace(r, status="error", estimates={}, raw={}) for r in results]
+    assert relative_to_first(failed, n_first) == failed
 
 
 def test_truth_is_relative_to_the_first_trips_too():

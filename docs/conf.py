@@ -1,0 +1,111 @@
+"""Settings of Sphinx for the documentation; CONTRIBUTING.md says how to build it."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.application import Sphinx
+from sphinx.util import logging
+from sphinx.util.math import get_node_equation_number
+
+ROOT = Path(__file__).parents[1]
+LOADED_FROM_OUTSIDE = re.compile(
+    r"""<(?:script|img|iframe|source|video)\b[^>]*\bsrc=["']?(?:https?:)?//"""
+    r"""|<link\b[^>]*\brel=["']?(?:stylesheet|preload)\b[^>]*\bhref=["']?(?:https?:)?//"""
+    r"""|@import\s+(?:url\()?["']?(?:https?:)?//|\burl\(["']?(?:https?:)?//"""
+)
+"""What a browser would load from the internet when it shows a page; links are no such thing."""
+
+sys.path.insert(0, str(ROOT))
+import suspnet  # noqa: E402
+
+project = "suspnet"
+author = "the suspnet developers"
+copyright = f"2026, {author}"
+release = version = suspnet.__version__
+
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+]
+root_doc = "index"
+exclude_patterns = ["_build", "_templates"]
+templates_path = ["_templates"]
+smartquotes = False
+default_role = "py:obj"
+nitpicky = True
+# docstrings write names of arguments and values in single backticks too
+nitpick_ignore_regex = [("py:obj", r"[a-z]\w*|X"), ("py:.*", r"sklearn\..*")]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4
+highlight_language = "none"
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+
+autodoc_typehints = "none"
+autosummary_generate = True
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"suspnet {release}"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+html_math_renderer = "mathml"
+html_show_sphinx = False
+html_copy_source = False
+html_sidebars = {"**": ["all-pages"]}
+html_theme_options = {
+    "navbar_center": [],
+    "navbar_end": ["theme-switcher"],
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "show_toc_level": 2,
+}
+
+
+def visit_math(self: Any, node: nodes.math) -> None:
+    """Write a formula in a line as MathML, which a browser draws without a script or a font."""
+    self.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def visit_displayed_math(self: Any, node: nodes.math_block) -> None:
+    """Write a displayed formula as MathML, with its number if it has one."""
+    self.body.append(self.starttag(node, "div", CLASS="math"))
+    self.body.append(tex2mathml(node.astext(), as_block=True))
+    if node["number"]:
+        self.body.append(f'<span class="eqno">({get_node_equation_number(self, node)})</span>')
+    self.body.append("</div>\n")
+    raise nodes.SkipNode
+
+
+def link_downloads(app: Sphinx, page: str, source: list[str]) -> None:
+    """Make links to files outside this folder downloads; Sphinx takes those to .md for pages."""
+    source[0] = re.sub(r"(?<!!)(\[[^\]]*\]\()\.\./", r"\1path:../", source[0])
+
+
+def check_offline(app: Sphinx, failure: Exception | None) -> None:
+    """Warn of every page and style sheet that would load something from the internet."""
+    for file in () if failure else sorted(app.outdir.rglob("*")):
+        if file.suffix in (".html", ".css"):
+            found = LOADED_FROM_OUTSIDE.search(file.read_text(encoding="utf-8"))
+            if found:
+                logging.getLogger(__name__).warning("%s needs the internet: %s", file, found[0])
+
+
+def setup(app: Sphinx) -> None:
+    """Register the renderer of formulas, and what is done to pages before and after."""
+    app.connect("source-read", link_downloads)
+    app.connect("build-finished", check_offline)
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_displayed_math, None))
