@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 import sys
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
-from docutils import nodes
-from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.util import logging
-from sphinx.util.math import get_node_equation_number
 
 ROOT = Path(__file__).parents[1]
+MATHJAX = Path(str(files("sphinx-mathjax-offline"))) / "static" / "mathjax" / "tex-svg.js"
+LOGGER = logging.getLogger(__name__)
 LOADED_FROM_OUTSIDE = re.compile(
     r"""<(?:script|img|iframe|source|video)\b[^>]*\bsrc=["']?(?:https?:)?//"""
     r"""|<link\b[^>]*\brel=["']?(?:stylesheet|preload)\b[^>]*\bhref=["']?(?:https?:)?//"""
@@ -34,6 +33,7 @@ extensions = [
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
 ]
@@ -58,9 +58,11 @@ numpydoc_xref_param_type = False
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"suspnet {release}"
-html_static_path = ["_static"]
+# MathJax with its fonts in one file, whose menu would offer to load more from the internet
+html_static_path = ["_static", str(MATHJAX)]
+mathjax_path = MATHJAX.name
+mathjax3_config = {"options": {"enableMenu": False}, "svg": {"scale": 0.9}}
 html_css_files = ["style.css"]
-html_math_renderer = "mathml"
 html_show_sphinx = False
 html_copy_source = False
 html_sidebars = {"**": ["all-pages"]}
@@ -74,25 +76,9 @@ html_theme_options = {
 }
 
 
-def visit_math(self: Any, node: nodes.math) -> None:
-    """Write a formula in a line as MathML, which a browser draws without a script or a font."""
-    self.body.append(tex2mathml(node.astext()))
-    raise nodes.SkipNode
-
-
-def visit_displayed_math(self: Any, node: nodes.math_block) -> None:
-    """Write a displayed formula as MathML, with its number if it has one."""
-    self.body.append(self.starttag(node, "div", CLASS="math"))
-    self.body.append(tex2mathml(node.astext(), as_block=True))
-    if node["number"]:
-        self.body.append(f'<span class="eqno">({get_node_equation_number(self, node)})</span>')
-    self.body.append("</div>\n")
-    raise nodes.SkipNode
-
-
 def link_downloads(app: Sphinx, page: str, source: list[str]) -> None:
     """Make links to files outside this folder downloads; Sphinx takes those to .md for pages."""
-    source[0] = re.sub(r"(?<!!)(\[[^\]]*\]\()\.\./", r"\1path:../", source[0])
+    source[0] = re.sub(r"(?<!!)(\[[^\]]*\])\((\.\./[^)#]+)[^)]*\)", r"\1(path:\2)", source[0])
 
 
 def check_offline(app: Sphinx, failure: Exception | None) -> None:
@@ -101,11 +87,10 @@ def check_offline(app: Sphinx, failure: Exception | None) -> None:
         if file.suffix in (".html", ".css"):
             found = LOADED_FROM_OUTSIDE.search(file.read_text(encoding="utf-8"))
             if found:
-                logging.getLogger(__name__).warning("%s needs the internet: %s", file, found[0])
+                LOGGER.warning("%s needs the internet: %s", file, found[0])
 
 
 def setup(app: Sphinx) -> None:
-    """Register the renderer of formulas, and what is done to pages before and after."""
+    """Register what is done to pages before and after."""
     app.connect("source-read", link_downloads)
     app.connect("build-finished", check_offline)
-    app.add_html_math_renderer("mathml", (visit_math, None), (visit_displayed_math, None))

@@ -54,6 +54,11 @@ NO_REASON = (
     "`costs` must be",
     "`cluster` needs dask",  # a mistake in the command
     "trip %s failed",  # of the log
+    "module ",  # of a wrong import
+    "import sys; ",  # a program that a reader runs
+    "exit code ",  # how a reader crashed, in other words
+    ", or there was too little memory",
+    "its reader has ended",  # not printed: a file is opened again
     "%s holds manifests of its own",
 )
 """Beginnings of sentences that are none."""
