@@ -11,6 +11,7 @@ from suspnet.features import PeakReason
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest import Channel, CsvDialect, Source, SpeedSource, TripManifest
+from suspnet.trips.records import TripResult
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
@@ -170,6 +171,16 @@ def test_every_key_of_a_manifest_has_a_row():
     for kind in (Source, SpeedSource, Channel, CsvDialect):
         keys |= {one.name for one in fields(kind)}
     assert {key for key in keys if f"\n| `{key}` |" not in PAGE} == set()
+
+
+def test_every_column_of_the_tables_of_trips_is_named():
+    columns = TripResult("trip", "trip.yaml").row(("k_p",))
+    page = (ROOT / "docs" / "trips.md").read_text(encoding="utf-8")
+    page = page.replace(
+        "with `_low`, `_high` and `_healthy`",
+        "`k_p_n_per_m_low` `k_p_n_per_m_high` `k_p_n_per_m_healthy`",
+    )
+    assert [name for name in columns if f"`{name}`" not in page] == []
 
 
 def test_every_suffix_has_a_row():
