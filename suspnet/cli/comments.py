@@ -37,11 +37,14 @@ class Comments:
         From keys to the sentence on them, and to the comment on their value.
     objects : mapping
         From keys to the `_target_` right below them.
+    names : list of str
+        The outermost keys.
     """
 
     above: dict[Keys, str]
     behind: dict[Keys, str]
     objects: dict[Keys, str]
+    names: list[str]
 
 
 @functools.cache
@@ -59,7 +62,7 @@ def read_comments(file: Path) -> Comments:
     """
     text = file.read_text(encoding="utf-8", errors="replace")
     lines = text.splitlines()
-    found = Comments({}, {}, {})
+    found = Comments({}, {}, {}, [])
     for keys, value, mark in _keys(yaml.compose(text, Loader=LOADER)):
         if above := _above(lines, mark.line, mark.column):
             found.above[keys] = above
@@ -67,6 +70,8 @@ def read_comments(file: Path) -> Comments:
             found.behind[keys] = behind[1]
         if keys[-1] == "_target_":
             found.objects[keys[:-1]] = str(value.value)
+        if len(keys) == 1:
+            found.names.append(keys[0])
     return found
 
 
@@ -90,7 +95,10 @@ def _above(lines: Sequence[str], line: int, column: int) -> str:
 
 
 def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]:
-    """Yield each key of a document, after those that lead to it, its value and its place."""
+    """Yield each key of a document, after those that lead to it, its value and its place.
+
+    In the order of the document: what an alias stands for comes before it.
+    """
     stack: list[tuple[Keys, Any]] = [((), root)]
     seen: set[int] = set()
     while stack:  # each node is taken off once
@@ -98,11 +106,13 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
         if id(node) in seen:
             continue
         seen.add(id(node))
+        below: list[tuple[Keys, Any]] = []
         if isinstance(node, yaml.SequenceNode):
-            stack += [(keys, item) for item in node.value]
+            below = [(keys, item) for item in node.value]
         elif isinstance(node, yaml.MappingNode):
             for key, value in node.value:
                 if key.tag != MERGE and isinstance(key, yaml.ScalarNode):
                     name = (*keys, str(key.value))
                     yield name, value, key.start_mark
-                    stack.append((name, value))
+                    below.append((name, value))
+        stack += reversed(below)

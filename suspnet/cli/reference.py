@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from omegaconf.errors import OmegaConfBaseException
 from suspnet.cli.comments import Comments, Keys, phrase, read_comments
 from suspnet.cli.configs import CONFIGS, TABLES
 
-COLUMNS, FIRST_COLUMNS = 100, 36
-"""Width of the help, and of its column of keys and options."""
+COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
+"""Width of the help, and of its first column where it tells options and keys."""
 LONGEST_MAPPING = 60
 """Number of characters of a mapping beyond which its values are left out, and then its keys."""
 MOST_OPTIONS = 12
@@ -79,94 +79,88 @@ def register() -> None:
     OmegaConf.register_new_resolver("described", _described, replace=True)
 
 
-def keys(config: DictConfig) -> list[Key]:
-    """Return the keys of a configuration that was composed with Hydra's own block.
+class Reference:
+    """What can be told to a configuration that was composed with Hydra's own block.
 
-    A mapping is one key if it has a sentence and none of its keys has one.
+    It looks for sentences in the files that were composed, the last one first, and then in those
+    that describe the class of the object that a key belongs to.
+
+    Parameters
+    ----------
+    config : DictConfig
+        To be used before Hydra composes another one.
     """
-    plain = OmegaConf.to_container(config, resolve=False)
-    assert isinstance(plain, dict)
-    plain.pop("hydra", None)
-    told = _Told(config, plain)
-    return [key for name, value in plain.items() for key in told.rows((str(name),), value)]
 
+    def __init__(self, config: DictConfig) -> None:
+        self.config = config
+        plain = OmegaConf.to_container(config, resolve=False)
+        assert isinstance(plain, dict)
+        self._plain = {str(name): value for name, value in plain.items() if name != "hydra"}
+        sources = config.hydra.runtime.config_sources
+        self._folders = [Path(source.path) for source in sources if source.schema == "file"]
+        self._files = self._composed_files()
 
-def groups(config: DictConfig) -> list[Group]:
-    """Return the groups that a configuration was composed from, and their options."""
-    choices = config.hydra.runtime.choices
-    files = [comments for _, comments in _files(config)]
-    return [
-        Group(name, _purpose(files, name), options(config, name), choices[name])
-        for name in reversed(list(choices))
-        if not name.startswith("hydra/")
-    ]
+    def keys(self) -> list[Key]:
+        """Return the keys; a mapping is one key if it has a sentence and none below it has one."""
+        return [key for name, value in self._plain.items() for key in self._keys((name,), value)]
 
+    def groups(self) -> list[Group]:
+        """Return the groups that the configuration was composed from, and their options."""
+        choices = self.config.hydra.runtime.choices
+        return [
+            Group(name, self._purpose(name), self._options(name), choices[name])
+            for name in reversed(list(choices))
+            if not name.startswith("hydra/")
+        ]
 
-def options(config: DictConfig, group: str) -> dict[str, str]:
-    """Return the options of a group with a phrase on each."""
-    files = {f.stem: f for folder in _folders(config) for f in (folder / group).glob("*.yaml")}
-    found = {name: phrase(file) for name, file in files.items()}
-    if group in TABLES:
-        table = Path(CONFIGS) / TABLES[group][0]
-        content = OmegaConf.to_container(OmegaConf.load(table), resolve=False)
-        assert isinstance(content, dict)
-        said = read_comments(table).behind
-        found |= {
-            str(name): said.get((str(name),)) or ", ".join(_changes(entry))
-            for name, entry in content.items()
-        }
-    return dict(sorted(found.items()))
-
-
-def help_text(config: DictConfig) -> str:
-    """Return groups and keys of a configuration as the lines of a program's `--help`."""
-    lines = ["Groups, chosen as GROUP=OPTION; * is chosen here:", ""]
-    for group in groups(config):
-        lines.append(f"{group.name}: {group.phrase}")
-        if len(group.options) > MOST_OPTIONS and group.chosen is None:
-            lines += _wrapped(", ".join(group.options), 4)
-        else:
-            for name, words in group.options.items():
-                lines += _two_columns(f"  {'*' if name == group.chosen else ' '} {name}", words, 22)
-        lines.append("")
-    lines += ["Keys, set as KEY=VALUE, with their values here, their units and ranges:"]
-    section = None
-    for key in keys(config):
-        first = key.name.partition(".")[0] if "." in key.name else ""
-        if first != section:
+    def help(self) -> str:
+        """Return groups and keys as the lines of a program's `--help`."""
+        lines = ["Groups, chosen as GROUP=OPTION; * is chosen here:", ""]
+        for group in self.groups():
+            lines.append(f"{group.name}: {group.phrase}")
+            if len(group.options) > MOST_OPTIONS and group.chosen is None:
+                lines += _wrapped(", ".join(group.options), 4)
+            else:
+                for name, words in group.options.items():
+                    mark = "*" if name == group.chosen else " "
+                    lines += _two_columns(f"  {mark} {name}", words, OPTION_COLUMNS)
             lines.append("")
-        section = first
-        lines += _two_columns(f"  {key.name}={key.value}", key.sentence, FIRST_COLUMNS)
-    return "\n".join(lines) + "\n"
+        lines += ["Keys, set as KEY=VALUE, with their values here, their units and ranges:"]
+        section = None
+        for key in self.keys():
+            before, section = section, key.name.partition(".")[0] if "." in key.name else ""
+            lines += [""] * (section != before)
+            lines += _two_columns(f"  {key.name}={key.value}", key.sentence, KEY_COLUMNS)
+        return "\n".join(lines) + "\n"
 
+    def _composed_files(self) -> list[tuple[Keys, Comments]]:
+        """Return package and comments of each file that was composed, the last one first."""
+        hydra = self.config.hydra
+        composed = (
+            GlobalHydra.instance()
+            .config_loader()
+            .compute_defaults_list(hydra.job.config_name, list(hydra.overrides.task), RunMode.RUN)
+        )
+        found = []
+        for one in reversed(composed.defaults):
+            package = tuple(one.package.split(".")) if one.package else ()
+            files = [folder / f"{one.config_path}.yaml" for folder in self._folders]
+            file = next((file for file in files if file.is_file()), None)
+            if file is not None and package[:1] != ("hydra",):
+                found.append((package, read_comments(file)))
+        return found
 
-def text(value: Any) -> str:
-    """Return a value as it is written in YAML, on one line; of a long mapping only its keys."""
-    flow = yaml.safe_dump(value, default_flow_style=True, width=10**6, sort_keys=False)
-    words = [str(flow).removesuffix("...\n").strip()]
-    if isinstance(value, dict):
-        words += ["{" + ", ".join(f"{key}: ..." for key in value) + "}", "{...}"]
-    return next((one for one in words if len(one) <= LONGEST_MAPPING), words[-1])
-
-
-class _Told:
-    """Finds the sentences on keys: in the files that were composed, else with their class."""
-
-    def __init__(self, config: DictConfig, plain: dict[Any, Any]) -> None:
-        self.config, self.plain = config, plain
-        self.files = _files(config)
-
-    def rows(self, path: Keys, value: Any) -> list[Key]:
+    def _keys(self, path: Keys, value: Any) -> list[Key]:
         """Return the keys at or below a value."""
         own = self._sentence(path)
         if isinstance(value, dict) and value:
             below = [
-                row
+                key
                 for name, one in value.items()
                 if not str(name).startswith("_")
-                for row in self.rows((*path, str(name)), one)
+                for key in self._keys((*path, str(name)), one)
             ]
-            if not own or any(row.sentence for row in below):
+            if not own or any(key.sentence for key in below):
                 return below
             value = value.get("_target_", value)
         return [Key(".".join(path), self._text(path, value), own)]
@@ -184,7 +178,7 @@ class _Told:
 
     def _sentence(self, path: Keys) -> str:
         """Return the sentence on a key; "" if there is none."""
-        for package, comments in self.files:
+        for package, comments in self._files:
             n = len(package)
             if path[:n] == package and path[n:] in comments.above:
                 return comments.above[path[n:]]
@@ -196,10 +190,43 @@ class _Told:
 
     def _target(self, path: Keys) -> str | None:
         """Return the `_target_` of the mapping at a path, if it has one."""
-        node: Any = self.plain
+        node: Any = self._plain
         for name in path:
             node = node.get(name) if isinstance(node, dict) else None
         return node.get("_target_") if isinstance(node, dict) else None
+
+    def _purpose(self, group: str) -> str:
+        """Return what a group is for: the comment behind it in a list of defaults."""
+        names = [before + group for before in ("", "/", "override /", "override ")]
+        said = (file.behind.get(("defaults", name)) for _, file in self._files for name in names)
+        return next(filter(None, said), "")
+
+    def _options(self, group: str) -> dict[str, str]:
+        """Return the options of a group with a phrase on each."""
+        files = {f.stem: f for folder in self._folders for f in (folder / group).glob("*.yaml")}
+        found = {name: phrase(file) for name, file in sorted(files.items())}
+        if group in TABLES:
+            table = read_comments(Path(CONFIGS) / TABLES[group][0])
+            found |= {name: table.behind.get((name,), "") for name in table.names}
+        return found
+
+
+def text(value: Any) -> str:
+    """Return a value as it is written in YAML, on one line; of a long mapping only its keys."""
+    flow = yaml.safe_dump(value, default_flow_style=True, width=10**6, sort_keys=False)
+    words = [str(flow).removesuffix("...\n").strip()]
+    if isinstance(value, dict):
+        words += ["{" + ", ".join(f"{key}: ..." for key in value) + "}", "{...}"]
+    return next((one for one in words if len(one) <= LONGEST_MAPPING), words[-1])
+
+
+def changes(entry: Any, path: Keys = ()) -> Iterator[str]:
+    """Yield the values of a mapping as KEY=VALUE."""
+    if not isinstance(entry, dict):
+        yield f"{'.'.join(path)}={text(entry)}"
+        return
+    for name, one in entry.items():
+        yield from changes(one, (*path, str(name)))
 
 
 @functools.cache
@@ -214,45 +241,6 @@ def _of_classes() -> dict[tuple[str, Keys], str]:
                 if path[:n] == place:
                     found.setdefault((target, path[n:]), sentence)
     return found
-
-
-def _folders(config: DictConfig) -> list[Path]:
-    """Return the folders that a configuration was composed from: ours, then the user's."""
-    sources = config.hydra.runtime.config_sources
-    return [Path(source.path) for source in sources if source.schema == "file"]
-
-
-def _files(config: DictConfig) -> list[tuple[Keys, Comments]]:
-    """Return package and comments of each file of a composed configuration, the last one first."""
-    hydra = config.hydra
-    loader = GlobalHydra.instance().config_loader()
-    overrides = list(hydra.overrides.task)
-    composed = loader.compute_defaults_list(hydra.job.config_name, overrides, RunMode.RUN).defaults
-    found = []
-    for one in reversed(composed):
-        package = tuple(one.package.split(".")) if one.package else ()
-        for folder in _folders(config):
-            file = folder / f"{one.config_path}.yaml"
-            if package[:1] != ("hydra",) and file.is_file():
-                found.append((package, read_comments(file)))
-                break
-    return found
-
-
-def _purpose(files: Sequence[Comments], group: str) -> str:
-    """Return what a group is for: the comment behind it in a list of defaults."""
-    names = (group, f"/{group}", f"override /{group}", f"override {group}")
-    said = (c.behind.get(("defaults", name)) for c in files for name in names)
-    return next(filter(None, said), "")
-
-
-def _changes(entry: Any, path: Keys = ()) -> Iterator[str]:
-    """Yield the values of a mapping as KEY=VALUE."""
-    if not isinstance(entry, dict):
-        yield f"{'.'.join(path)}={text(entry)}"
-        return
-    for name, one in entry.items():
-        yield from _changes(one, (*path, str(name)))
 
 
 def _two_columns(left: str, right: str, width: int) -> list[str]:
@@ -278,4 +266,4 @@ def _wrapped(words: str, indent: int) -> list[str]:
 
 def _described(_root_: DictConfig) -> str:
     """Return the help for a template of Hydra, in which a dollar stands for something else."""
-    return help_text(_root_).replace("$", "$$")
+    return Reference(_root_).help().replace("$", "$$")
