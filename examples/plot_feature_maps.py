@@ -76,6 +76,7 @@ for axis in (upper, lower):
     axis.set_xticks(SIZES, labels=["500", "1000", "2000", "4000", "8000", "16000"])
     axis.minorticks_off()
 upper.legend(ncols=2)
+plt.show()
 
 # %%
 # What one sees, and what not

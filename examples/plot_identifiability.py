@@ -82,6 +82,7 @@ for axis, (title, (generator, counts)) in zip(axes, CHOICES.items(), strict=True
     axis.grid(alpha=0.3)
     axis.legend(ncols=2)
 axes[1].set_xlabel("signal to noise of each sensor [dB]")
+plt.show()
 
 # %%
 # Number and places

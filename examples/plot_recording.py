@@ -80,6 +80,7 @@ axes[3].set_xticks([0.5, 1, 2, 5, 10], labels=["0.5", "1", "2", "5", "10"])
 axes[3].minorticks_off()
 axes[3].grid(alpha=0.3)
 axes[3].legend()
+plt.show()
 
 # %%
 # A model for this vehicle
@@ -138,6 +139,7 @@ axis.set_xticks(places, labels=[f"${name}$" for name in estimate.names])
 axis.set(xlabel="parameter", ylabel="off the truth [%]", title="One trip, 90 % intervals")
 axis.grid(alpha=0.3, axis="y")
 axis.legend()
+plt.show()
 folder.cleanup()
 
 # %%

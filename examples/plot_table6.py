@@ -82,6 +82,7 @@ axis.set_xticks(places, labels=[f"${output}$" for output in OUTPUTS])
 axis.set_yticks([0.1, 1, 10], labels=["0.1", "1", "10"])
 axis.grid(alpha=0.3, axis="y")
 figure.legend(loc="outside lower center", ncols=2)
+plt.show()
 
 # %%
 # What one sees, and what not
