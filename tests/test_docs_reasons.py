@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from suspnet.features import PeakReason
+from suspnet.history.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest import Channel, CsvDialect, Source, SpeedSource, TripManifest
-from suspnet.trips.records import TripResult
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")

@@ -13,7 +13,7 @@ import math
 import torch
 from torch import Tensor
 
-from suspnet.data.estimates import Speeds
+from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
