@@ -155,6 +155,7 @@ folder.cleanup()
 # two, but then the secondary spring, which is healthy, seems to have lost as much.
 #
 # The vehicle differs from its drawing in numbers only. Of physics that the family of vehicles does
-# not have, healthy trips show a misfit above 1, which flags the model's estimates; ``train`` takes
-# ``residual=found.residual`` for that. And healthy is what the first trips showed: a part that was
-# worn before them is not found.
+# not have, healthy trips show a misfit well above 1, which flags the model's estimates; ``train``
+# takes ``residual=found.residual`` for that. And healthy is what the first trips showed: a part
+# that was worn before them is not found. More is on the page on :doc:`commissioning
+# </commissioning>`.

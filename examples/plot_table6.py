@@ -93,4 +93,5 @@ plt.show()
 # what is then possible. From the primary one, the largest peak hardly sees c_p.
 #
 # With 300 curves the order of MSVR, SVR and MV-GPR is a matter of tuning and of chance. And all of
-# this holds for curves of the model itself, one suspension worn and the other healthy.
+# this holds for curves of the model itself, one suspension worn and the other healthy: see
+# :doc:`accuracy </accuracy>`.
