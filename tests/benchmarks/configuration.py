@@ -34,7 +34,7 @@ def page() -> str:
 
     Raises
     ------
-    ValueError
+    LookupError
         If a key, a group or an option has no comment that says what it is.
     """
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
@@ -148,9 +148,9 @@ def told(key: Key) -> tuple[str, str]:
 
 
 def said(words: str, name: str) -> str:
-    """Return words; raise ValueError if there are none."""
+    """Return words; raise LookupError if there are none."""
     if not words:
-        raise ValueError(f"no comment in configs/ says what `{name}` is")
+        raise LookupError(f"no comment in configs/ says what `{name}` is")
     return words
 
 

@@ -14,7 +14,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli import evaluate, simulate, train
+from suspnet.cli import check, evaluate, init, simulate, train
 from suspnet.cli.comments import phrase, read_comments
 from suspnet.cli.configs import CONFIGS
 from suspnet.cli.program import n_threads
@@ -130,7 +130,7 @@ def test_key_without_comment_is_named():
     _, rows = composed("train", "+data.extra=1", "+more.x.y=2")
     missing = [key for key in rows if not key.sentence]
     assert [key.name for key in missing] == ["data.extra", "more.x.y"]
-    with pytest.raises(ValueError, match=r"no comment in configs/ says what `data\.extra` is"):
+    with pytest.raises(LookupError, match=r"no comment in configs/ says what `data\.extra` is"):
         configuration.key_table(missing)
 
 
@@ -266,3 +266,11 @@ def test_ranges_of_the_programs_are_those_of_their_checks(quarter_car):
     for wrong in (-0.1, 5.1):
         with pytest.raises(ValueError, match="`scatter` must be"):
             scattered(quarter_car, wrong, 0)
+
+
+@pytest.mark.parametrize("module", [check, init], ids=lambda one: one.__name__)
+def test_options_of_plain_programs_tell_unit_or_range(module):
+    for action in module.parser()._actions:
+        if action.dest != "help":
+            assert re.fullmatch(r".* \[[^\[\]]+\]", action.help), action
+    assert "[" in typed(module, "--help", cwd=".").stdout
