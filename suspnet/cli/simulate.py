@@ -6,6 +6,7 @@ import logging
 from pathlib import Path
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from suspnet.checks import check_number
@@ -36,10 +37,15 @@ def compose(config: DictConfig) -> None:
         raise ValueError(f"out={error}") from error
     folder = manifests[0].parent
     log.info(
-        "%d trips of scenario %s in %s\nread them with: python evaluate.py trips=%s run=RUN",
+        "%d trips of scenario %s in %s\nlearn the vehicle from the first of them: "
+        "python train.py experiment=trips vehicle=%s healthy=%s n_healthy=5 data.minutes=%g\n"
+        "then read all of them: python evaluate.py trips=%s run=RUN",
         len(manifests),
         config.scenario.name,
         folder,
+        HydraConfig.get().runtime.choices["vehicle"],
+        folder,
+        config.fleet.minutes,
         folder,
     )
 

@@ -46,8 +46,10 @@ CASES = {
     "all+friction": "all, friction in the rubber",
 }
 """Cases of the table of foreign vehicles, in words."""
-SHOWN = ("all", "all, left")
-"""Those that README shows."""
+SHOWN = {"all": "left and right", "all, left": "on one side"}
+"""Cases that README shows, by their sensors."""
+READINGS = {"nominal": "its drawing", "commissioned": "commissioned"}
+"""What trips are read with, in words."""
 
 
 def markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
@@ -121,10 +123,8 @@ def mismatch_short(rows: Sequence[Row]) -> str:
     for (case, _, reading), same in found.items():
         errors = [digits(row["rms_percent"]) if "rms_percent" in row else "-" for row in same[:4]]
         flagged = f"{same[0]['n_flagged']} of {same[0]['n_read']}"
-        lines.append([CASES.get(case, case), reading, *errors, flagged])
-    return markdown(
-        lines, ["the train has", "reading", *(r["output"] for r in same[:4]), "flagged"]
-    )
+        lines.append([SHOWN[case], READINGS[reading], *errors, flagged])
+    return markdown(lines, ["sensors", "read with", *(r["output"] for r in same[:4]), "flagged"])
 
 
 def mismatch(rows: Sequence[Row]) -> str:
