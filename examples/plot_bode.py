@@ -41,6 +41,7 @@ for axis in (upper, lower):
     axis.legend()
     axis.set_xticks(TICKS_HZ, labels=map(str, TICKS_HZ))
     axis.minorticks_off()
+plt.show()
 
 # %%
 # G_p has two peaks. In the lower one, near 1.3 Hz, body and frame move together; in the upper one,
@@ -70,6 +71,7 @@ for axis, row, title in zip(axes, (0, 1), ("$G_p$", "$G_s$"), strict=True):
     axis.minorticks_off()
 axes[0].legend(ncols=2)
 axes[1].set_xlabel("frequency [Hz]")
+plt.show()
 
 # %%
 # G_s does not feel the primary suspension at all: the frame's motion is its input. G_p feels all

@@ -99,6 +99,7 @@ axis.set_xticks([0.2, 0.5, 1, 2], labels=["0.2", "0.5", "1", "2"])
 axis.minorticks_off()
 axis.grid(alpha=0.3, axis="x")
 figure.legend(loc="outside upper center", ncols=3, fontsize="small")
+plt.show()
 
 # %%
 # The worn trip, read both ways
@@ -142,6 +143,7 @@ axis.set_xticks(np.arange(4), labels=[f"${name}$" for name in names])
 axis.set(xlabel="parameter", ylabel="relative to healthy", title="The worn trip, 90 % intervals")
 axis.grid(alpha=0.3, axis="y")
 axis.legend()
+plt.show()
 folder.cleanup()
 
 # %%
@@ -153,6 +155,7 @@ folder.cleanup()
 # two, but then the secondary spring, which is healthy, seems to have lost as much.
 #
 # The vehicle differs from its drawing in numbers only. Of physics that the family of vehicles does
-# not have, healthy trips show a misfit above 1, which flags the model's estimates; ``train`` takes
-# ``residual=found.residual`` for that. And healthy is what the first trips showed: a part that was
-# worn before them is not found.
+# not have, healthy trips show a misfit well above 1, which flags the model's estimates; ``train``
+# takes ``residual=found.residual`` for that. And healthy is what the first trips showed: a part
+# that was worn before them is not found. More is on the page on :doc:`commissioning
+# </commissioning>`.

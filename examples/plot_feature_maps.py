@@ -76,14 +76,15 @@ for axis in (upper, lower):
     axis.set_xticks(SIZES, labels=["500", "1000", "2000", "4000", "8000", "16000"])
     axis.minorticks_off()
 upper.legend(ncols=2)
+plt.show()
 
 # %%
 # What one sees, and what not
 # ---------------------------
 # ``nystroem`` and ``equispaced`` are the kernel to within their tolerance: the three errors are
 # the same. The random features of ``rff`` and ``orf`` are not, and on this problem that happens to
-# help. ``equispaced`` costs what its grid costs, whatever the number of samples; the page on the
-# speed of MSVR follows it to 364,816 samples, where it is the fastest.
+# help. ``equispaced`` costs what its grid costs, whatever the number of samples; the :doc:`page on
+# speed </speed>` follows it to 364,816 samples, where it is the fastest.
 #
 # Which map is best depends on the number of inputs and on sigma, so that three inputs say nothing
 # about nine. ``equispaced`` takes no more than three, ``nystroem`` suits six, ``rff`` nine.

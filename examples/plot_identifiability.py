@@ -82,6 +82,7 @@ for axis, (title, (generator, counts)) in zip(axes, CHOICES.items(), strict=True
     axis.grid(alpha=0.3)
     axis.legend(ncols=2)
 axes[1].set_xlabel("signal to noise of each sensor [dB]")
+plt.show()
 
 # %%
 # Number and places
@@ -118,5 +119,5 @@ for title, generator in (("estimate, pairs", pairs), ("estimate, left ones", lef
 #
 # The bounds are far below the errors of any real reading: they take the physics as known but for
 # these few numbers. Bushings, rubber, bending and what no model holds cost much more than noise
-# does, so take bounds as a comparison of sensors, not as a promise. ``python evaluate.py
-# study=identifiability`` writes such a report for a range of vehicles.
+# does, so take bounds as a comparison of sensors, not as a promise: see :doc:`trust </trust>`.
+# ``python evaluate.py study=identifiability`` writes such a report for a range of vehicles.

@@ -135,6 +135,7 @@ for axis in (upper, lower):
     axis.set_xticks(SIZES, labels=map(str, SIZES))
     axis.minorticks_off()
 upper.set_yticks([3, 5, 10, 20, 50], labels=["3", "5", "10", "20", "50"])
+plt.show()
 
 # %%
 # What one sees, and what not

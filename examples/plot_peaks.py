@@ -57,6 +57,7 @@ for axis, row, title in zip(axes, (0, 1), ("$|G_p|$", "$|G_s|$"), strict=True):
     axis.set(xlim=(0.1, 10), xlabel="frequency [Hz]", ylabel=title)
     axis.grid(alpha=0.3)
     axis.legend()
+plt.show()
 
 # %%
 # The fits follow the tops, not the skirts: a peak of G_p is no single resonance, and its
@@ -88,6 +89,7 @@ for axis, (peak, suspension, names) in zip(axes, views, strict=True):
     axis.set_title(f"Wear of the {suspension} suspension")
     axis.grid(alpha=0.3)
     axis.legend()
+plt.show()
 
 # %%
 # In units of the scatter of one curve, the largest shift among the nine features:

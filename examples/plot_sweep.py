@@ -75,6 +75,7 @@ for axis, output in zip(axes, ("k_p", "c_p"), strict=True):
 axes[0].set(title="Primary suspension, 300 training curves")
 axes[0].legend()
 axes[1].set(xlabel="signal to noise of the curves [dB]")
+plt.show()
 
 # %%
 # Progress of a fit
@@ -91,6 +92,7 @@ for (snr_db, scalars), style in zip(fits, ("o-", "s--", "^-."), strict=True):
 axis.set(xlabel="evaluation", ylabel="width of the kernel, scaled inputs", title="Fits of MV-GPR")
 axis.grid(alpha=0.3)
 axis.legend()
+plt.show()
 
 # %%
 # What one sees, and what not

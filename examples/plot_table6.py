@@ -82,6 +82,7 @@ axis.set_xticks(places, labels=[f"${output}$" for output in OUTPUTS])
 axis.set_yticks([0.1, 1, 10], labels=["0.1", "1", "10"])
 axis.grid(alpha=0.3, axis="y")
 figure.legend(loc="outside lower center", ncols=2)
+plt.show()
 
 # %%
 # What one sees, and what not
@@ -92,4 +93,5 @@ figure.legend(loc="outside lower center", ncols=2)
 # what is then possible. From the primary one, the largest peak hardly sees c_p.
 #
 # With 300 curves the order of MSVR, SVR and MV-GPR is a matter of tuning and of chance. And all of
-# this holds for curves of the model itself, one suspension worn and the other healthy.
+# this holds for curves of the model itself, one suspension worn and the other healthy: see
+# :doc:`accuracy </accuracy>`.

@@ -20,6 +20,7 @@ TELLING = (
     "suspnet/commissioning/healthy.py",
     "suspnet/inspection/check.py",
     "suspnet/inspection/manifests.py",
+    "suspnet/model/delays.py",
     "suspnet/model/from_recording.py",
     "suspnet/model/from_spectra.py",
     "suspnet/model/sides.py",
@@ -37,6 +38,8 @@ RAISING = (
     "suspnet/inspection/summary.py",
 )
 """Modules of which only what is raised or listed here is one."""
+OF_FILES = ("suspnet/inspection/contents.py",)
+"""Modules whose errors are of data files without a trip, which suspnet-init tells."""
 ALSO = ("reads the same data as", "commissioning needs", "the trips differ in their sensors")
 """Beginnings of the sentences of ``RAISING`` that are reasons though nothing raises them."""
 NO_REASON = (
@@ -153,6 +156,15 @@ def test_every_reason_of_the_tables_is_one_of_the_code(reason):
     found = [parts for parts in SHORTER if pattern(parts).search(reason)]
     letters = sum(char.isalpha() for char in reason)
     assert max(map(n_letters, found), default=0) >= LEAST_SHARE * letters
+
+
+def test_every_module_that_refuses_or_flags_a_trip_is_looked_at():
+    for path in (ROOT / "suspnet").rglob("*.py"):
+        code = path.read_text(encoding="utf-8")
+        if re.search(
+            r"raise (?:TripError|NoEstimateError|MissingFeaturesError)\b|with_kind\(", code
+        ):
+            assert path.relative_to(ROOT).as_posix() in {*TELLING, *RAISING, *OF_FILES}, path
 
 
 def test_no_reason_stands_twice_and_there_are_many():

@@ -390,7 +390,9 @@ def test_configurations_as_shipped_use_our_resolvers_only():
 )
 def test_resolvers_are_found_as_omegaconf_finds_them(text, resolvers):
     assert trusted._resolvers(text) == resolvers
-    with pytest.raises(ValueError, match=r"uses the resolver 'oc\.decode'; only changed, described, hydra"):
+    with pytest.raises(
+        ValueError, match=r"uses the resolver 'oc\.decode'; only changed, described, hydra"
+    ):
         trusted._check_resolvers("key", "${oc.decode:1}")
 
 
