@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from suspnet._version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from suspnet.cli.configs import read_vehicles
     from suspnet.data import CurveSettings, EstimateSettings, Protocol, Task
     from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
     from suspnet.features import (
@@ -27,8 +28,10 @@ if TYPE_CHECKING:
     from suspnet.problem import Problem
     from suspnet.recordings import Recording, TripError, load_recording, read_manifest
     from suspnet.recordings.segments import NoEstimateError
+    from suspnet.runs.train import train
 
 _HOMES = {
+    "suspnet.cli.configs": ("read_vehicles",),
     "suspnet.data": ("CurveSettings", "EstimateSettings", "Protocol", "Task"),
     "suspnet.dynamics": ("PARAMETERS", "QuarterCar", "Vehicle", "VerticalVehicle"),
     "suspnet.features": (
@@ -45,6 +48,7 @@ _HOMES = {
     "suspnet.problem": ("Problem",),
     "suspnet.recordings": ("Recording", "TripError", "load_recording", "read_manifest"),
     "suspnet.recordings.segments": ("NoEstimateError",),
+    "suspnet.runs.train": ("train",),
 }
 """Every public name by the module that defines it."""
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -79,8 +83,10 @@ __all__ = [
     "load_model",
     "load_recording",
     "read_manifest",
+    "read_vehicles",
     "save_model",
     "tfestimate",
+    "train",
 ]
 
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspnet.trips.records import NO_ESTIMATE, Quality, TripCurves, TripResult
+from suspnet.history.records import NO_ESTIMATE, Quality, TripCurves, TripResult
+from suspnet.recordings.manifest import Place
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 SPREAD = {"k_p": 0.002, "c_p": 0.02, "k_s": 0.006, "c_s": 0.008, "M_s": 0.03}
@@ -59,7 +60,7 @@ def trip(i=0, change=None, missing=False, with_curves=True, **fields):
         "trip": f"trip_{i:03d}",
         "manifest": f"trip_{i:03d}.yaml",
         "vehicle": "AM96 217",
-        "suspension": "bogie 1, left",
+        "place": Place("bogie 1, left"),
         "mileage_km": 10_000.0 * (i + 1),
         "start": f"2024-01-{i % 28 + 1:02d}T08:15:00",
         "estimates": {} if missing else estimates,

@@ -52,28 +52,33 @@ def parser() -> ArgumentParser:
         type=Path,
         metavar="DIR",
         help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
-        "a manifest",
+        "a manifest [one or more paths]",
     )
     found.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="DIR",
-        help="folder of page, JSON and pictures; outputs/check/TIME if not given",
+        help="folder of page, JSON and pictures, made where there is none [path; "
+        "outputs/check/TIME if not given]",
     )
-    found.add_argument("--no-pictures", action="store_true", help="draw nothing, which is faster")
+    found.add_argument(
+        "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
+    )
     found.add_argument(
         "--workers",
         type=int,
         default=1,
         metavar="N",
-        help="trips that are read at the same time, each in a process; 1 if not given",
+        help="number of trips that are read at the same time, each in a process [whole number; at "
+        "least 1; 1 if not given]",
     )
     found.add_argument(
         "--config-dir",
         type=Path,
         metavar="DIR",
-        help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py",
+        help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py [path; none if not "
+        "given]",
     )
     return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import folders, program
+from suspnet.history import History
 from suspnet.model.checkpoint import load_model
 from suspnet.runs.evaluate import evaluate, find_runs
 from suspnet.storage import write_atomically
@@ -103,7 +105,10 @@ def compose(config: DictConfig) -> int:
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]
         settings = program.build(config, "monitor", _convert_="all")
-        done = evaluate_fleet(Path(config.trips), models, output, settings, config.progress)
+        with ExitStack() as stack:
+            store = config.store and stack.enter_context(History(config.store))
+            trips = Path(config.trips)
+            done = evaluate_fleet(trips, models, output, settings, config.progress, store)
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")

@@ -10,6 +10,7 @@ from suspnet.cli import program
 from suspnet.inspection.contents import look_into
 from suspnet.inspection.template import template
 from suspnet.recordings.checked_mapping import TripError, all_of
+from suspnet.recordings.formats import READERS
 from suspnet.storage import write_atomically
 
 DESCRIPTION = """\
@@ -32,16 +33,23 @@ def parser() -> ArgumentParser:
         formatter_class=RawDescriptionHelpFormatter,
     )
     found.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="data file of one trip, of any format"
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help=f"data file of one trip [one or more paths with {', '.join(sorted(READERS))}]",
     )
     found.add_argument(
         "-o",
         "--output",
         type=Path,
         metavar="FILE",
-        help="the manifest; FIRST.yaml beside the first data file if not given",
+        help="the manifest that is written [path that ends with .yaml; FIRST.yaml beside the first "
+        "data file if not given]",
     )
-    found.add_argument("--force", action="store_true", help="replace the manifest if there is one")
+    found.add_argument(
+        "--force", action="store_true", help="replace the manifest if there is one [switch]"
+    )
     return found
 
 

@@ -28,7 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.checks import check_number
-from suspnet.cli import configs, folders, naming
+from suspnet.cli import configs, folders, naming, reference
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.cli.values import read_values
 from suspnet.learning import ranks
@@ -54,6 +54,7 @@ _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 configs.store_tables()
 naming.register()
+reference.register()
 
 
 def run(main: Callable[[], Any]) -> None:

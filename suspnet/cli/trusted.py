@@ -80,7 +80,7 @@ SLURM_WORDS = (
     *("mem_per_gpu", "mem_per_cpu", "account"),
 )
 """Settings of the Slurm launcher that are words; they become lines of a shell script."""
-RESOLVERS = ("changed", "hydra", "now", "swept_by")
+RESOLVERS = ("changed", "described", "hydra", "now", "swept_by")
 """Resolvers of the configurations as shipped; all others can hide what a value will be."""
 LOGGING = {
     "job_logging": ("default", "disabled", "none", "stdout"),
@@ -92,12 +92,17 @@ FILE_NAME = re.compile(r"\.?\w[\w.-]*", re.ASCII)
 MAX_VALUES, MAX_DEPTH = 5_000, 50
 """Size of a resolved configuration beyond which its interpolations are taken to have no end; as
 shipped it has fewer than 500 values, ten deep."""
+CLUSTER = "monitor.cluster"
+"""Key of the scheduler whose workers unpickle, and so run, what they are sent."""
 SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that tell Hydra or Python's logging to call something."""
 
 
 class CheckedLoader(ConfigLoaderImpl):
     """Hydra's loader of configurations, which refuses one that would run foreign code."""
+
+    _is_cluster_typed: bool | None = None
+    """Whether the command line names the cluster; it is loaded before the jobs of a multirun."""
 
     def load_configuration(
         self,
@@ -118,6 +123,11 @@ class CheckedLoader(ConfigLoaderImpl):
             config_name, overrides, run_mode, from_shell, validate_sweep_overrides
         )
         check_configuration(config)
+        if self._is_cluster_typed is None:
+            typed = OverridesParser.create().parse_overrides(overrides)
+            self._is_cluster_typed = any(one.key_or_group == CLUSTER for one in typed)
+        if not self._is_cluster_typed:
+            _check_cluster(config)
         foreign = any(source.provider == "command-line" for source in self.get_sources())
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
             # the sweeper would write a file before it composes the jobs
@@ -243,6 +253,19 @@ def _check_resolved(config: DictConfig) -> None:
             name = f"{path}.{key}" if path else str(key)
             _check_key(str(key), name, value)
             stack.append((name, value, depth + 1))
+
+
+def _check_cluster(config: DictConfig) -> None:
+    """Raise ValueError if a file names a cluster, as written or as resolved."""
+    group, _, key = CLUSTER.partition(".")
+    written = [value for name, _, value in _walk(OmegaConf.to_container(config), "") if name == key]
+    monitor = config.get(group)
+    if isinstance(monitor, DictConfig):
+        written.append(monitor.get(key))
+    if any(value is not None for value in written):
+        raise ValueError(
+            f"`{CLUSTER}` can be named on the command line only: what a scheduler sends is run"
+        )
 
 
 def _check_hydra(hydra: dict[str, Any]) -> None:

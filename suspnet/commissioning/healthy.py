@@ -8,11 +8,12 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.estimates import EstimateSettings
 from suspnet.data.parallel import quiet
+from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
-from suspnet.recordings.manifest import Place, TripError, TripManifest
+from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import find_manifests, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import (
@@ -147,9 +148,7 @@ def _check_same(folder: Path, manifests: Sequence[TripManifest], vehicle: str) -
                 f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, vehicle={vehicle} "
                 "is to be commissioned"
             )
-    places = sorted(
-        {str(Place(m.suspension.strip(), m.bogie or "", m.side or "")) for m in manifests}
-    )
+    places = sorted({str(manifest.place) for manifest in manifests})
     if len(places) > 1:
         raise TripError(
             f"{folder}: the trips are of several suspensions ({', '.join(places)}); each is "

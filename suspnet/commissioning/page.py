@@ -17,7 +17,7 @@ from suspnet._version import __version__
 from suspnet.commissioning import figures, words
 from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
-from suspnet.recordings.manifest import CHANNELS, Place
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.output import write_table
 from suspnet.trips.report import PNG_DPI, data_uri, render
@@ -164,7 +164,7 @@ def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
 def _place(found: HealthyTrips) -> str:
     """Return in words which suspension the trips are of."""
     first = found.manifests[0]
-    return str(Place(first.suspension, first.bogie or "", first.side or ""))
+    return str(first.place)
 
 
 def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:

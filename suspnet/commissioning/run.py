@@ -67,6 +67,8 @@ def commission_folder(
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
         log.warning("%s", doubt)
+    if hint := words.other_minutes(found, settings):
+        log.info("%s", hint)
     return found, outcome
 
 

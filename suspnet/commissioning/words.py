@@ -11,6 +11,7 @@ import numpy as np
 
 from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
+from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
 from suspnet.uncertainty.physics import INCOMPLETE
@@ -21,6 +22,8 @@ TOLD = 0.8
 """The trips tell a number if they take its deviation below this share of the prior's."""
 NARROW = 0.5
 """Standard deviation over the median up to which a number is written with plus and minus."""
+SIMILAR = 1.5
+"""Factor between minutes of healthy trips and of training beyond which it is said."""
 PREFIXES = ((1e6, "M"), (1e3, "k"))
 """Prefixes of units of force, the largest first."""
 PART_TITLES = {
@@ -140,6 +143,19 @@ def doubts(outcome: Commissioned) -> list[str]:
             "one may exist. Commission on more or longer trips."
         )
     return found
+
+
+def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
+    """Return a sentence if models are to be trained for far longer or shorter trips than these."""
+    usual = float(np.median([group.spectra.n_averages for group in found.groups]))
+    share = usual / settings.n_averages
+    if 1 / SIMILAR <= share <= SIMILAR:
+        return None
+    minutes = settings.minutes * share
+    return (
+        f"The healthy trips have about {minutes:.2g} usable minutes at one speed, models are "
+        f"trained for {settings.minutes:g}: data.minutes={minutes:.2g} would suit them better."
+    )
 
 
 def verdict(found: HealthyTrips, outcome: Commissioned) -> str:

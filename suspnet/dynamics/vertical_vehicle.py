@@ -254,6 +254,12 @@ class VerticalVehicle:
 
     def assumptions(self) -> str:
         """Return a sentence on the assumptions of the generator."""
+        n_uncertain = 0 if self.distribution is None else len(self.distribution.names)
+        if n_uncertain:
+            return (
+                f"The vehicle pitches; {n_uncertain} of its numbers are uncertain and estimated "
+                "along, all others are taken as known exactly."
+            )
         return (
             "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
             "exactly."

@@ -20,7 +20,7 @@ from suspnet.inspection.manifests import Opened, check_columns
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.model.from_recording import TripSettings, certainty_of, speed_of, steady_groups
 from suspnet.recordings.checked_mapping import all_of
-from suspnet.recordings.manifest import CHANNELS, Place, TripError, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
 from suspnet.recordings.manifest_files import parse_manifest, read_content
 from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording, load_recording
@@ -106,7 +106,7 @@ def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
     return replace(
         result,
         vehicle=manifest.vehicle,
-        place=Place(manifest.suspension.strip(), manifest.bogie or "", manifest.side or ""),
+        place=manifest.place,
         mileage_km=manifest.mileage_km,
         sensors="pairs" if len(pairs) == len(CHANNELS) else sensors,
         sources=tuple(

@@ -64,6 +64,8 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         f"suspension:       # {BLANK}: in your words; trips of one suspension say the same",
         "# bogie: leading  # or trailing, in the direction of travel",
         "# side: left      # or right",
+        "# train: '12'     # where several trains or cars are watched",
+        "# car: '7'",
         f"mileage_km:       # {BLANK}: of the vehicle at this trip",
         "# start: 2015-08-03T08:00:00",
         "",

@@ -22,7 +22,7 @@ PREDICT_ROWS = 1024
 class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """One epsilon-insensitive support vector regression for each output (scikit-learn's libsvm).
 
-    Kernel exp(-|x - z|^2 / sigma^2) as in `MSVR`. The loss is linear outside the tube.
+    Kernel ``exp(-|x - z|^2 / sigma^2)`` as in `MSVR`. The loss is linear outside the tube.
 
     Parameters
     ----------

@@ -37,8 +37,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
         1/2 |W|^2 + C sum_i L(|y_i - W^T phi(x_i) - b|),   L(u) = max(0, u - epsilon)^2
 
-    by IRWLS in the primal. phi approximates the RBF kernel exp(-|x - z|^2 / sigma^2), i.e.
-    scikit-learn's gamma = 1 / sigma^2. Scale inputs and outputs before (`Scaling` does).
+    by IRWLS in the primal. phi approximates the RBF kernel ``exp(-|x - z|^2 / sigma^2)``, i.e.
+    scikit-learn's gamma = 1 / sigma^2. Scale inputs and outputs before, as by
+    `suspnet.learning.Scaling`.
 
     Parameters
     ----------

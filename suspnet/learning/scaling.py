@@ -13,7 +13,7 @@ from suspnet.types import FloatArray
 
 @dataclass(frozen=True)
 class Scaling:
-    """z = (log v - mean) / scale, or without the logarithm, column by column.
+    """Scaling of each column, z = (log v - mean) / scale, or without the logarithm.
 
     Attributes
     ----------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,11 +12,13 @@ from scipy.signal import get_window
 from torch import Tensor
 
 from suspnet.checks import check_flag, check_number
-from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import Speeds
 from suspnet.dynamics import ResponseGenerator
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
+from suspnet.model.delays import delay_words
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_spectra import (
@@ -243,12 +245,14 @@ def _speed_bin(
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     mean, deviation = speed_of(speeds[chosen], segments)
+    at = Speeds.of(mean, deviation)
     try:
-        estimate, noise_share = estimate_with_noise(
-            method, spectra, settings.level, Speeds.of(mean, deviation)
-        )
+        estimate, noise_share = estimate_with_noise(method, spectra, settings.level, at)
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
+    late = delay_words(method, spectra, estimate, at)
+    if late:
+        estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
     return SpeedBin(method, spectra, band, chosen, mean, estimate, noise_share, doubts)
 
 

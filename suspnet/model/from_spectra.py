@@ -25,7 +25,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from suspnet.data.estimates import EstimateObserver, EstimateSettings, Speeds
+from suspnet.data.estimate_observer import EstimateObserver
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.estimate import Estimate
 from suspnet.model.fitted import FittedMethod, ModelFileError

@@ -22,7 +22,10 @@ from suspnet.recordings.faults import (
 )
 from suspnet.types import BoolArray, FloatArray
 
-KINDS = ("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "clock")
+KINDS = (
+    *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
+    "clock",
+)
 """Kinds of faults; the last three are found in the speed and between channels."""
 
 CORE_SAMPLES = 2**18

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.io.matlab import MatReadError
 
+from suspnet.recordings.apart import Reader, apart
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, as_block, choose
 from suspnet.recordings.csv_files import open_csv, to_float
@@ -155,22 +156,22 @@ def _named(path: Path) -> Iterator[None]:
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 
-Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
-
 READERS: dict[str, Reader] = {
     ".parquet": _open_parquet,
     **dict.fromkeys(CSV_SUFFIXES, open_csv),
-    ".mat": open_mat,
-    ".h5": open_hdf5,
-    ".hdf5": open_hdf5,
-    ".tdms": open_tdms,
-    ".mf4": open_mdf,
-    ".mdf": open_mdf,
-    ".uff": open_uff,
-    ".unv": open_uff,
-    ".wav": open_wav,
+    ".mat": apart(open_mat),
+    ".h5": apart(open_hdf5),
+    ".hdf5": apart(open_hdf5),
+    ".tdms": apart(open_tdms),
+    ".mf4": apart(open_mdf),
+    ".mdf": apart(open_mdf),
+    ".uff": apart(open_uff),
+    ".unv": apart(open_uff),
+    ".wav": apart(open_wav),
 }
-"""Reader of each suffix; another format is one more entry."""
+"""Reader of each suffix; another format is one more entry.
+
+Those of CSV and Parquet are Arrow's, which no damaged file has crashed."""
 
 _DAMAGE = (
     pa.ArrowException,

@@ -67,16 +67,21 @@ class Place:
         One of ``BOGIES``.
     side : str
         One of ``SIDES``.
+    train, car : str
+        Of which train and which of its cars, in free text.
     """
 
     suspension: str = ""
     bogie: str = ""
     side: str = ""
+    train: str = ""
+    car: str = ""
 
     def __str__(self) -> str:
         """Return the place in words."""
+        vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
         where = [self.bogie and f"{self.bogie} bogie", self.side]
-        return ", ".join(part for part in (self.suspension, *where) if part) or "unknown"
+        return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,8 @@ class TripManifest:
         Known values of a simulated trip relative to healthy; keys from ``PARAMETERS``.
     bogie, side : str, optional
         One of ``BOGIES`` and one of ``SIDES``; None where it is not said.
+    train, car : str, optional
+        In free text.
     """
 
     path: Path
@@ -203,6 +210,14 @@ class TripManifest:
     truth: dict[str, float] = field(default_factory=dict)
     bogie: str | None = None
     side: str | None = None
+    train: str | None = None
+    car: str | None = None
+
+    @property
+    def place(self) -> Place:
+        """Which suspension the trip is of."""
+        named = (self.bogie, self.side, self.train, self.car)
+        return Place(self.suspension.strip(), *(one or "" for one in named))
 
     def sensors(self) -> dict[str, Channel]:
         """Return every sensor by its name: the channel's, followed by the side in a pair."""

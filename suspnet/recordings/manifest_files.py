@@ -95,7 +95,9 @@ def read_place(path: Path) -> Place | None:
         return None
     named = {"bogie": BOGIES, "side": SIDES}
     where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
-    return Place(printable(content["suspension"].strip()), **where)
+    texts = {key: content.get(key) for key in ("train", "car")}
+    told = {key: printable(one.strip()) for key, one in texts.items() if isinstance(one, str)}
+    return Place(printable(content["suspension"].strip()), **where, **told)
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -121,6 +123,8 @@ def write_manifest(manifest: TripManifest) -> Path:
         "suspension": manifest.suspension,
         "bogie": manifest.bogie,
         "side": manifest.side,
+        "train": manifest.train,
+        "car": manifest.car,
         "mileage_km": manifest.mileage_km,
         "start": manifest.start,
         "speed": _without_none(asdict(speed)) if isinstance(speed, SpeedSource) else speed,
@@ -171,7 +175,8 @@ _SOURCE = ("unit", "column", "rate_hz", "time", "start_s", "time_unit", "time_zo
 def _parse(path: Path, content: Any) -> TripManifest:
     """Return the manifest of a YAML file's content."""
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
-    top = CheckedMapping(path, "", content, required, ("start", "truth", "bogie", "side"))
+    optional = ("start", "truth", "bogie", "side", "train", "car")
+    top = CheckedMapping(path, "", content, required, optional)
     found = top.read(
         {
             "format": lambda: top.choice("format", [FORMAT]),
@@ -184,6 +189,8 @@ def _parse(path: Path, content: Any) -> TripManifest:
             "truth": lambda: _parse_truth(path, content["truth"]),
             "bogie": lambda: top.choice("bogie", BOGIES),
             "side": lambda: top.choice("side", SIDES),
+            "train": lambda: top.text("train").strip(),
+            "car": lambda: top.text("car").strip(),
         }
     )
     del found["format"]

@@ -11,7 +11,7 @@ import numpy as np
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
-from suspnet.recordings.faults import runs
+from suspnet.recordings.faults import paint, runs
 from suspnet.recordings.manifest import SpeedSource, TripManifest
 from suspnet.recordings.sources import OpenSource, open_source
 from suspnet.recordings.timeline import GAP_STEPS, check_rate, check_rising
@@ -32,6 +32,22 @@ LARGEST_ACCELERATION, LARGEST_STEP = 5.0, 2.0
 
 STANDING_M_PER_S = 0.5
 """A receiver that has lost its satellites gives a speed below this."""
+
+BRAKING, NOISE = 2.5, 0.5
+"""Largest change of speed after equal ones, [m/s2] times the time step plus [m/s] for noise: that
+of an emergency brake."""
+
+SCATTERING = 0.25
+"""Least share of speeds that turn back from the one before for a receiver to scatter; those of a
+train that speeds up or keeps its speed do not, those of white noise do so in two of three."""
+
+COARSE = 5.0
+"""Least difference of two steps, in steps of the receiver's resolution, for a scatter that does not
+come out equal at any speed: twice the resolution in standard deviations."""
+
+LEAST_CHANCE, LEAST_STEPS = 1e-9, 30
+"""Chance of a run of equal speeds below which a receiver that scatters is stuck, and least number
+of other steps that say how it scatters."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +127,8 @@ def speed_at(
     missing = ~((track.speeds >= 0) & (track.speeds <= LARGEST_SPEED_M_PER_S))
     zero, jump = find_wrong_speeds(known_s, np.where(missing, np.nan, track.speeds))
     speed = np.where(missing | zero | jump, np.nan, track.speeds)
+    stuck = find_stuck(known_s, speed)
+    speed[stuck] = np.nan
     found = np.interp(times_s, known_s, speed)
     found[(times_s < known_s[0] - track.step_s) | (times_s > known_s[-1] + track.step_s)] = np.nan
     if len(known_s) > 1:
@@ -124,7 +142,7 @@ def speed_at(
     inside = (known_s >= times_s[0]) & (known_s <= times_s[-1])
     faults = [
         Fault("speed", kind, n, n * track.step_s, float(known_s[mask & inside][0]), False)
-        for kind, mask in (("gap", missing), ("zero", zero), ("jump", jump))
+        for kind, mask in (("gap", missing), ("zero", zero), ("jump", jump), ("stuck", stuck))
         if (n := int(np.count_nonzero(mask & inside)))
     ]
     return found, (*_lost_rows(known_s, inside, track.step_s), *faults)
@@ -156,6 +174,43 @@ def find_wrong_speeds(known_s: FloatArray, speeds: FloatArray) -> tuple[BoolArra
         part = at[start:stop]
         jump[part] = known_s[part[-1]] - known_s[part[0]] <= LONGEST_SPEED_GAP_S
     return zero, jump
+
+
+def find_stuck(known_s: FloatArray, speeds: FloatArray) -> BoolArray:
+    """Return where a receiver repeats its last speed while that of the train changes, (n_known,).
+
+    The speed of a moving train is equal for more than ``LONGEST_SPEED_GAP_S`` where it is kept, or
+    where the receiver is stuck. It is stuck if the next speed is further off than a brake could
+    bring it, or if speeds scatter elsewhere so that as many do not come out equal by chance. The
+    first of them is right.
+
+    Parameters
+    ----------
+    known_s : array of shape (n_known,), [s]
+    speeds : array of shape (n_known,), [m/s]
+        NaN where missing or wrong.
+    """
+    stuck = np.zeros(len(speeds), dtype=np.bool_)
+    at = np.flatnonzero(np.isfinite(speeds))
+    seconds, steps = np.diff(known_s[at]), np.diff(speeds[at])
+    starts, stops = runs(steps == 0)
+    long = known_s[at[stops]] - known_s[at[starts]] > LONGEST_SPEED_GAP_S
+    long &= speeds[at[starts]] >= STANDING_M_PER_S
+    starts, stops = starts[long], stops[long]
+    others = steps[~paint(len(steps), starts, stops)]
+    finest = float(np.abs(others[others != 0]).min(initial=np.inf))
+    most = BRAKING * seconds + NOISE + 2 * finest  # two steps of a coarse receiver are none
+    scatters = (
+        len(others) >= LEAST_STEPS
+        and (others[1:] * others[:-1] < 0).mean() > SCATTERING
+        and float(np.median(np.abs(np.diff(others)))) > COARSE * finest
+    )
+    equal = max(float((others == 0).mean()), 1 / len(others)) if len(others) else 1.0
+    for start, stop in zip(starts, stops, strict=True):
+        leaps = stop < len(steps) and abs(steps[stop]) > most[stop]
+        if leaps or (scatters and equal ** (stop - start) < LEAST_CHANCE):
+            stuck[at[start + 1 : stop + 1]] = True
+    return stuck
 
 
 def _impossible(known_s: FloatArray, speeds: FloatArray) -> BoolArray:

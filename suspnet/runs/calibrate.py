@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from suspnet.data import FeatureData
-from suspnet.data.estimates import EstimateObserver
+from suspnet.data.estimate_observer import EstimateObserver
 from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_curves import estimate_curves, identified
 from suspnet.problem import CALIBRATE, TRAIN, Problem

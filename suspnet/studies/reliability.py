@@ -19,7 +19,9 @@ from scipy.stats import norm
 from torch import Tensor
 from tqdm import tqdm
 
+from suspnet.checks import check_number
 from suspnet.data import Task
+from suspnet.data.observation import MOST_CURVES
 from suspnet.data.parallel import quiet
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.model import TrainedModel, load_model
@@ -77,9 +79,10 @@ def write_reliability(
     ------
     FileNotFoundError, ModelFileError
         If there is no model, or it is damaged.
-    ValueError
-        If a model was not calibrated, or the seed is its own.
+    TypeError, ValueError
+        If a model was not calibrated, the seed is its own, or `n_odd` is no number of curves.
     """
+    check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
     found = []
     for path in find_runs(Path(run)):
         model = load_model(path, device)

@@ -10,7 +10,8 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.data.curves import CurveObserver, CurveSettings
-from suspnet.data.estimates import EstimateObserver, EstimateSettings
+from suspnet.data.estimate_observer import EstimateObserver
+from suspnet.data.estimates import EstimateSettings
 from suspnet.data.observation import Observer
 from suspnet.data.protocols import RESPONSES, Task
 from suspnet.dynamics import PARAMETERS, VerticalVehicle

@@ -41,7 +41,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.data.directions import Directions, every_direction
-from suspnet.data.estimates import EstimateObserver
+from suspnet.data.estimate_observer import EstimateObserver
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.theory.information import without_uncertain
 from suspnet.types import FloatArray

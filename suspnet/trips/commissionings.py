@@ -13,8 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from suspnet.history.records import TripResult, relative_truth
 from suspnet.model import ModelFileError, TrainedModel
-from suspnet.trips.records import TripResult, relative_truth
 from suspnet.trips.trend import PAYLOAD
 
 

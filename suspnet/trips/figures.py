@@ -12,9 +12,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.history.records import OK, TripCurves, TripResult
 from suspnet.recordings.overview import Overview
 from suspnet.runs.plots import SUSPENSIONS
-from suspnet.trips.records import OK, TripCurves, TripResult
 from suspnet.types import FloatArray
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from suspnet.cache import Cache, code_hash
+from suspnet.history.records import ERROR, Quality, TripCurves, TripResult
 from suspnet.model.checkpoint import fingerprint
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.trained import TrainedModel
-from suspnet.recordings.manifest import TripManifest
-from suspnet.trips.records import ERROR, Quality, TripCurves, TripResult
+from suspnet.recordings.manifest import Place, TripManifest
 
 FOLDER = "finished_trips"
 """Name of the folder, in that of an evaluation, that holds its trips' results."""
@@ -70,14 +70,15 @@ class FinishedTrips:
         if arrays:
             responses = arrays.pop("real") + 1j * arrays.pop("imaginary")
             curves = TripCurves(responses=responses, **arrays)
-        return TripResult(**notes | {"quality": Quality(**notes["quality"]), "curves": curves})
+        parts = {"quality": Quality(**notes["quality"]), "place": Place(**notes["place"])}
+        return TripResult(**notes | parts | {"curves": curves})
 
     def write(self, made_from: Any, result: TripResult) -> None:
         """Keep a trip's result, unless it is an error: that may be gone when it is read again."""
         if result.status == ERROR:
             return
         notes = {f.name: getattr(result, f.name) for f in fields(result) if f.name != "curves"}
-        notes["quality"] = asdict(result.quality)
+        notes |= {"quality": asdict(result.quality), "place": asdict(result.place)}
         arrays = {}
         if result.curves is not None:
             arrays = {f.name: getattr(result.curves, f.name) for f in fields(result.curves)}

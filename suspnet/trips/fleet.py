@@ -17,6 +17,8 @@ from tqdm import tqdm
 from suspnet._version import __version__
 from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
+from suspnet.history import Event, History
+from suspnet.history.records import TripResult, first_trips, relative_to_first
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
@@ -31,12 +33,12 @@ from suspnet.trips.commissionings import (
     of_last_era,
     with_truth_of_each,
 )
+from suspnet.trips.earlier import between, with_earlier
 from suspnet.trips.finished import FinishedTrips
-from suspnet.trips.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.trips.limits import DEFAULT_LIMITS, Limits, Severity, read_limits
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
 from suspnet.trips.places import Group, find_groups
-from suspnet.trips.records import TripResult, first_trips, relative_to_first
 from suspnet.trips.trend import LEAST_PERCENT, flagged_trend
 from suspnet.trips.trip import evaluate_trip, lost_trip
 from suspnet.workers import LostWorkerError, each
@@ -51,6 +53,7 @@ else:
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
+UNKNOWN_HEALTHY = "healthy is not known yet"
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,7 @@ def evaluate_fleet(
     output: Path,
     settings: FleetSettings,
     progress: bool = True,
+    store: History | None = None,
 ) -> list[Evaluated]:
     """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
 
@@ -183,6 +187,8 @@ def evaluate_fleet(
     output : Path
     settings : FleetSettings
     progress : bool
+    store : History, optional
+        Keeps the trips; those of earlier folders that it holds are in tables, trend and report.
 
     Returns
     -------
@@ -196,11 +202,11 @@ def evaluate_fleet(
     ModelFileError
         If a model cannot read trips.
     ValueError
-        If too few trips can serve as reference, or no suspension could be read.
+        If no suspension could be read.
     """
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
-        return [_evaluate_group(groups[0], models, output, settings, progress)]
+        return [_evaluate_group(groups[0], models, output, settings, progress, store)]
     for model in models:
         trip_settings(model)
     done = []
@@ -211,7 +217,7 @@ def evaluate_fleet(
             continue
         try:
             where = output / group.name
-            done.append(_evaluate_group(group, models, where, settings, progress))
+            done.append(_evaluate_group(group, models, where, settings, progress, store))
         except (ValueError, ArithmeticError) as error:
             done.append(Evaluated(group.name, group.place, error=str(error)))
             log.warning("%s is not read: %s", group.name, error)
@@ -229,6 +235,7 @@ def _evaluate_group(
     output: Path,
     settings: FleetSettings,
     progress: bool,
+    store: History | None,
 ) -> Evaluated:
     """Evaluate one suspension's trips and write tables, figures and report."""
     fitting = models_of(models, group.place)
@@ -236,22 +243,34 @@ def _evaluate_group(
         check_one_reference(fitting)
     outputs = fitting[0].task.outputs
     results = [
-        replace(result, bogie=group.place.bogie, side=group.place.side)
+        replace(result, place=group.place)
         for result in _evaluated(group.manifests, fitting, output, settings, progress)
     ]
+    events: list[Event] = []
+    if store is not None:
+        results = with_earlier(results, group.place, fitting, store)
+        events = store.events(fitting[0].vehicle.name, group.place)
     results.sort(key=lambda r: (np.isnan(r.mileage_km), r.mileage_km, r.trip))
     if settings.reference == "first_trips":
-        results = relative_to_first(results, settings.n_reference)
+        parts = between(events, results)
+        results = [r for part in parts for r in relative_to_first(part, settings.n_reference)]
     states = commissionings(fitting, results)
     results = with_truth_of_each(results, states)
     write_tables(results, outputs, output)
-    found = _assessments(of_last_era(results, states), outputs, fitting, settings.limits)
+    recent = between(events, of_last_era(results, states))[-1]
+    found = _assessments(recent, outputs, fitting, settings.limits)
+    missing = _missing_reference(settings, recent)
+    if missing:
+        log.warning("%s: %s", group.folder, missing)
+        found = [_without_reference(one) for one in found]
     details = _details(group.folder, fitting, settings, results)
     partial = partial_words(group.folder)
     if partial:
         log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
         details["trips"] += f" ({partial})"
-    options = settings.trips.level, settings.limits, states
+    if store is not None:
+        details["history"] = printable(str(store))
+    options = settings.trips.level, settings.limits, states, events
     write_pages(results, outputs, found, output, details, *options)
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, spoken(found), output)
     return Evaluated(group.name, group.place, results, found)
@@ -344,10 +363,14 @@ def _details(
     trained = trip_settings(first)
     reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
     if settings.reference == "first_trips":
-        reference = f"the median of the first {settings.n_reference} trips (k and c)"
-        flagged = sum(bool(r.flags) for r in first_trips(results, settings.n_reference))
+        first_ones = first_trips(results, settings.n_reference)
+        reference = f"the median of the first {len(first_ones)} trips (k and c)"
+        flagged = sum(bool(r.flags) for r in first_ones)
         if flagged:
             reference += f", {flagged} of them flagged"
+        missing = _missing_reference(settings, results)
+        if missing:
+            reference = f"{reference}; {missing}" if first_ones else missing
     return {
         "trips": printable(str(folder)),
         "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
@@ -362,6 +385,26 @@ def _details(
         "intervals": _interval_words(first, settings.trips.level),
         "limits": "; ".join(f"{name}: {one}" for name, one in settings.limits.items()) or "none",
     }
+
+
+def _missing_reference(settings: FleetSettings, results: list[TripResult]) -> str:
+    """Return in words what the first trips lack to say what is healthy; empty if nothing."""
+    n_found = len(first_trips(results, settings.n_reference))
+    if settings.reference != "first_trips" or n_found == settings.n_reference:
+        return ""
+    return (
+        f"{UNKNOWN_HEALTHY}: {n_found} trips have an estimate, the first "
+        f"{settings.n_reference} are to say it (lower monitor.n_reference, or take "
+        "monitor.reference=vehicle)"
+    )
+
+
+def _without_reference(one: Assessment) -> Assessment:
+    """Return an assessment where healthy is not known: the parameter cannot be judged, at least."""
+    if not one.limited:
+        return one
+    severity = max(one.severity, Severity.UNKNOWN)
+    return replace(one, severity=severity, words=f"{UNKNOWN_HEALTHY}; {one.words}")
 
 
 def healthy_words(model: TrainedModel) -> str:

@@ -9,11 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from suspnet.history import Event
+from suspnet.history.records import TripResult
 from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
 from suspnet.trips.limits import Limits
-from suspnet.trips.records import TripResult
 from suspnet.trips.trend import PAYLOAD
 from suspnet.types import FloatArray
 
@@ -22,6 +23,7 @@ FLAGGED_COLOUR = "tab:purple"
 LIMIT_COLOURS = {"notice": "tab:orange", "act": "tab:red"}
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
 ANEW = "commissioned anew; % is of the first healthy values"
+MAINTENANCE = "maintenance"
 LEAST_SPAN_PERCENT = 2.0
 """Least span of a parameter's axis, in %, so that spread does not look like change."""
 MARGIN = 0.05
@@ -34,6 +36,7 @@ def health_trend(
     level: float = 0.9,
     limits: Mapping[str, Limits] | None = None,
     states: Sequence[Commissioning] = (),
+    events: Sequence[Event] = (),
 ) -> Figure:
     """Each parameter in % of healthy along the mileage (Fig. 10).
 
@@ -56,6 +59,8 @@ def health_trend(
     states : sequence of Commissioning
         Several healthy states: a vertical line where each but the first begins. `results` are then
         relative to the first, and limits are those of the last.
+    events : sequence of Event
+        Maintenance: a dotted vertical line each.
     """
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
     axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
@@ -75,6 +80,8 @@ def health_trend(
         _mark_missing(axis, mileage[~known])
         for state in states[1:]:
             axis.axvline(state.since_km / 1000, color="0.3", lw=0.9, ls="-.", label=ANEW)
+        for event in events:
+            axis.axvline(event.mileage_km / 1000, color="0.3", lw=0.9, ls=":", label=MAINTENANCE)
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
     _legend(figure, axes, len(results) - len(placed))

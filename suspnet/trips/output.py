@@ -14,6 +14,8 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from tabulate import tabulate
 
+from suspnet.history import Event
+from suspnet.history.records import OK, TripResult
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips import figures
@@ -21,7 +23,6 @@ from suspnet.trips.assessment import Assessment, overall, spoken
 from suspnet.trips.commissionings import Commissioning, relative_to_first_healthy
 from suspnet.trips.health_figure import health_trend
 from suspnet.trips.limits import Limits
-from suspnet.trips.records import OK, TripResult
 from suspnet.trips.report import write_report
 
 KNOWN_ERROR_PERCENT = "rms error %"
@@ -154,6 +155,7 @@ def write_pages(
     level: float,
     limits: Mapping[str, Limits],
     states: Sequence[Commissioning] = (),
+    events: Sequence[Event] = (),
 ) -> None:
     """Write figures, TensorBoard events, metrics.json and report.html.
 
@@ -162,7 +164,7 @@ def write_pages(
     done = [r for r in results if r.status == OK]
     drawn = {
         "trend": health_trend(
-            relative_to_first_healthy(results, states), outputs, level, limits, states
+            relative_to_first_healthy(results, states), outputs, level, limits, states, events
         ),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
@@ -193,6 +195,7 @@ def write_pages(
             for one in assessments
         ],
         "commissionings": [asdict(one) for one in states],
+        "maintenance": [asdict(one) for one in events],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
@@ -207,4 +210,5 @@ def write_pages(
         level,
         limits,
         states,
+        events,
     )

@@ -11,12 +11,12 @@ import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
+from suspnet.history.records import OK, TripResult
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.limits import Severity
 from suspnet.trips.output import write_table
-from suspnet.trips.records import OK, TripResult
 from suspnet.trips.report import render
 
 REPORT = "report.html"
@@ -65,6 +65,8 @@ class Evaluated:
             "suspension": self.place.suspension or self.name,
             "bogie": self.place.bogie,
             "side": self.place.side,
+            "train": self.place.train,
+            "car": self.place.car,
             "severity": str(self.severity),
             "parameter": worst.parameter if worst else "",
             **{f"{name}_last": float(last.get(name, np.nan)) for name in outputs},

@@ -19,12 +19,12 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from suspnet.dynamics.vehicle import UNITS
-from suspnet.recordings.manifest import Place
+from suspnet.history import Event
+from suspnet.history.records import OK, TripResult
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.limits import Limits, Severity
-from suspnet.trips.records import OK, TripResult
 from suspnet.trips.sides import sides_finding
 
 NAMES = {
@@ -85,6 +85,7 @@ ANEW = (
     "Commissioned anew: {}. Severities, medians and changes are of the trips since; each trip's "
     "percentages are of its own healthy values, those of the figure of the first ones."
 )
+MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
 KILO = 1e3
 KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
 """Unit of a thousand of each SI unit."""
@@ -105,6 +106,7 @@ def write_report(
     level: float = 0.9,
     limits: Mapping[str, Limits] | None = None,
     states: Sequence[Commissioning] = (),
+    events: Sequence[Event] = (),
 ) -> Path:
     """Write one HTML file that needs no other file and no network.
 
@@ -129,6 +131,8 @@ def write_report(
         Of each parameter, for the table.
     states : sequence of Commissioning
         Several healthy states; `assessments` are of the trips since the last.
+    events : sequence of Event
+        Maintenance; `assessments` are of the trips since the last.
 
     Returns
     -------
@@ -164,7 +168,7 @@ def write_report(
         limits=limits or {},
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
-        anew=ANEW.format("; ".join(one.words for one in states[1:])) if states else "",
+        anew=_anew(states, events),
         healthy=_healthy(trips),
         halves=halves,
         digits={name: _digits(column) for name, column in halves.items()},
@@ -176,6 +180,16 @@ def write_report(
         details=details,
     )
     return write_atomically(path, page.encode("utf-8", errors="replace"))
+
+
+def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
+    """Return in words since when the assessments count; empty if since the first trip."""
+    told = []
+    if states:
+        told.append(ANEW.format("; ".join(one.words for one in states[1:])))
+    if events:
+        told.append(MAINTAINED.format("; ".join(map(str, events))))
+    return " ".join(told)
 
 
 def render(template: str, package: str = "suspnet.trips", **values: Any) -> str:
@@ -221,18 +235,13 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     flagged = sum(bool(r.flags) for r in trips)
     texts = {
         "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
-        "Suspension": "; ".join(dict.fromkeys(_place(r) for r in trips if r.suspension)),
+        "Suspension": "; ".join(dict.fromkeys(str(r.place) for r in trips if r.place.suspension)),
         "Mileage": span,
         "Dates": dates,
         "Trips": f"{len(trips)}, of which {done} with an estimate"
         + (f", {flagged} of these flagged" if flagged else ""),
     }
     return {label: text for label, text in texts.items() if text}
-
-
-def _place(result: TripResult) -> str:
-    """Return in words which suspension a trip is of."""
-    return str(Place(result.suspension, result.bogie, result.side))
 
 
 def _doubts(trips: Sequence[TripResult]) -> str:

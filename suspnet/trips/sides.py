@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from suspnet.history.records import OK, TripResult
 from suspnet.trips.limits import N_LAST
-from suspnet.trips.records import OK, TripResult
 
 
 def sides_finding(trips: Sequence[TripResult]) -> str:

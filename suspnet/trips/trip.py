@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +15,19 @@ from torch import Tensor
 
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
+from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 from suspnet.model.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.model.from_spectra import trip_settings
 from suspnet.model.sides import with_sides
 from suspnet.model.speed_bin import SpeedBin, combined, largest
 from suspnet.model.trained import TrainedModel
-from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest import Place, TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.recordings.segments import NoEstimateError, recording_segments
 from suspnet.storage import printable
 from suspnet.trips.commissionings import models_at, since_km
-from suspnet.trips.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 
 log = logging.getLogger(__name__)
 
@@ -66,9 +66,10 @@ def lost_trip(path: Path, reason: str) -> TripResult:
 
 def _printable(result: TripResult) -> TripResult:
     """Return a result whose words every file can hold, whatever the names of its files."""
+    place = Place(*map(printable, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
-    return replace(result, **changes)
+    return replace(result, place=place, **changes)
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
@@ -76,7 +77,7 @@ def _described(result: TripResult, manifest: TripManifest) -> TripResult:
     return replace(
         result,
         vehicle=manifest.vehicle,
-        suspension=manifest.suspension,
+        place=manifest.place,
         mileage_km=manifest.mileage_km,
         start=manifest.start.isoformat() if manifest.start else "",
         truth=dict(manifest.truth),

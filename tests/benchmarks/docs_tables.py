@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import configuration
 import coverage
 from cells import Parser, Row
 from tabulate import tabulate
@@ -182,6 +183,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "mismatch_short": ("mismatch.csv", mismatch_short),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
+    "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""
 

@@ -35,7 +35,7 @@ from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
 from suspnet.commissioning import Commissioned, HealthySpectra, commission  # noqa: E402
 from suspnet.commissioning.run import commission_folder  # noqa: E402
-from suspnet.data.estimates import Speeds  # noqa: E402
+from suspnet.data.speeds import Speeds  # noqa: E402
 from suspnet.dynamics.distribution import LogNormal  # noqa: E402
 from suspnet.dynamics.quantities import PARTS  # noqa: E402
 from suspnet.features.cross_spectra import CrossSpectra  # noqa: E402

@@ -15,6 +15,7 @@ import pytest
 import scipy.signal
 import yaml
 from cli_runner import ROOT, python, typed
+from dying_readers import open_dying
 from matplotlib.image import imread
 from trip_fixtures import changed, signal, small_fleet
 
@@ -25,6 +26,8 @@ from suspnet.inspection.check import CheckSettings, check_trip
 from suspnet.inspection.figures import trip_figure
 from suspnet.inspection.manifests import find_trips
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE
+from suspnet.recordings.apart import LIMIT, apart
+from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import WINDOWS
 from suspnet.recordings.recording import load_recording
@@ -213,6 +216,25 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
     assert "is no manifest (*.yaml); to write one: suspnet-init" in done.stdout
     assert "e_unit, f_sign" in done.stdout  # they share data with the good trip
     assert told["d_swapped.yaml"]["picture"]
+
+
+def test_file_that_kills_or_hangs_its_reader_is_one_problem(manifests, tmp_path, monkeypatch):
+    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setenv(LIMIT, "2")
+    for what in ("crash", "exit:1", "hang"):
+        (tmp_path / f"{what}.mat").write_text(what)
+        channels = {"body": {"file": f"{what}.mat", "column": "a", "unit": "g"}}
+        changed(manifests[0], tmp_path, what, channels=channels)
+    changed(manifests[0], tmp_path, "good")
+    done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (1, "")
+    told = {trip["manifest"].rpartition("/")[2]: trip for trip in found_in(tmp_path / "o")["trips"]}
+    words = {"crash": "(SIGSEGV), so", "exit:1": "(exit code 3), so", "hang": "longer than 2 s"}
+    for name, one in words.items():
+        (problem,) = told[f"{name}.yaml"]["problems"]
+        assert problem.startswith(f"{tmp_path / name}.mat: its reader ")
+        assert one in problem
+    assert told["good.yaml"]["state"] == READY
 
 
 def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):

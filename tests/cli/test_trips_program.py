@@ -459,10 +459,6 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             r"`trips\.min_averages` must be a finite num",
         ),
         (["trips={trips}", "monitor._target_=os.system"], "got 'os.system', which is not trusted"),
-        (
-            ["trips={trips}", "monitor.reference=first_trips"],
-            "the healthy reference asks for 5 first trips, 3 have an estimate",
-        ),
     ],
 )
 def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, message):

@@ -258,6 +258,21 @@ PAYLOADS = [
         {"ablation/evil.yaml": f"{EXPERIMENT}model: {TOUCH}"},
         ("experiment=ablation", "group=primary", "ablation=baseline,evil"),
     ),
+    # a scheduler, whose workers unpickle what they are sent
+    *[
+        in_study(f"cluster_{name}", text)
+        for name, text in {
+            "written": "monitor: {cluster: 'tcp://127.0.0.1:1'}",
+            "referred": "x: 'tcp://127.0.0.1:1'\nmonitor: {cluster: '${x}'}",
+            "resolved": "monitor: {cluster: '${now:tcp://127.0.0.1:1}'}",
+            "resolved_late": "monitor: {cluster: '${hydra:job.name}'}",
+            "elsewhere": "x: {cluster: 'tcp://127.0.0.1:1'}\nmonitor: '${x}'",
+            "of_hydra": "hydra: {job: {cluster: 'tcp://127.0.0.1:1'}}\nmonitor: '${hydra:job}'",
+            "swept": "hydra: {mode: MULTIRUN, "
+            "sweeper: {params: {monitor.cluster: 'tcp://127.0.0.1:1'}}}",
+            "swept_group": "hydra: {mode: MULTIRUN, sweeper: {params: {monitor: '{cluster: x}'}}}",
+        }.items()
+    ],
     # YAML and pickles
     in_experiment("yaml_tag", "model: !!python/object/apply:os.system ['touch MARKER']"),
     in_experiment("yaml_tag_new", "model: !!python/object/new:os.system ['touch MARKER']"),
@@ -375,7 +390,9 @@ def test_configurations_as_shipped_use_our_resolvers_only():
 )
 def test_resolvers_are_found_as_omegaconf_finds_them(text, resolvers):
     assert trusted._resolvers(text) == resolvers
-    with pytest.raises(ValueError, match=r"uses the resolver 'oc\.decode'; only changed, hydra"):
+    with pytest.raises(
+        ValueError, match=r"uses the resolver 'oc\.decode'; only changed, described, hydra"
+    ):
         trusted._check_resolvers("key", "${oc.decode:1}")
 
 
@@ -394,6 +411,23 @@ def test_what_is_documented_is_allowed(arguments):
         loader = trusted.CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
         found = loader.load_configuration("train", [*arguments], RunMode.MULTIRUN)
     assert found.model._target_ in trusted.TARGETS["model"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "cluster"),
+    [
+        (["monitor.cluster=tcp://host:8786"], "tcp://host:8786"),
+        (["monitor.cluster=local", "trips=a,b"], "local"),
+        (["monitor.cluster=null"], None),
+        ([], None),
+    ],
+)
+def test_cluster_may_be_named_on_the_command_line(arguments, cluster):
+    with initialize_config_dir(version_base="1.3", config_dir=trusted.CONFIGS):
+        loader = trusted.CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
+        master = loader.load_configuration("evaluate", ["run=x", *arguments], RunMode.MULTIRUN)
+        job = ["run=x", *arguments[:1], "trips=a"]
+        assert loader.load_sweep_config(master, job).monitor.cluster == cluster
 
 
 LAUNCHED = {"n_jobs": -1, "prefer": "processes", "pre_dispatch": "2*n_jobs", "partition": None}

@@ -12,7 +12,8 @@ from vehicles import AM96
 
 from suspnet.commissioning import HealthySpectra, commission
 from suspnet.commissioning import fit as module
-from suspnet.data.estimates import EstimateSettings, Speeds
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import Speeds
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED

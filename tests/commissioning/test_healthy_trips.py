@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from dying_readers import open_dying
 from scipy.signal import csd
 from trip_fixtures import RATES_HZ, SPEED, changed, signal, small_fleet
 from vehicles import AM96
@@ -16,6 +17,8 @@ from suspnet.commissioning import read_healthy
 from suspnet.data.estimates import EstimateSettings
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import TripError, load_recording, read_manifest
+from suspnet.recordings.apart import apart
+from suspnet.recordings.formats import READERS
 
 SETTINGS = EstimateSettings(rates_hz=RATES_HZ, cache_dir=None).bound(AM96)
 NAMES = ["first", "second", "third"]
@@ -149,6 +152,15 @@ def test_trips_of_several_suspensions_are_refused(place, folder):
 def test_sensors_that_differ_between_trips_are_refused(folder):
     with_pairs(folder / "first.yaml")
     with pytest.raises(TripError, match="sensors left and right where others have one"):
+        read(folder)
+
+
+def test_file_that_kills_its_reader_is_named(folder, monkeypatch):
+    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    (folder / "body.mat").write_text("crash:0")
+    channels = {"body": {"file": "body.mat", "column": "a", "unit": "g"}}
+    changed(folder / "first.yaml", folder, "first", channels=channels)
+    with pytest.raises(TripError, match=r"body\.mat: its reader crashed \(SIGSEGV\), so the file"):
         read(folder)
 
 

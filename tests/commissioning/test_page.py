@@ -10,7 +10,7 @@ from html import unescape
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from commissioned_example import MASSES, UNCERTAIN, commissioned_example, trip
+from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 
 from suspnet.commissioning import figures, words
 from suspnet.commissioning.healthy import HealthyTrips
@@ -176,6 +176,15 @@ def test_doubts_are_said(commissioned):
     assert words.verdict(found, spoilt).startswith(first)
     assert not training_notes(found, spoilt)["explained"]
     assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
+
+
+def test_other_minutes_than_those_of_training_are_said(commissioned):
+    found = commissioned[0]
+    assert words.other_minutes(found, SETTINGS) is None
+    assert words.other_minutes(found, replace(SETTINGS, minutes=28.0)) is None
+    for minutes in (10.0, 80.0):
+        said = words.other_minutes(found, replace(SETTINGS, minutes=minutes))
+        assert said.endswith(f"for {minutes:g}: data.minutes=20 would suit them better.")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ import trips_reference
 from scipy.signal import get_window
 from vehicles import AM96
 
-from suspnet.data.estimates import EstimateObserver, EstimateSettings
+from suspnet.data.estimate_observer import EstimateObserver
+from suspnet.data.estimates import EstimateSettings
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.features.cross_spectra import PAIRS, CrossSpectra

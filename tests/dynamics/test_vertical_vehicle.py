@@ -405,6 +405,13 @@ def test_the_prior_is_of_the_parts_that_there_are():
         assert dict(zip(belief.names, belief.deviations, strict=True)) == pytest.approx(expected)
 
 
+def test_words_count_the_uncertain_numbers():
+    assert "taken as known" in VerticalVehicle(AM96).assumptions()
+    words = VerticalVehicle(AM96, distribution={"speed": 0.1, "half_wheelbase": 0.05}).assumptions()
+    assert "; 2 of its numbers are uncertain" in words
+    assert "geometry" not in words
+
+
 def test_samples_are_those_of_their_seed():
     generator = VerticalVehicle(AM96, distribution={"speed": 0.1})
     ratios = torch.ones(5, 5)

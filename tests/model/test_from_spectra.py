@@ -10,7 +10,7 @@ import torch
 from scipy import stats
 from trip_fixtures import OUTPUTS, model_at
 
-from suspnet.data import estimates
+from suspnet.data import estimate_observer
 from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS
 from suspnet.features.cross_spectra import CrossSpectra
@@ -189,7 +189,7 @@ def test_error_of_the_generator_does_not_average_out(model, share):
 def test_smoothing_agrees_with_a_loop():
     rng = np.random.default_rng(0)
     covariance = rng.normal(size=(2, 2, 9)) + 1j * rng.normal(size=(2, 2, 9))
-    found = estimates._smoothed(torch.as_tensor(covariance)).numpy()
+    found = estimate_observer._smoothed(torch.as_tensor(covariance)).numpy()
     for bin_ in range(9):
         near = [covariance[..., min(max(k, 0), 8)] for k in range(bin_ - 2, bin_ + 3)]
         np.testing.assert_allclose(found[..., bin_], sum(near) / 5)
@@ -201,8 +201,8 @@ def test_independent_bins_are_those_of_the_variance_of_their_mean():
         r * (np.eye(5, k=k) + np.eye(5, k=-k)) / (2 if k == 0 else 1)
         for k, r in enumerate(rho.numpy())
     )
-    assert estimates._independent(rho) == pytest.approx(1 / (matrix.sum() / 25))
-    assert estimates._independent(torch.tensor([1.0])) == 5
+    assert estimate_observer._independent(rho) == pytest.approx(1 / (matrix.sum() / 25))
+    assert estimate_observer._independent(torch.tensor([1.0])) == 5
 
 
 # limit

@@ -10,7 +10,9 @@ import torch
 from trip_fixtures import OUTPUTS, model_at
 from vehicles import AM96
 
-from suspnet.data.estimates import SPEED, EstimateSettings, Speeds
+from suspnet.data.estimate_observer import SPEED
+from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import Speeds
 from suspnet.data.wishart import sample_spectra
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.features.cross_spectra import CrossSpectra

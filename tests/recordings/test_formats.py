@@ -16,7 +16,9 @@ from scipy.io import savemat
 
 from suspnet.recordings import columns as columns_module
 from suspnet.recordings import csv_files, formats
+from suspnet.recordings.array_files import open_mat
 from suspnet.recordings.formats import CSV_SUFFIXES, open_columns
+from suspnet.recordings.logger_files import open_tdms
 from suspnet.recordings.manifest import TripError
 
 
@@ -125,12 +127,14 @@ def test_mat_7_3_is_read_as_hdf5(tmp_path, monkeypatch):
     with path.open("r+b") as stream:
         stream.write(header)
     np.testing.assert_array_equal(read(path, "body")[0], np.arange(6))
+    monkeypatch.setitem(formats.READERS, ".mat", open_mat)  # not in another process
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(TripError, match=r'needs h5py; run: pip install "suspnet\[hdf5\]"'):
         read(path, "body")
 
 
 def test_missing_extras_are_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(formats.READERS, ".tdms", open_tdms)  # not in another process
     monkeypatch.setitem(sys.modules, "nptdms", None)
     (tmp_path / "data.tdms").write_bytes(b"TDSm")
     with pytest.raises(TripError, match=r'needs nptdms; run: pip install "suspnet\[tdms\]"'):

@@ -8,7 +8,9 @@ import pytest
 from recording_files import WRITERS
 from scipy.io import savemat, wavfile
 
-from suspnet.recordings.formats import open_columns, open_file
+from suspnet.recordings.array_files import open_hdf5
+from suspnet.recordings.formats import READERS, open_columns, open_file
+from suspnet.recordings.logger_files import open_mdf, open_uff
 from suspnet.recordings.manifest import Channel, SpeedSource, TripError, TripManifest
 from suspnet.recordings.sources import open_source
 from suspnet.recordings.units import size_of, unit_in_name
@@ -141,10 +143,15 @@ def test_structs_of_matlab_7_3_have_columns(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "module", "extra"),
-    [(".mf4", "asammdf", "mdf"), (".uff", "pyuff", "uff"), (".h5", "h5py", "hdf5")],
+    ("suffix", "reader", "module", "extra"),
+    [
+        (".mf4", open_mdf, "asammdf", "mdf"),
+        (".uff", open_uff, "pyuff", "uff"),
+        (".h5", open_hdf5, "h5py", "hdf5"),
+    ],
 )
-def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, module, extra):
+def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, extra):
+    monkeypatch.setitem(READERS, suffix, reader)  # not in another process
     monkeypatch.setitem(sys.modules, module, None)
     path = tmp_path / f"data{suffix}"
     path.write_bytes(b"MDF     ")

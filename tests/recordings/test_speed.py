@@ -6,17 +6,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suspnet.recordings.clocks import Zero
-from suspnet.recordings.speed import SpeedTrack, _thinned, find_wrong_speeds, speed_at
+from suspnet.recordings.speed import (
+    SpeedTrack,
+    _thinned,
+    find_stuck,
+    find_wrong_speeds,
+    speed_at,
+)
 
 AT = np.arange(0, 100, 0.01)
 
 
-def told(speeds, seconds=None) -> tuple[np.ndarray, list[str]]:
-    """Return the speed at AT and the faults in words."""
+def told(speeds, seconds=None, at=AT) -> tuple[np.ndarray, list[str]]:
+    """Return the speed at some times and the faults in words."""
     speeds = np.asarray(speeds, dtype=float)
     seconds = np.arange(len(speeds)) * 1.0 if seconds is None else np.asarray(seconds, dtype=float)
     track = SpeedTrack(seconds, speeds, Zero(), float(np.median(np.diff(seconds))), "")
-    found, faults = speed_at(None, track, 0.0, AT)
+    found, faults = speed_at(None, track, 0.0, at)
     return found, [str(fault) for fault in faults]
 
 
@@ -59,6 +65,40 @@ def test_empty_cells_and_jumps_are_told():
     assert (found[np.isfinite(found)] == 50.0).all()
 
 
+SLOWING = np.concatenate([np.full(60, 50.0), np.arange(50.0, 20.0, -0.5), np.full(60, 20.0)])
+"""Speeds of a train that brakes at 0.5 m/s2 from the 60th second on for a minute, [m/s]."""
+EACH_S = np.arange(180.0)
+
+
+@pytest.mark.parametrize("resolution", [1e-9, 0.01, 1 / 3.6, 5 / 3.6])
+@pytest.mark.parametrize("noise", [0.0, 0.05, 0.3])
+def test_receiver_that_repeats_its_speed_while_the_train_brakes_is_stuck(noise, resolution):
+    for seed in range(20):
+        speeds = SLOWING + noise * np.random.default_rng(seed).standard_normal(len(SLOWING))
+        speeds = resolution * np.round(speeds / resolution)
+        assert told(speeds, at=EACH_S)[1] == []
+        speeds[70:110] = speeds[69] - max(resolution, 0.1)  # until the train is at 25 m/s
+        found, faults = told(speeds, at=EACH_S)
+        assert faults == ["speed: stuck of 39 samples (39 s) from 71.000 s on, not usable"]
+        np.testing.assert_array_equal(np.isnan(found), (EACH_S > 70) & (EACH_S < 110))
+
+
+def test_receiver_that_is_stuck_to_the_end_is_seen_where_it_scatters():
+    speeds = SLOWING + 0.05 * np.random.default_rng(0).standard_normal(len(SLOWING))
+    speeds[150:] = speeds[150]
+    words = "speed: stuck of 29 samples (29 s) from 151.000 s on, not usable"
+    assert told(speeds, at=EACH_S)[1] == [words]
+
+
+def test_kept_speed_and_emergency_brake_are_no_fault():
+    assert told(np.full(180, 50.0), at=EACH_S)[1] == []
+    braking = np.concatenate([np.full(60, 50.0), np.arange(50.0, 0.0, -2.4), np.zeros(60)])
+    for resolution in (0.01, 0.1, 1 / 3.6):
+        assert told(resolution * np.round(braking / resolution))[1] == []
+    seconds = np.delete(np.arange(len(braking)) * 1.0, slice(50, 70))  # rows are missing
+    assert not any("stuck" in fault for fault in told(braking[seconds.astype(int)], seconds)[1])
+
+
 def test_missing_rows_are_told():
     seconds = np.delete(np.arange(110.0), [*range(10, 13), *range(50, 70)])
     found, faults = told(np.full(len(seconds), 50.0), seconds)
@@ -76,6 +116,8 @@ def test_wrong_speeds_are_known_ones(speeds):
     assert not (zero & jump).any()
     assert np.isfinite(speeds[zero | jump]).all()
     assert (speeds[zero] < 0.5).all()
+    speeds[zero | jump] = np.nan
+    assert np.isfinite(speeds[find_stuck(np.arange(len(speeds)) * 1.0, speeds)]).all()
 
 
 def test_fast_speeds_are_averaged():

@@ -14,18 +14,21 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
+from dying_readers import open_dying
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from trip_fixtures import N_TRIPS, OUTPUTS, changed, model_at, signal
+from trip_fixtures import OUTPUTS, changed, model_at, signal
 from trip_records import fleet as made_up
 
 from suspnet.data import CurveSettings
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
+from suspnet.recordings.apart import LIMIT, apart
+from suspnet.recordings.formats import READERS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import read_arrays
 from suspnet.trips import finished, fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
-from suspnet.trips.limits import DEFAULT_LIMITS
+from suspnet.trips.limits import DEFAULT_LIMITS, Severity
 from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.trend import LEAST_PERCENT
 from suspnet.trips.trip import evaluate_trip
@@ -366,9 +369,32 @@ def test_reference_of_the_first_trips(manifests, model, alone, no_figures, tmp_p
     assert table["k_s"] == [r.estimates["k_s"] for r in results] != table["k_s_raw"]
     details = json.loads((tmp_path / "metrics.json").read_text())["details"]
     assert details["healthy is"] == "the median of the first 3 trips (k and c)"
-    settings = replace(settings, n_reference=N_TRIPS + 1)
-    with pytest.raises(ValueError, match=r"asks for 7 first trips, 6 have an estimate"):
-        read(folder, [model], tmp_path, settings)
+
+
+def test_report_is_there_where_too_few_trips_say_what_is_healthy(three, model, no_figures):
+    out = three.parent / "out"
+    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
+    (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
+    missing = "healthy is not known yet: 3 trips have an estimate, the first 5 are to say it"
+    for found in one.assessments:
+        assert found.limited == (found.parameter != "M_s")
+        assert found.words.startswith("healthy is not known yet; ") == found.limited
+        assert (found.severity >= Severity.UNKNOWN) == found.limited
+    metrics = json.loads((out / "metrics.json").read_text())
+    words = metrics["details"]["healthy is"]
+    assert words.startswith(f"the median of the first 3 trips (k and c); {missing} (lower monitor")
+    assert sorted(r.estimates["k_p"] for r in one.results)[1] == 1.0
+
+
+def test_report_is_there_where_no_trip_says_what_is_healthy(three, model, no_figures):
+    for path in three.glob("*.yaml"):
+        changed(path, three, path.stem, speed=20.0)
+    out = three.parent / "out"
+    settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
+    (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
+    words = json.loads((out / "metrics.json").read_text())["details"]["healthy is"]
+    assert words.startswith("healthy is not known yet: 0 trips have an estimate")
+    assert one.severity == Severity.UNKNOWN
 
 
 def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, tmp_path):
@@ -457,6 +483,24 @@ def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, m
     assert results.keys() == {"a", "b", "c", "n\\udcffme", "surrogate", "untrue", *reasons}
     assert (out / "overview.html").is_file() == (len(found) > 1)
     assert len(list(out.rglob("report.html"))) == len(found)
+
+
+def test_file_that_kills_or_hangs_its_reader_costs_its_row(three, manifests, model, monkeypatch):
+    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setenv(LIMIT, "2")
+    for what in ("exit", "crash:1", "hang"):
+        (three / f"{what}.mat").write_text(what)
+        channels = {"body": {"file": f"{what}.mat", "column": "a", "unit": "g"}}
+        changed(manifests[0], three, what, channels=channels)
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    out = three.parent / "out"
+    found = evaluate_fleet(three, [model], out, SETTINGS, progress=False)
+    results = {r.trip: r for one in found for r in one.results}
+    assert {name for name, r in results.items() if r.status == "ok"} == {"a", "b", "c"}
+    assert results["exit"].reason.endswith("reader crashed (exit code 3), so the file is damaged")
+    assert results["crash:1"].reason.endswith("crashed (SIGSEGV), so the file is damaged")
+    assert "hang.mat: its reader took longer than 2 s for one step" in results["hang"].reason
+    assert len(list(out.rglob("report.html"))) == len(found) == 1
 
 
 @pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
-from suspnet.trips.records import Quality, TripResult, first_trips, relative_to_first
+from suspnet.history.records import Quality, TripResult, first_trips, relative_to_first
 
 FEW = ("k_p", "M_s")
 
@@ -21,13 +21,13 @@ def made_up(n=8, missing=(1, 5)):
 def test_row_is_flat_and_in_order():
     result = replace(trip(3, {"k_p": 0.9}), raw={"k_p": 0.8, "M_s": 0.7})
     row = result.row(FEW)
-    assert list(row)[:10] == [
+    assert list(row)[:12] == [
         *("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle", "suspension"),
-        *("bogie", "side"),
+        *("bogie", "side", "train", "car"),
     ]
     limits = ["k_p_low", "k_p_high", "M_s_low", "M_s_high"]
     others = ["k_p_raw", "M_s_raw", "k_p_truth", "M_s_truth"]
-    assert list(row)[10:20] == ["k_p", "M_s", *limits, *others]
+    assert list(row)[12:22] == ["k_p", "M_s", *limits, *others]
     assert row["k_p"] == result.estimates["k_p"]
     assert (row["k_p_raw"], row["M_s_raw"]) == (0.8, 0.7)
     assert row["k_p_truth"] == 0.9
@@ -85,10 +85,11 @@ def test_order_of_the_trips_does_not_matter():
 
 
 @pytest.mark.parametrize("n_first", [7, 30])
-def test_too_few_trips_for_a_reference(n_first):
-    message = f"the healthy reference asks for {n_first} first trips, 6 have an estimate"
-    with pytest.raises(ValueError, match=message):
-        relative_to_first(made_up(), n_first)
+def test_too_few_trips_are_the_reference_as_far_as_they_go(n_first):
+    results = made_up()
+    assert relative_to_first(results, n_first) == relative_to_first(results, 6)
+    failed = [replace(r, status="error", estimates={}, raw={}) for r in results]
+    assert relative_to_first(failed, n_first) == failed
 
 
 def test_truth_is_relative_to_the_first_trips_too():

@@ -12,9 +12,9 @@ from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
 from suspnet.features.side_difference import SideDifference
+from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.sides import UNEXPLAINED, spoken_sides
-from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
 from suspnet.trips.sides import sides_finding
 from suspnet.trips.trip import evaluate_trip
 

@@ -1,6 +1,7 @@
 """One trip at a time: estimates near the truth, bins of speed, what is left out, every refusal."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -20,13 +21,13 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.features.welch import Welch
+from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.model import from_recording as recording
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import estimate_with_noise
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
 from suspnet.trips import trip
-from suspnet.trips.records import ERROR, NO_ESTIMATE, OK
 from suspnet.trips.trip import evaluate_trip
 from suspnet.uncertainty.ood import Flags
 
@@ -262,6 +263,19 @@ def test_swapped_channels_are_flagged_where_they_are_not_refused(manifests, mode
     result = evaluated(path, model, TripSettings(check_channels=False, max_deviation=10.0))
     assert result.status == OK
     assert "the model cannot explain the curve" in result.flags
+
+
+def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_path):
+    path = changed(manifests[0], tmp_path, channels={"body": {"start_s": 0.02}})
+    result = evaluate_trip(path, [model], SETTINGS)
+    assert re.search(r"; body looks 20\.\d ms late against bogie all along: do they", result.flags)
+    assert "axle_box" not in result.flags
+    for name, value in result.estimates.items():
+        assert value == pytest.approx(good.estimates[name], rel=0.03)
+    path = changed(manifests[0], tmp_path, channels={"bogie": {"start_s": -0.005}})
+    words = evaluate_trip(path, [model], SETTINGS).flags
+    assert re.search(r"bogie looks (4\.9\d?|5(\.0\d)?) ms early against axle_box", words)
+    assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late against bogie", words)
 
 
 @pytest.mark.parametrize(

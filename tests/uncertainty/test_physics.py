@@ -9,7 +9,7 @@ from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.model.estimate import Estimate
 from suspnet.model.from_curves import estimate_curves
-from suspnet.model.from_spectra import COMMON, estimate_with_noise
+from suspnet.model.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
 from suspnet.problem import Problem
 from suspnet.runs.calibrate import with_unexplained
 from suspnet.types import FloatArray
@@ -18,6 +18,13 @@ from suspnet.uncertainty.physics import COSTLY, INCOMPLETE, Residual, Unexplaine
 
 COSTS = np.array([0.01, 0.1, 0.02, 0.03, 0.0])
 LEVEL = 0.9
+
+
+def unworn(model, ratios):
+    """Return what `UNWORN` costs at some ratios, written out."""
+    costs = [UNWORN.get(name, 0) * abs(1 - r) / r for name, r in zip(OUTPUTS, ratios, strict=True)]
+    factors = model.intervals.conformal
+    return np.array(costs) * factors.factors(LEVEL) / factors.factors(0.6827)
 
 
 def groups(error, n_groups=5, n_freq=400, seed=0):
@@ -61,6 +68,15 @@ def test_residual_is_the_weighted_mean_less_what_noise_makes():
 # limit
 
 
+@pytest.mark.parametrize("ratio", [0.6, 1.0, 1.4])
+def test_damping_that_does_not_wear_costs_the_worn_damper_only(ratio):
+    costs = unworn_deviations(("c_p", "k_p", "c_s", "k_s"), np.full(4, ratio))
+    share = UNWORN["c_p"]
+    read = (1 - share) * ratio + share  # the damper wears, the share beside it stays
+    assert costs[0] == pytest.approx(abs(read - ratio) / ratio, abs=1e-12)
+    assert (costs[1:] == 0).all()
+
+
 def test_noise_alone_leaves_next_to_nothing():
     observed, fitted, deviations = groups(0.0)
     left = np.abs(Residual.of(1.0, observed, fitted, deviations).logs) ** 2
@@ -89,7 +105,8 @@ def test_nothing_unexplained_costs_nothing():
     other, _ = estimate_with_noise(found, trip(model), LEVEL)
     # what lasts is common to all trips of a commissioned vehicle
     wider = np.sqrt(share + COMMON**2 * (1 - share))
-    np.testing.assert_allclose(other.half_widths[0], one.half_widths[0] * wider, rtol=1e-9)
+    expected = np.hypot(one.half_widths[0] * wider, COMMON * unworn(model, one.values[0]))
+    np.testing.assert_allclose(other.half_widths[0], expected, rtol=1e-9)
     assert (wider > 1.05).any()
     assert one.flags.reasons == other.flags.reasons == ("",)
 
@@ -119,6 +136,7 @@ def test_every_estimate_of_incomplete_physics_is_flagged_and_wider():
     factors = model.intervals.conformal
     sigma = COSTS * factors.factors(LEVEL) / factors.factors(0.6827)
     usual = plain.half_widths[0] * np.sqrt(share + COMMON**2 * (1 - share))
+    sigma = np.hypot(sigma, unworn(model, plain.values[0]))
     np.testing.assert_allclose(found.half_widths[0], np.hypot(usual, COMMON * sigma), rtol=1e-9)
     np.testing.assert_array_equal(found.values, plain.values)
     assert (less[:4] < share[:4]).all()  # it is the same in every speed bin

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.recordings.manifest import Place
 from suspnet.types import ComplexArray, FloatArray
 
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
@@ -98,9 +99,9 @@ class TripResult:
 
     Attributes
     ----------
-    trip, manifest, vehicle, suspension : str
-    bogie, side : str
-        Where on the vehicle the suspension is; empty if the manifest does not say.
+    trip, manifest, vehicle : str
+    place : Place
+        Which suspension it is of.
     mileage_km : float, [km]
     start : str
         ISO 8601, or empty.
@@ -136,9 +137,7 @@ class TripResult:
     trip: str
     manifest: str
     vehicle: str = ""
-    suspension: str = ""
-    bogie: str = ""
-    side: str = ""
+    place: Place = field(default_factory=Place)
     mileage_km: float = np.nan
     start: str = ""
     status: str = OK
@@ -179,7 +178,7 @@ class TripResult:
         head = {
             f: getattr(self, f)
             for f in ("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle")
-        } | {"suspension": self.suspension, "bogie": self.bogie, "side": self.side}
+        } | asdict(self.place)
         numbers = {name: self.estimates.get(name, np.nan) for name in outputs}
         for name in outputs:
             numbers[f"{name}_low"], numbers[f"{name}_high"] = self.interval(name)
@@ -205,24 +204,17 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     So is the truth, where it is known. The interval widens by the uncertainty of the median, whose
     variance is pi / 2 times that of a mean of `n_first` trips. That is right for noise; systematic
     errors (of a regression without refinement) cancel only as long as the vehicle does not change.
-    The car-body mass stays relative to nominal: pay-load varies from the first trip on.
-
-    Raises
-    ------
-    ValueError
-        If fewer than `n_first` trips have an estimate.
+    The car-body mass stays relative to nominal: pay-load varies from the first trip on. Where fewer
+    trips have an estimate, those are taken.
     """
     done = first_trips(results, n_first)
-    if len(done) < n_first:
-        raise ValueError(
-            f"the healthy reference asks for {n_first} first trips, {len(done)} have an estimate; "
-            "lower monitor.n_reference or use monitor.reference=vehicle"
-        )
+    if not done:
+        return results
     names = [name for name in done[0].raw if name != "M_s"]
     estimated = _medians([r.raw for r in done], names)
     true = _medians([r.truth for r in done if set(names) <= set(r.truth)], names)
     reference = {
-        name: np.sqrt(np.pi / 2 / n_first) * np.median([r.half_widths[name] for r in done])
+        name: np.sqrt(np.pi / 2 / len(done)) * np.median([r.half_widths[name] for r in done])
         for name in names
         if all(name in r.half_widths for r in done)
     }

@@ -1,0 +1,269 @@
+"""What a composed configuration can be told: its keys with what they mean, its groups, `--help`."""
+
+from __future__ import annotations
+
+import functools
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.core.global_hydra import GlobalHydra
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from suspnet.cli.comments import Comments, Keys, phrase, read_comments
+from suspnet.cli.configs import CONFIGS, TABLES
+
+COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
+"""Width of the help, and of its first column where it tells options and keys."""
+LONGEST_MAPPING = 60
+"""Number of characters of a mapping beyond which its values are left out, and then its keys."""
+MOST_OPTIONS = 12
+"""Number of options of a group beyond which the help names them only, unless one is chosen."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a composed configuration.
+
+    Attributes
+    ----------
+    name : str
+        As it is written on the command line.
+    value : str
+        Its value, likewise; where an interpolation gives a number or a text, that one.
+    sentence : str
+        What it means, with unit and range in brackets; "" if no comment says so.
+    """
+
+    name: str
+    value: str
+    sentence: str
+
+    @property
+    def meaning(self) -> str:
+        """The sentence without unit and range."""
+        return self.sentence.rpartition(" [")[0]
+
+    @property
+    def limits(self) -> str:
+        """Unit and range."""
+        return self.sentence.rpartition(" [")[2].removesuffix("]")
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group of a configuration.
+
+    Attributes
+    ----------
+    name, phrase : str
+        The phrase says what the group is for.
+    options : mapping
+        From the name of each option to a phrase on it.
+    chosen : str or None
+    """
+
+    name: str
+    phrase: str
+    options: Mapping[str, str]
+    chosen: str | None
+
+
+def register() -> None:
+    """Make the help known to the configuration, as ${described:}."""
+    OmegaConf.register_new_resolver("described", _described, replace=True)
+
+
+class Reference:
+    """What can be told to a configuration that was composed with Hydra's own block.
+
+    It looks for sentences in the files that were composed, the last one first, and then in those
+    that describe the class of the object that a key belongs to.
+
+    Parameters
+    ----------
+    config : DictConfig
+        To be used before Hydra composes another one.
+    """
+
+    def __init__(self, config: DictConfig) -> None:
+        self.config = config
+        plain = OmegaConf.to_container(config, resolve=False)
+        assert isinstance(plain, dict)
+        self._plain = {str(name): value for name, value in plain.items() if name != "hydra"}
+        sources = config.hydra.runtime.config_sources
+        self._folders = [Path(source.path) for source in sources if source.schema == "file"]
+        self._files = self._composed_files()
+
+    def keys(self) -> list[Key]:
+        """Return the keys; a mapping is one key if it has a sentence and none below it has one."""
+        return [key for name, value in self._plain.items() for key in self._keys((name,), value)]
+
+    def groups(self) -> list[Group]:
+        """Return the groups that the configuration was composed from, and their options."""
+        choices = self.config.hydra.runtime.choices
+        return [
+            Group(name, self._purpose(name), self._options(name), choices[name])
+            for name in reversed(list(choices))
+            if not name.startswith("hydra/")
+        ]
+
+    def help(self) -> str:
+        """Return groups and keys as the lines of a program's `--help`."""
+        lines = ["Groups, chosen as GROUP=OPTION; * is chosen here:", ""]
+        for group in self.groups():
+            lines.append(f"{group.name}: {group.phrase}")
+            if len(group.options) > MOST_OPTIONS and group.chosen is None:
+                lines += _wrapped(", ".join(group.options), 4)
+            else:
+                for name, words in group.options.items():
+                    mark = "*" if name == group.chosen else " "
+                    lines += _two_columns(f"  {mark} {name}", words, OPTION_COLUMNS)
+            lines.append("")
+        lines += ["Keys, set as KEY=VALUE, with their values here, their units and ranges:"]
+        section = None
+        for key in self.keys():
+            before, section = section, key.name.partition(".")[0] if "." in key.name else ""
+            lines += [""] * (section != before)
+            lines += _two_columns(f"  {key.name}={key.value}", key.sentence, KEY_COLUMNS)
+        return "\n".join(lines) + "\n"
+
+    def _composed_files(self) -> list[tuple[Keys, Comments]]:
+        """Return package and comments of each file that was composed, the last one first."""
+        hydra = self.config.hydra
+        composed = (
+            GlobalHydra.instance()
+            .config_loader()
+            .compute_defaults_list(hydra.job.config_name, list(hydra.overrides.task), RunMode.RUN)
+        )
+        found = []
+        for one in reversed(composed.defaults):
+            package = tuple(one.package.split(".")) if one.package else ()
+            files = [folder / f"{one.config_path}.yaml" for folder in self._folders]
+            file = next((file for file in files if file.is_file()), None)
+            if file is not None and package[:1] != ("hydra",):
+                found.append((package, read_comments(file)))
+        return found
+
+    def _keys(self, path: Keys, value: Any) -> list[Key]:
+        """Return the keys at or below a value."""
+        own = self._sentence(path)
+        if isinstance(value, dict) and value:
+            below = [
+                key
+                for name, one in value.items()
+                if not str(name).startswith("_")
+                for key in self._keys((*path, str(name)), one)
+            ]
+            if not own or any(key.sentence for key in below):
+                return below
+            value = value.get("_target_", value)
+        return [Key(".".join(path), self._text(path, value), own)]
+
+    def _text(self, path: Keys, value: Any) -> str:
+        """Return a value as text: what an interpolation gives if that is no mapping."""
+        if isinstance(value, str) and "${" in value:
+            try:
+                found = OmegaConf.select(self.config, ".".join(path))
+            except OmegaConfBaseException:  # refers to what is missing here
+                return value
+            if found is not None and not OmegaConf.is_dict(found):
+                value = OmegaConf.to_object(found) if OmegaConf.is_list(found) else found
+        return value if isinstance(value, str) else text(value)
+
+    def _sentence(self, path: Keys) -> str:
+        """Return the sentence on a key; "" if there is none."""
+        for package, comments in self._files:
+            n = len(package)
+            if path[:n] == package and path[n:] in comments.above:
+                return comments.above[path[n:]]
+        for n in range(len(path) - 1, 0, -1):
+            target = self._target(path[:n])
+            if target is not None:
+                return _of_classes().get((target, path[n:]), "")
+        return ""
+
+    def _target(self, path: Keys) -> str | None:
+        """Return the `_target_` of the mapping at a path, if it has one."""
+        node: Any = self._plain
+        for name in path:
+            node = node.get(name) if isinstance(node, dict) else None
+        return node.get("_target_") if isinstance(node, dict) else None
+
+    def _purpose(self, group: str) -> str:
+        """Return what a group is for: the comment behind it in a list of defaults."""
+        names = [before + group for before in ("", "/", "override /", "override ")]
+        said = (file.behind.get(("defaults", name)) for _, file in self._files for name in names)
+        return next(filter(None, said), "")
+
+    def _options(self, group: str) -> dict[str, str]:
+        """Return the options of a group with a phrase on each."""
+        files = {f.stem: f for folder in self._folders for f in (folder / group).glob("*.yaml")}
+        found = {name: phrase(file) for name, file in sorted(files.items())}
+        if group in TABLES:
+            table = read_comments(Path(CONFIGS) / TABLES[group][0])
+            found |= {name: table.behind.get((name,), "") for name in table.names}
+        return found
+
+
+def text(value: Any) -> str:
+    """Return a value as it is written in YAML, on one line; of a long mapping only its keys."""
+    flow = yaml.safe_dump(value, default_flow_style=True, width=10**6, sort_keys=False)
+    words = [str(flow).removesuffix("...\n").strip()]
+    if isinstance(value, dict):
+        words += ["{" + ", ".join(f"{key}: ..." for key in value) + "}", "{...}"]
+    return next((one for one in words if len(one) <= LONGEST_MAPPING), words[-1])
+
+
+def changes(entry: Any, path: Keys = ()) -> Iterator[str]:
+    """Yield the values of a mapping as KEY=VALUE."""
+    if not isinstance(entry, dict):
+        yield f"{'.'.join(path)}={text(entry)}"
+        return
+    for name, one in entry.items():
+        yield from changes(one, (*path, str(name)))
+
+
+@functools.cache
+def _of_classes() -> dict[tuple[str, Keys], str]:
+    """Return the sentence on each key of the objects of all configurations, by their `_target_`."""
+    found: dict[tuple[str, Keys], str] = {}
+    for file in sorted(Path(CONFIGS).rglob("*.yaml")):
+        comments = read_comments(file)
+        for place, target in comments.objects.items():
+            n = len(place)
+            for path, sentence in comments.above.items():
+                if path[:n] == place:
+                    found.setdefault((target, path[n:]), sentence)
+    return found
+
+
+def _two_columns(left: str, right: str, width: int) -> list[str]:
+    """Return a text and, from a column on, another one; on lines of its own if it is long."""
+    first = _wrapped(left.lstrip(" "), len(left) - len(left.lstrip(" ")))
+    second = _wrapped(right, width)
+    if second and len(first) == 1 and len(first[0]) < width - 1:
+        return [first[0].ljust(width) + second[0].lstrip(), *second[1:]]
+    return first + second
+
+
+def _wrapped(words: str, indent: int) -> list[str]:
+    """Return a text in lines of at most ``COLUMNS``."""
+    return textwrap.wrap(
+        words,
+        COLUMNS,
+        initial_indent=" " * indent,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _described(_root_: DictConfig) -> str:
+    """Return the help for a template of Hydra, in which a dollar stands for something else."""
+    return Reference(_root_).help().replace("$", "$$")

@@ -1,0 +1,241 @@
+"""The store keeps trips and events: what is written is read, once, whoever writes at once."""
+
+import math
+import multiprocessing
+import os
+import sqlite3
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import sqlalchemy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trip_records import fleet, trip
+
+from suspnet.history import Event, History, HistoryError
+from suspnet.history.records import TripResult
+from suspnet.history.schema import metadata
+from suspnet.recordings.manifest import Place
+
+SERVER = "SUSPNET_TEST_POSTGRESQL"
+"""Environment variable with the URL of a database that the tests may empty."""
+PLACE = Place("bogie 1, left")
+VEHICLE = "AM96 217"
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def store(request, tmp_path):
+    place = tmp_path / "history.db"
+    if request.param == "postgresql":
+        place = os.environ.get(SERVER)
+        if place is None:
+            pytest.skip(f"no server: {SERVER}=postgresql://user:password@host/database")
+        pytest.importorskip("psycopg")
+        emptied(place)
+    with History(place) as found:
+        yield found
+
+
+def emptied(url):
+    """Leave no table in the database of the tests."""
+    engine = sqlalchemy.create_engine(url.replace("postgresql:", "postgresql+psycopg:", 1))
+    metadata.drop_all(engine)
+    engine.dispose()
+
+
+def same(one, other):
+    """Return whether two results are equal, NaN to NaN and whatever the order of parameters."""
+    texts = []
+    for result in (one, other):
+        fields = asdict(replace(result, curves=None))
+        texts.append(
+            {k: sorted(v.items()) if isinstance(v, dict) else v for k, v in fields.items()}
+        )
+    return repr(texts[0]) == repr(texts[1])
+
+
+def write_many(path, worker, n_trips):
+    with History(path) as store:
+        for i in range(n_trips):
+            store.write([trip(1000 * worker + i, with_curves=False)])
+
+
+# reference
+
+
+def test_trips_are_read_back_as_they_were_written(store):
+    results = fleet(with_curves=False)
+    store.write(results)
+    found = store.read(VEHICLE, PLACE)
+    assert len(found) == len(results)
+    assert all(map(same, found, results))
+    assert store.places() == [(VEHICLE, PLACE)]
+
+
+words = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    words,
+    words,
+    st.dictionaries(st.sampled_from(["k_p", "M_s"]), st.floats(allow_nan=False)),
+    st.floats(allow_infinity=False),
+)
+def test_whatever_a_result_holds_comes_back(tmp_path_factory, name, reason, values, mileage_km):
+    place = Place(suspension=name, train=reason)
+    given_ = TripResult(name, "a.yaml", "am96", place, mileage_km, reason=reason, estimates=values)
+    with History(tmp_path_factory.mktemp("store") / "history.db") as store:
+        store.write([given_])
+        assert same(store.read("am96", place)[0], given_)
+
+
+# property
+
+
+def test_writing_a_trip_again_replaces_it(store):
+    results = fleet(6, missing=(), with_curves=False)
+    store.write(results)
+    store.write(results[:3])
+    changed = replace(results[2], estimates={"k_p": 0.5}, flags="odd")
+    store.write([changed])
+    found = store.read(VEHICLE, PLACE)
+    assert len(found) == 6
+    assert same(found[2], changed)
+    assert all(map(same, found[:2], results[:2]))
+
+
+def test_suspensions_are_kept_apart(store):
+    places = [
+        Place("a"),
+        Place("a", "leading"),
+        Place("a", "leading", "left"),
+        Place("a", train="1"),
+        Place("a", car="1"),
+    ]
+    for i, place in enumerate(places):
+        store.write([trip(i, with_curves=False, place=place)])
+    store.write([trip(7, with_curves=False, place=places[0], vehicle="ice3")])
+    assert [len(store.read(VEHICLE, place)) for place in places] == [1] * 5
+    assert len(store.places()) == 6
+    assert store.read("ice3", places[1]) == []
+
+
+def test_trips_of_the_same_name_on_other_days_are_others(store):
+    first = trip(0, with_curves=False)
+    others = [replace(first, start="2025-01-01"), replace(first, mileage_km=math.nan)]
+    store.write([first, *others])
+    store.write([first, *others])
+    assert len(store.read(VEHICLE, PLACE)) == 3
+
+
+def test_programs_that_write_at_once_lose_nothing(tmp_path):
+    path, context = tmp_path / "history.db", multiprocessing.get_context("spawn")
+    workers = [context.Process(target=write_many, args=(path, i, 10)) for i in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join(120)
+        assert worker.exitcode == 0
+    with History(path) as store:
+        found = store.read(VEHICLE, PLACE)
+    expected = [trip(1000 * w + i, with_curves=False) for w in range(2) for i in range(10)]
+    assert {r.trip for r in found} == {r.trip for r in expected}
+    assert len(found) == 20
+
+
+def test_all_or_none_of_some_trips_are_kept(store):
+    broken = replace(trip(1, with_curves=False), reason=object())
+    with pytest.raises(HistoryError, match="cannot be used"):
+        store.write([trip(0, with_curves=False), broken])
+    assert store.places() == []
+
+
+def test_events_are_kept_by_mileage_and_once(store):
+    store.write([trip(0, with_curves=False)])
+    events = [
+        Event(9e4, "reprofiled"),
+        Event(5e4, "exchanged", "new primary dampers"),
+        Event(9e4, "exchanged"),
+    ]
+    for event in [*events, replace(events[0], words="wheels turned")]:
+        store.add_event(VEHICLE, PLACE, event)
+    found = store.events(VEHICLE, PLACE)
+    assert [event.mileage_km for event in found] == [5e4, 9e4, 9e4]
+    assert [event.words for event in found] == ["new primary dampers", "", "wheels turned"]
+    assert str(found[0]) == "new primary dampers at 50 000 km"
+
+
+# failure
+
+
+def test_an_event_of_an_unknown_suspension_names_the_known_ones(store):
+    store.write([trip(0, with_curves=False)])
+    with pytest.raises(HistoryError, match=r"no trip of am96: x is kept.*AM96 217: bogie 1, left"):
+        store.add_event("am96", Place("x"), Event(1.0))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [((np.nan,), "mileage in km"), ((1.0, "repaired"), "one of exchanged, reprofiled, other")],
+)
+def test_a_wrong_event_is_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        Event(*fields)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"no database at all, but some text" * 40, "cannot be used .*not a database"),
+        (None, "there is no folder"),
+    ],
+)
+def test_a_foreign_file_is_named_and_left_alone(content, message, tmp_path):
+    path = tmp_path / ("history.db" if content else "nowhere/history.db")
+    if content:
+        path.write_bytes(content)
+    with pytest.raises(HistoryError, match=message):
+        History(path)
+    assert not content or path.read_bytes() == content
+
+
+def test_a_store_of_another_version_is_refused(tmp_path):
+    path = tmp_path / "history.db"
+    History(path).close()
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE suspnet_version SET schema = 99")
+    connection.close()
+    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 1"):
+        History(path)
+
+
+def test_a_foreign_database_with_tables_of_these_names_is_refused(tmp_path):
+    path = tmp_path / "other.db"
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE trips (id INTEGER)")
+    connection.close()
+    with pytest.raises(HistoryError, match="no store of suspnet"):
+        History(path)
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("mysql://host/x", "not mysql://"),
+        ("sqlite://", "path of a file"),
+        ("://", "no URL"),
+    ],
+)
+def test_a_wrong_url_is_refused(url, message):
+    with pytest.raises(HistoryError, match=message):
+        History(url)
+
+
+def test_the_password_is_not_shown():
+    pytest.importorskip("psycopg")
+    with pytest.raises(HistoryError) as caught:
+        History("postgresql://me:secret@127.0.0.1:1/x")
+    assert "secret" not in str(caught.value)
+    assert "127.0.0.1" in str(caught.value)

@@ -1,0 +1,200 @@
+"""docs/recordings.md: its tables hold every reason that the programs give, and no other."""
+
+import ast
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from suspnet.features import PeakReason
+from suspnet.history.records import TripResult
+from suspnet.recordings.cleaning import KINDS
+from suspnet.recordings.formats import READERS
+from suspnet.recordings.manifest import Channel, CsvDialect, Source, SpeedSource, TripManifest
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
+TELLING = (
+    *(path.relative_to(ROOT).as_posix() for path in (ROOT / "suspnet/recordings").glob("*.py")),
+    "suspnet/commissioning/healthy.py",
+    "suspnet/inspection/check.py",
+    "suspnet/inspection/manifests.py",
+    "suspnet/model/delays.py",
+    "suspnet/model/from_recording.py",
+    "suspnet/model/from_spectra.py",
+    "suspnet/model/sides.py",
+    "suspnet/model/speed_bin.py",
+    "suspnet/trips/places.py",
+    "suspnet/trips/trip.py",
+    "suspnet/uncertainty/ood.py",
+    "suspnet/uncertainty/physics.py",
+    "suspnet/workers.py",
+)
+"""Modules whose every sentence is a reason."""
+RAISING = (
+    "suspnet/trips/commissionings.py",
+    "suspnet/trips/fleet.py",
+    "suspnet/inspection/summary.py",
+)
+"""Modules of which only what is raised or listed here is one."""
+OF_FILES = ("suspnet/inspection/contents.py",)
+"""Modules whose errors are of data files without a trip, which suspnet-init tells."""
+ALSO = ("reads the same data as", "commissioning needs", "the trips differ in their sensors")
+"""Beginnings of the sentences of ``RAISING`` that are reasons though nothing raises them."""
+NO_REASON = (
+    "Failed to parse string",  # looked for in the messages of Arrow
+    "partial: ",  # words about a simulation
+    "names in line ",  # how a CSV file is read
+    " with byte-order mark",
+    "`name` must be that of the file",  # of manifests that are written, not read
+    "the time zone ",  # `time_zone` must be one like ..., says what is printed
+    " m/s:  averages",  # quality of a trip
+    " (and ",  # how many more there are, which the text above the tables says
+    "`thresholds` must be",  # of model files
+    "`reference` must be",
+    "`misfit` must be",
+    "`costs` must be",
+    "`cluster` needs dask",  # a mistake in the command
+    "trip %s failed",  # of the log
+    "module ",  # of a wrong import
+    "import sys; ",  # a program that a reader runs
+    "exit code ",  # how a reader crashed, in other words
+    ", or there was too little memory",
+    "its reader has ended",  # not printed: a file is opened again
+    "%s holds manifests of its own",
+)
+"""Beginnings of sentences that are none."""
+FEWEST_LETTERS = 6
+"""A sentence of the code with fewer fixed letters fits too many reasons."""
+
+LEAST_SHARE = 0.2
+"""Least share of the letters of a reason that one sentence of the code makes; others are names."""
+
+
+def fixed_and_variable(node):
+    """Return a text of the code with None for each part that is put in when it is printed."""
+    if isinstance(node, ast.Constant):
+        return [node.value]
+    return [part.value if isinstance(part, ast.Constant) else None for part in node.values]
+
+
+def sentences(file, least_blanks=2):
+    """Return the texts of three words and more of a module, docstrings left out."""
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    nodes, inner = list(ast.walk(tree)), set()
+    for node in nodes:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            inner.add(id(node.value))
+        elif isinstance(node, ast.JoinedStr):
+            inner |= {id(part) for part in node.values}
+    if file in RAISING:
+        told = {id(one) for n in nodes if isinstance(n, ast.Raise) for one in ast.walk(n)}
+    found = []
+    for node in nodes:
+        is_text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if id(node) in inner or not (is_text or isinstance(node, ast.JoinedStr)):
+            continue
+        parts = fixed_and_variable(node)
+        words = "".join(part or "" for part in parts)
+        if file in RAISING and id(node) not in told and not words.startswith(ALSO):
+            continue
+        if "".join(part or "x" for part in parts).count(" ") < least_blanks:
+            continue
+        if n_letters(parts) >= FEWEST_LETTERS and not words.removeprefix(": ").startswith(
+            NO_REASON
+        ):
+            found.append(parts)
+    return found
+
+
+def n_letters(parts):
+    return sum(char.isalpha() for part in parts if part for char in part)
+
+
+def pattern(parts):
+    """Return what a text of the code looks like when it is printed."""
+    if parts and parts[0] is None:  # what stands in front is not in the tables
+        parts = [*parts[1:]]
+        if parts and parts[0] is not None:
+            parts[0] = parts[0].removeprefix(": ")
+    return re.compile("".join(".*?" if part is None else re.escape(part) for part in parts))
+
+
+CODE = [parts for file in (*TELLING, *RAISING) for parts in sentences(file)]
+
+
+SHORTER = [parts for file in (*TELLING, *RAISING) for parts in sentences(file, 1)]
+
+
+def table_reasons():
+    """Return the first cell of each row of the tables of reasons, without its back-quotes."""
+    rows = []
+    for block in re.findall(r"<!-- reasons -->\n(.*?)<!-- end of reasons -->", PAGE, re.DOTALL):
+        _, line, *lines = block.splitlines()
+        assert line == "|---|---|---|"
+        for row in lines:
+            match = re.fullmatch(r"\| ``(.+?)`` \| (.*?) ?\| (.*?) ?\|", row)
+            assert match, row
+            assert "|" not in match[1] + match[2] + match[3], row
+            rows.append(match[1].strip())
+    return rows
+
+
+REASONS = table_reasons()
+
+
+@pytest.mark.parametrize(
+    "parts", CODE, ids=lambda parts: "".join(part or "*" for part in parts)[:60]
+)
+def test_every_sentence_of_the_code_stands_in_a_table(parts):
+    assert any(pattern(parts).search(reason) for reason in REASONS), parts
+
+
+@pytest.mark.parametrize("reason", REASONS, ids=lambda reason: reason[:60])
+def test_every_reason_of_the_tables_is_one_of_the_code(reason):
+    found = [parts for parts in SHORTER if pattern(parts).search(reason)]
+    letters = sum(char.isalpha() for char in reason)
+    assert max(map(n_letters, found), default=0) >= LEAST_SHARE * letters
+
+
+def test_every_module_that_refuses_or_flags_a_trip_is_looked_at():
+    for path in (ROOT / "suspnet").rglob("*.py"):
+        code = path.read_text(encoding="utf-8")
+        if re.search(
+            r"raise (?:TripError|NoEstimateError|MissingFeaturesError)\b|with_kind\(", code
+        ):
+            assert path.relative_to(ROOT).as_posix() in {*TELLING, *RAISING, *OF_FILES}, path
+
+
+def test_no_reason_stands_twice_and_there_are_many():
+    assert len(REASONS) == len(set(REASONS)) > 100
+
+
+def test_all_kinds_of_faults_and_of_missing_peaks_are_named():
+    for kind in KINDS:
+        assert any(f": {kind} " in reason for reason in REASONS), kind
+    for reason in PeakReason:
+        assert not reason or f"`{reason.name.lower().replace('_', ' ')}`" in PAGE
+
+
+def test_every_key_of_a_manifest_has_a_row():
+    keys = {"format"} | {one.name for one in fields(TripManifest)} - {"path", "name"}
+    for kind in (Source, SpeedSource, Channel, CsvDialect):
+        keys |= {one.name for one in fields(kind)}
+    assert {key for key in keys if f"\n| `{key}` |" not in PAGE} == set()
+
+
+def test_every_column_of_the_tables_of_trips_is_named():
+    columns = TripResult("trip", "trip.yaml").row(("k_p",))
+    page = (ROOT / "docs" / "trips.md").read_text(encoding="utf-8")
+    page = page.replace(
+        "with `_low`, `_high` and `_healthy`",
+        "`k_p_n_per_m_low` `k_p_n_per_m_high` `k_p_n_per_m_healthy`",
+    )
+    assert [name for name in columns if f"`{name}`" not in page] == []
+
+
+def test_every_suffix_has_a_row():
+    (table,) = re.findall(r"^\| suffix .*?\n\n", PAGE, re.DOTALL | re.MULTILINE)
+    assert set(re.findall(r"`(\.\w+)`", table)) == set(READERS)

@@ -1,0 +1,84 @@
+"""Trips of earlier folders, kept in the store, are in tables, trend and report."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_fleet import SETTINGS, no_figures  # noqa: F401
+from trip_fixtures import changed
+from trip_records import fleet
+
+from suspnet.history import Event, History
+from suspnet.trips.earlier import between
+from suspnet.trips.fleet import evaluate_fleet
+
+
+@pytest.fixture
+def store(tmp_path):
+    with History(tmp_path / "history.db") as found:
+        yield found
+
+
+@pytest.fixture
+def folders(manifests, tmp_path):
+    """Two folders of three trips each, one after the other, and a broken one in the second."""
+    for name, chosen in (("may", manifests[:3]), ("june", manifests[3:])):
+        (tmp_path / name).mkdir()
+        for i, path in enumerate(chosen):
+            changed(path, tmp_path / name, f"trip_{i}")
+    (tmp_path / "june" / "broken.yaml").write_text("[")
+    return tmp_path / "may", tmp_path / "june"
+
+
+def read(folder, model, out, store):
+    (one,) = evaluate_fleet(folder, [model], out, SETTINGS, progress=False, store=store)
+    return one.results
+
+
+def test_a_folder_is_read_with_the_trips_of_earlier_ones(
+    folders,
+    model,
+    store,
+    no_figures,  # noqa: F811
+    tmp_path,
+    caplog,
+):
+    first = read(folders[0], model, tmp_path / "one", store)
+    both = read(folders[1], model, tmp_path / "two", store)
+    assert [r.trip for r in first] == ["trip_0", "trip_1", "trip_2"]
+    assert [r.trip for r in both] == ["trip_0", "trip_1", "trip_2"] * 2 + ["broken"]
+    assert [r.estimates for r in both[:3]] == [r.estimates for r in first]
+    metrics = json.loads((tmp_path / "two" / "metrics.json").read_text())
+    assert metrics["details"]["history"].endswith("history.db")
+    assert metrics["trends"][0]["n_trips"] == 6
+    place = both[0].place
+    assert len(store.read("am96", place)) == 6  # the broken one may be whole another day
+    again = read(folders[1], model, tmp_path / "three", store)
+    assert [r.estimates for r in again] == [r.estimates for r in both]
+    # trips relative to another healthy vehicle are left out, and said so
+    other = replace(both[0], trip="other", healthy_si={k: 2.0 for k in both[0].healthy_si})
+    store.write([other])
+    again = read(folders[1], model, tmp_path / "four", store)
+    assert [r.trip for r in again] == [r.trip for r in both]
+    assert "1 earlier trips of" in caplog.text
+    # since maintenance there is one trip
+    store.add_event("am96", place, Event(both[5].mileage_km, "exchanged", "new springs"))
+    read(folders[1], model, tmp_path / "five", store)
+    metrics = json.loads((tmp_path / "five" / "metrics.json").read_text())
+    assert metrics["trends"][0]["n_trips"] == 1
+    assert metrics["maintenance"][0]["words"] == "new springs"
+
+
+def test_trips_between_maintenance():
+    results = fleet(10, missing=(), with_curves=False)
+    assert between([], results) == [results]
+    lost = replace(results[0], mileage_km=np.nan)
+    events = [Event(50_000.0), Event(20_000.0), Event(1e6)]
+    found = between(events, [lost, *results[::-1]])
+    assert [[r.mileage_km for r in part] for part in found[:3]] == [
+        [1e4],
+        [4e4, 3e4, 2e4],
+        [1e4 * i for i in range(10, 4, -1)],
+    ]
+    assert found[3] == [lost]
