@@ -1,8 +1,9 @@
-"""Checks of the channels against physics: their order, and gain and sign at low frequency.
+"""Checks of channels and speed against physics: order, speed, gain and sign at low frequency.
 
 Slowly, everything moves with the track: G_p and G_s tend to 1. Fast, each suspension isolates:
 the axle box shakes more than the bogie, the bogie more than the body, so that the responses get
-another shape when channels are swapped.
+another shape when channels are swapped. Both axles of a bogie meet the same track, so that waves of
+twice the wheelbase turn the frame and leave its centre at rest: the shape tells the speed.
 """
 
 from __future__ import annotations
@@ -10,14 +11,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.speed import LARGEST_SPEED_M_PER_S
 
 SLOW = (0.2, 0.4)
 """Band in which the gain is checked, in multiples of the first natural frequency."""
@@ -31,6 +34,15 @@ CHANCE = 2.0
 order of the channels is checked above this multiple of it."""
 COHERENT = 0.5
 """Least coherence at which the gain is checked."""
+IN_ORDER = tuple(range(len(CHANNELS)))
+SPEED_BAND_HZ = 20.0
+"""The speed is checked below this frequency, which spectra must reach."""
+KM_PER_H = 3.6
+SPEED_MARGIN = 1.25
+"""Factor by which another speed must fit better than the one given to be told.
+
+At 20 to 83 m/s, with parameters of 60 to 150 %, the right speed fits better than the one of 3.6
+times or its 3.6th part by 1.69 and more (all shipped vehicles)."""
 
 
 def check_channels(
@@ -63,6 +75,7 @@ def check_channels(
     band = frequencies_hz >= LOWEST_MODE * modes[0]
     if bool((spectra.at(band).coherences().mean(dim=1) < CHANCE / spectra.n_averages).any()):
         return "channels not checked: two of them have nothing to do with each other"
+    _check_speed(spectra.at(band), frequencies_hz[band], generator)
     _check_order(spectra.at(band), expected[:, band])
     slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
     coherence = spectra.coherences()[:, slow].mean(dim=1)
@@ -131,21 +144,9 @@ def check_pairs(
 
 
 def _check_order(spectra: CrossSpectra, expected: Tensor) -> None:
-    """Raise TripError if another order of the channels fits the healthy vehicle's curves better.
-
-    Only the shape of the log-magnitudes is compared, so that neither unit nor sign matters.
-    """
-    healthy = expected.abs().log()
-    distances = {}
-    for order in itertools.permutations(range(len(CHANNELS))):
-        box, bogie, body = order
-        links = [(box, bogie, body), (bogie, body, box)]
-        measured = torch.stack([spectra.transfer(x, y, "IV", z).abs().log() for x, y, z in links])
-        difference = measured - healthy
-        shape = difference - difference.mean(dim=1, keepdim=True)
-        distances[order] = float(shape.square().mean().sqrt())
-    best = min(distances, key=distances.__getitem__)
-    if best != tuple(range(len(CHANNELS))):
+    """Raise TripError if another order of the channels fits the healthy vehicle's curves better."""
+    best = _best_order(spectra, expected)
+    if best != IN_ORDER:
         said = ", ".join(
             f"{name} is in the place of {CHANNELS[place]}"
             for place, name in zip(best, CHANNELS, strict=True)
@@ -154,6 +155,55 @@ def _check_order(spectra: CrossSpectra, expected: Tensor) -> None:
         raise TripError(
             f"channels look swapped: the responses have the shape expected if {said}; check files "
             "and columns in the manifest"
+        )
+
+
+def _best_order(spectra: CrossSpectra, expected: Tensor) -> tuple[int, ...]:
+    """Return the order of the channels that fits the curves expected best.
+
+    Only the shape of the log-magnitudes is compared, so that neither unit nor sign matters.
+    """
+    distances = {}
+    for order in itertools.permutations(IN_ORDER):
+        difference = _log_magnitudes(spectra, order) - expected.abs().log()
+        shape = difference - difference.mean(dim=1, keepdim=True)
+        distances[order] = float(shape.square().mean().sqrt())
+    return min(distances, key=distances.__getitem__)
+
+
+def _log_magnitudes(spectra: CrossSpectra, order: Sequence[int]) -> Tensor:
+    """Return log-magnitudes of both links if the channels have an order, shape (2, n_freq)."""
+    box, bogie, body = order
+    links = [(box, bogie, body), (bogie, body, box)]
+    return torch.stack([spectra.transfer(x, y, "IV", z).abs().log() for x, y, z in links])
+
+
+def _check_speed(
+    spectra: CrossSpectra, frequencies_hz: Tensor, generator: ResponseGenerator
+) -> None:
+    """Raise TripError if km/h were taken for m/s or the reverse, and channels are in order then.
+
+    Deep in the dips of the curves logarithms are of leakage, so that distances are mean ones.
+    """
+    if not isinstance(generator, VerticalVehicle) or frequencies_hz[-1] < SPEED_BAND_HZ:
+        return
+    measured = _log_magnitudes(spectra, IN_ORDER)
+    healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+    given, inside = generator.speed_m_per_s, frequencies_hz <= SPEED_BAND_HZ
+    found = []
+    for unit, speed in (("", given), ("km/h", given / KM_PER_H), ("m/s", given * KM_PER_H)):
+        if speed > LARGEST_SPEED_M_PER_S and unit:
+            continue
+        other = replace(generator, speed_m_per_s=speed)
+        curves = torch.stack(other.responses(healthy, frequencies_hz), dim=1)[0].cpu()
+        difference = (measured - curves.abs().log())[:, inside]
+        shape = difference - difference.median(dim=1, keepdim=True).values
+        found.append((float(shape.abs().mean()), unit, speed, curves))
+    distance, unit, speed, curves = min(found[1:], key=lambda one: one[0])
+    if SPEED_MARGIN * distance < found[0][0] and _best_order(spectra, curves) == IN_ORDER:
+        raise TripError(
+            f"`speed`: the responses have the shape expected at {speed:.3g} m/s rather than at "
+            f"{given:.3g} m/s; is it in {unit}? Check its unit in the manifest"
         )
 
 

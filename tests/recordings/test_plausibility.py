@@ -1,6 +1,7 @@
 """Wrong units, signs and swapped channels are found and named; right channels are let pass."""
 
 import itertools
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -167,6 +168,23 @@ def test_wrong_sign_is_found_and_named(vehicle, channel):
     message = rf"^{channel}: .* move against each other .* turn the sign of {channel} in the"
     with pytest.raises(TripError, match=message):
         check(generator, scaled(signals, channel, -1.0))
+
+
+@pytest.mark.parametrize("state", ["healthy", "softer"])
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_speed_in_another_unit_is_found_and_named(vehicle, state):
+    generator, signals = simulated(vehicle, state)
+    if not isinstance(generator, VerticalVehicle):
+        pytest.skip("its responses do not depend on the speed")
+    wrong = replace(generator, speed_m_per_s=generator.speed_m_per_s / 3.6)
+    message = r"^`speed`: .* expected at 70 m/s rather than at 19\.4 m/s; is it in m/s\? Check"
+    with pytest.raises(TripError, match=message):
+        check(wrong, signals)
+    generator, signals = signals_of(replace(generator, speed_m_per_s=19.4), 19.4, state=state)
+    assert check(generator, signals) == ""
+    message = r"^`speed`: .* expected at 19\.4 m/s rather than at 69\.8 m/s; is it in km/h\? Check"
+    with pytest.raises(TripError, match=message):
+        check(replace(generator, speed_m_per_s=19.4 * 3.6), signals)
 
 
 @pytest.mark.parametrize(
