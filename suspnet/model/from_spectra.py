@@ -11,7 +11,7 @@ with s_0 the standard deviation that the calibration gives and q its quantiles, 
 expected of such a vehicle in training, n that of the trip. l^2 is the variance of the
 regression's own error and of the generator's uncertain quantities; b is the cost of what the
 healthy trips of a commissioned vehicle left unexplained (`suspnet.uncertainty.physics`), f that of
-damping which does not wear (`unworn_deviations`), w is ``COMMON`` for these; others have w = 1 and
+damping and stiffness which do not wear (`unworn_deviations`), w is ``COMMON`` for these; others have w = 1 and
 b = f = 0. Of refined estimates n is the deviation that Gauss-Newton
 gives if all numbers are known, and what it gives beyond that adds to l^2; of others n is the spread
 of estimates from drawn spectra.
@@ -52,9 +52,10 @@ COMMON = 1.8
 """Factor on what lasts from trip to trip of a commissioned vehicle: the error that healthy trips
 leave is one draw for all that follow. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle whose draw is bad."""
-UNWORN = {"c_p": 0.05}
-"""Standard deviation of the share of a healthy vehicle's damping that does not wear. Dry friction
-in a primary suspension acts as a damper does, and no healthy trip tells them apart."""
+UNWORN = {"k_p": 0.003, "c_p": 0.05}
+"""Standard deviation of the share of a healthy vehicle's stiffness and damping that does not wear.
+Dry friction in a primary suspension acts as a damper does where it slips and as a spring where it
+sticks, and no healthy trip tells them apart."""
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""
 
@@ -133,7 +134,7 @@ def estimate_with_noise(
 
 
 def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
-    """Return what damping that does not wear costs the logarithm of each output.
+    """Return what damping and stiffness that do not wear cost the logarithm of each output.
 
     A damper at the ratio r beside a share u of the healthy damping that stays as it is reads as
     (1 - u) r + u: wrong by u (1 - r) / r of r, which is nothing where nothing is worn.

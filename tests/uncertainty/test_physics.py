@@ -69,12 +69,12 @@ def test_residual_is_the_weighted_mean_less_what_noise_makes():
 
 
 @pytest.mark.parametrize("ratio", [0.6, 1.0, 1.4])
-def test_damping_that_does_not_wear_costs_the_worn_damper_only(ratio):
+def test_what_does_not_wear_costs_the_worn_primary_suspension_only(ratio):
     costs = unworn_deviations(("c_p", "k_p", "c_s", "k_s"), np.full(4, ratio))
-    share = UNWORN["c_p"]
-    read = (1 - share) * ratio + share  # the damper wears, the share beside it stays
-    assert costs[0] == pytest.approx(abs(read - ratio) / ratio, abs=1e-12)
-    assert (costs[1:] == 0).all()
+    shares = np.array([UNWORN["c_p"], UNWORN["k_p"]])
+    read = (1 - shares) * ratio + shares  # the damper wears, the share beside it stays
+    np.testing.assert_allclose(costs[:2], np.abs(read - ratio) / ratio, atol=1e-12)
+    assert (costs[2:] == 0).all()
 
 
 def test_noise_alone_leaves_next_to_nothing():
