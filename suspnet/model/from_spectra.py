@@ -11,10 +11,10 @@ with s_0 the standard deviation that the calibration gives and q its quantiles, 
 expected of such a vehicle in training, n that of the trip. l^2 is the variance of the
 regression's own error and of the generator's uncertain quantities; b is the cost of what the
 healthy trips of a commissioned vehicle left unexplained (`suspnet.uncertainty.physics`), f that of
-damping and stiffness which do not wear (`unworn_deviations`), w is ``COMMON`` for these; others have w = 1 and
-b = f = 0. Of refined estimates n is the deviation that Gauss-Newton
-gives if all numbers are known, and what it gives beyond that adds to l^2; of others n is the spread
-of estimates from drawn spectra.
+damping and stiffness which do not wear (`unworn_deviations`), w is ``COMMON`` for these; others
+have w = 1 and b = f = 0. Of refined estimates n is the deviation that Gauss-Newton gives if all
+numbers are known, and what it gives beyond that adds to l^2; of others n is the spread of estimates
+from drawn spectra.
 """
 
 from __future__ import annotations
