@@ -39,22 +39,24 @@ def parser() -> ArgumentParser:
         epilog=EPILOG,
         formatter_class=RawDescriptionHelpFormatter,
     )
-    found.add_argument("store", metavar="STORE", help="the store")
+    found.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = found.add_subparsers(dest="does", required=True, metavar="list | event | export")
     does.add_parser("list", help="each suspension with its trips and maintenance")
     event = does.add_parser(
         "event", help="add maintenance: tests for changes, and the report's words, begin anew there"
     )
-    event.add_argument("--vehicle", required=True, help="as in the manifests")
+    event.add_argument("--vehicle", required=True, help="as in the manifests [text]")
     for name in PLACE:
-        event.add_argument(f"--{name}", default="", help="as in the manifests, if it stands there")
+        event.add_argument(
+            f"--{name}", default="", help="as in the manifests, if it stands there [text]"
+        )
     event.add_argument(
-        "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done"
+        "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done [km]"
     )
-    event.add_argument("--kind", choices=KINDS, default="other", help="other if not given")
-    event.add_argument("--words", default="", help="what was done")
+    event.add_argument("--kind", choices=KINDS, default="other", help="[other if not given]")
+    event.add_argument("--words", default="", help="what was done [text]")
     export = does.add_parser("export", help="write trips and events as Parquet and CSV")
-    export.add_argument("folder", type=Path, metavar="DIR", help="where to")
+    export.add_argument("folder", type=Path, metavar="DIR", help="where to [path]")
     return found
 
 

@@ -205,3 +205,10 @@ def test_figure_draws_every_slice_and_set(measured):
     assert dots == N_SLICES * 2 * 3  # two outputs over three parameters
     assert len(right.patches) == len(measured.flags)
     assert {"any", *KINDS} == set(measured.flags[IN_RANGE])
+
+
+def test_number_of_odd_curves_is_checked_before_anything_is_read(tmp_path):
+    options = {"n_test": 10, "seed": 1, "threads": 1, "device": "cpu", "progress": False}
+    for wrong in (0, 1.5):
+        with pytest.raises((ValueError, TypeError), match="`n_odd` must be a whole number >= 1"):
+            write_reliability(str(tmp_path / "none"), {}, tmp_path, n_odd=wrong, **options)
