@@ -20,7 +20,7 @@ LOADED_FROM_OUTSIDE = re.compile(
 )
 """What a browser would load from the internet when it shows a page; links are no such thing."""
 
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 import suspnet  # noqa: E402
 
 project = "suspnet"
@@ -57,6 +57,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "gallery",
     "backreferences_dir": "generated/examples_of",
     "doc_module": ("suspnet",),
+    "within_subsection_order": "gallery_order.place",
     "download_all_examples": False,
     "show_signature": False,
     "write_computation_times": False,
