@@ -28,8 +28,8 @@ from suspnet.trips.health_figure import LIMIT_COLOURS
 PICTURE = Path(__file__).parents[2] / "docs" / "overview.png"
 SHOWN_S = 6.0
 """Length of the signals that are drawn, [s]."""
-N_COLOURS = 64
-"""Number of colours of the picture, which make its file a third as large."""
+N_COLOURS = 256
+"""Number of colours of the picture, the most of a palette: the file is a third as large."""
 TITLES = {
     "k_p": "primary spring",
     "c_p": "primary damper",
@@ -55,11 +55,11 @@ def draw_signals(axis: Any, trips: pa.Table) -> None:
     seconds = np.arange(part.shape[1]) / recording.rate_hz
     for i, (name, signal) in enumerate(zip(CHANNEL_TITLES, part, strict=True)):
         rms = np.sqrt(np.mean(signal**2))
-        axis.plot(seconds, signal / rms - 7 * i, lw=0.9, color=f"C{i}")
+        axis.plot(seconds, signal / rms - 8 * i, lw=0.9, color=f"C{i}")
         words = f"{name}, rms {rms:.2g} m/s²"
-        axis.text(0, 2.9 - 7 * i, words, color=f"C{i}", fontsize=14, va="bottom")
+        axis.text(0, 3.2 - 8 * i, words, color=f"C{i}", fontsize=14, va="bottom")
     axis.set(title="1  Signals of three accelerometers", xlabel="time [s]", yticks=[])
-    axis.set_ylim(-18, 6)
+    axis.set_ylim(-20, 6)
     axis.margins(x=0)
     axis.spines["left"].set_visible(False)
 
