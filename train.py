@@ -1,6 +1,6 @@
 """Train one method on one problem, or many by a multirun: python train.py --help."""
 
-from suspnet.cli.train import main
+from suspnet.cli.start import train
 
 if __name__ == "__main__":
-    main()
+    train()

@@ -115,14 +115,14 @@ def test_lost_samples_and_speed_are_told(manifests, settings, tmp_path):
 
 def test_each_steady_speed_is_a_part(manifests, tmp_path):
     seconds = np.arange(301.0)
-    speed = {"t": seconds, "v": np.where(seconds < 150, 40.0, 60.0)}
+    speed = {"t": seconds, "v": np.where(seconds < 150, 64.0, 76.0)}
     source = {"column": "v", "time": "t", "rate_hz": None}
     path = changed(manifests[0], tmp_path, "steps", {"speed": speed}, {"speed": source})
     done = typed(check, path, "-o", tmp_path / "o", "--no-pictures", cwd=tmp_path)
     (trip,) = found_in(tmp_path / "o")["trips"]
-    assert sorted(part["speed_m_per_s"] for part in trip["parts"]) == pytest.approx([40.0, 60.0])
+    assert sorted(part["speed_m_per_s"] for part in trip["parts"]) == pytest.approx([64.0, 76.0])
     assert 90 < trip["steady_percent"] < 100  # the segments across the step are left out
-    assert "at 40.0 to 60.0 m/s: train with speed_m_per_s=[40,60]" in done.stdout
+    assert "at 64.0 to 76.0 m/s: train with speed_m_per_s=[64,76]" in done.stdout
 
 
 @pytest.mark.parametrize("speed", [5.0, 9.0])

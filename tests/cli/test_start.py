@@ -1,0 +1,34 @@
+"""A signal that comes while a program is imported ends it in one line."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from cli_runner import ROOT
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+
+
+@pytest.mark.parametrize("number", WORDS)
+def test_signal_while_a_program_is_imported_is_one_line(tmp_path, number):
+    (tmp_path / "torch.py").write_text(  # stands for what takes seconds
+        f"import pathlib, time\npathlib.Path({str(tmp_path / 'begun')!r}).touch()\ntime.sleep(60)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, ROOT / "evaluate.py", "run=x"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    last = time.monotonic() + 60
+    while not (tmp_path / "begun").exists() and time.monotonic() < last:
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, words = process.communicate(timeout=60)
+    assert words == f"{WORDS[number]}: nothing had begun\n"
+    assert process.returncode == 128 + number
