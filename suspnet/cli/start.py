@@ -30,6 +30,5 @@ def _end(number: int, frame: object) -> None:
     os._exit(128 + number)
 
 
-train, evaluate, simulate, check, init = (
-    functools.partial(start, name) for name in ("train", "evaluate", "simulate", "check", "init")
-)
+PROGRAMS = ("train", "evaluate", "simulate", "check", "init", "history")
+train, evaluate, simulate, check, init, history = (functools.partial(start, n) for n in PROGRAMS)

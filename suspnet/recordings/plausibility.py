@@ -202,7 +202,7 @@ def _check_speed(
     distance, unit, speed, curves = min(found[1:], key=lambda one: one[0])
     if SPEED_MARGIN * distance < found[0][0] and _best_order(spectra, curves) == IN_ORDER:
         raise TripError(
-            f"`speed`: the responses have the shape expected at {speed:.3g} m/s rather than at "
+            f"speed: the responses have the shape expected at {speed:.3g} m/s rather than at "
             f"{given:.3g} m/s; is it in {unit}? Check its unit in the manifest"
         )
 
