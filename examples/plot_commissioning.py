@@ -9,6 +9,7 @@ about its drawing, commissions it on three healthy trips, and reads a worn trip 
 """
 
 import json
+import textwrap
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -58,7 +59,8 @@ trips = Path(folder.name) / "trips"
 # %%
 # What the healthy trips show
 # ---------------------------
-# The prior says how far each number may lie from nominal, the posterior what is left of that.
+# The prior says how far each number may lie from nominal, the posterior what is left of that; both
+# are given by one standard deviation on either side.
 
 settings = EstimateSettings(
     n_train=1000,
@@ -74,7 +76,7 @@ found = commission(family, settings, healthy.groups, n_starts=2)
 print(f"misfit {found.misfit:.2f} (1: all that is seen is explained)")
 
 numbers = json.loads((trips / "truth.json").read_text())["numbers"]
-print(f"{'relative to the drawing':24} {'truth':>6} {'prior, 1 deviation':>20} {'posterior':>16}")
+print(f"{'over the drawing':20} truth {'prior':>13} {'posterior':>13}")
 ends = []
 for name in found.posterior.names:
     row = found.posterior.names.index(name)
@@ -84,7 +86,7 @@ for name in found.posterior.names:
     ]
     ends.append(spans)
     prior, posterior = (f"{low:.2f} to {high:.2f}" for low, high in spans)
-    print(f"{name:24} {numbers[name]['ratio']:6.2f} {prior:>20} {posterior:>16}")
+    print(f"{name:20} {numbers[name]['ratio']:5.2f} {prior:>13} {posterior:>13}")
 
 figure, axis = plt.subplots(figsize=(5, 4.5), layout="constrained")
 places = np.arange(len(ends))[::-1]
@@ -118,7 +120,7 @@ protocol = Protocol(
     feature_set="curve",
     curve={"n_components": 16},
 )
-readings = {}
+readings, changes = {}, {}
 for name, generator in (("drawing", drawing), ("commissioned", found.generator)):
     problem = Problem(generator, protocol.task("all"), settings, seed=0)
     method = MSVR(C=1e4, sigma=8.0, epsilon=1e-3, feature_map="nystroem", n_components=512)
@@ -126,12 +128,15 @@ for name, generator in (("drawing", drawing), ("commissioned", found.generator))
     model = load_model(Path(folder.name) / name)
     readings[name] = model.estimate(worn_trip)
     first = model.estimate(healthy_trips[0])
-    change = readings[name].values[0, :4] / first.values[0, :4]
-    print(f"{name}: {readings[name]}")
-    print(f"{name}, over its estimate of the first healthy trip: {change.round(3)}\n")
+    changes[name] = readings[name].values[0, :4] / first.values[0, :4]
 
 names = ["k_p", "c_p", "k_s", "c_s"]
 truth = np.array([WORN.get(name, 1.0) for name in names])
+for reader, reading in readings.items():
+    print(f"{reader:13} truth  estimate  over the first healthy trip's")
+    for j, name in enumerate(names):
+        print(f"{name:13} {truth[j]:5.2f} {reading.values[0, j]:9.3f} {changes[reader][j]:9.3f}")
+    print(textwrap.fill(f"flags: {reading.flags.reasons[0] or 'none'}", 60), "\n")
 figure, axis = plt.subplots(figsize=(5, 4), layout="constrained")
 for shift, (name, reading), marker in zip((-0.12, 0.12), readings.items(), "so", strict=True):
     middle, low, high = (part[0, :4] for part in (reading.values, reading.low, reading.high))
