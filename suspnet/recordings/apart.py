@@ -98,6 +98,7 @@ class _Process:
         )
         self.path = Path()
         self._is_late = False
+        self._pipes()[1].readline()  # it is ready: a slow start is no fault of the first file
 
     def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
         """Return what the process answers: values, and arrays.
@@ -255,6 +256,8 @@ def serve() -> None:
     with os.fdopen(os.dup(1), "wb") as answers, suppress(BrokenPipeError):
         for stream in (1, 2):
             os.dup2(nowhere, stream)
+        answers.write(b"\n")
+        answers.flush()
         for answer, arrays in _answers(requests):
             _bound(0)
             kinds = [[str(array.dtype), len(array)] for array in arrays]
