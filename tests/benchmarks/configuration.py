@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from suspnet.cli import program  # makes our resolvers and tables known to Hydra
@@ -37,6 +38,7 @@ def page() -> str:
     LookupError
         If a key, a group or an option has no comment that says what it is.
     """
+    HydraConfig.instance().cfg = None  # that of a program that ran in this process is none of ours
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         configs = {name: composed(name) for name in PROGRAMS}
         found = {}

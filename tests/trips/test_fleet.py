@@ -631,7 +631,7 @@ def test_coverage_is_the_naive_one(alone):
 def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
     seen = {}
     monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-3]))
+    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-4]))
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
+from suspnet.recordings.manifest import Place
 from suspnet.trips import figures, health_figure, report
 from suspnet.trips.assessment import assess, last_trips
 from suspnet.trips.limits import DEFAULT_LIMITS
@@ -169,7 +170,7 @@ def test_page_is_accessible(whole):
 
 def test_hostile_names_are_escaped(tmp_path):
     quality = replace(trip().quality, faults=HOSTILE, warnings=HOSTILE)
-    fields = {"trip": HOSTILE, "vehicle": HOSTILE, "suspension": HOSTILE, "start": HOSTILE}
+    fields = {"trip": HOSTILE, "vehicle": HOSTILE, "place": Place(HOSTILE), "start": HOSTILE}
     results = [
         trip(0, quality=quality, flags=HOSTILE, **fields),
         trip(1, missing=True, **(fields | {"reason": HOSTILE})),

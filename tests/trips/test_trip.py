@@ -170,7 +170,7 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     path = changed(manifests[2], tmp_path, suspension="bogie 7 left", truth=None, start=None)
     result = evaluated(path, model)
     assert (result.trip, result.manifest) == ("changed", str(path))
-    assert (result.vehicle, result.suspension) == ("am96", "bogie 7 left")
+    assert (result.vehicle, result.place.suspension) == ("am96", "bogie 7 left")
     assert (result.mileage_km, result.start, result.truth) == (3000.0, "", {})
     assert result.status == OK
     assert evaluated(manifests[2], model).start == "2015-08-23T06:00:00+00:00"
