@@ -169,7 +169,7 @@ def test_doubts_are_said(commissioned):
     assert words.doubts(outcome) == []
     spoilt = replace(outcome, misfit=INCOMPLETE + 0.01, converged=False, n_agree=1)
     said = " ".join(words.doubts(spoilt))
-    assert "A misfit above 1.15 says that the physics of the model is incomplete" in said
+    assert f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete" in said
     assert "did not converge" in said
     assert "no other one found this vehicle" in said
     first = "The vehicle does not explain its healthy trips (3 trips): the misfit is 1.16 times the"
