@@ -172,7 +172,8 @@ def test_doubts_are_said(commissioned):
     assert f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete" in said
     assert "did not converge" in said
     assert "no other one found this vehicle" in said
-    first = "The vehicle does not explain its healthy trips (3 trips): the misfit is 1.16 times the"
+    times = f"{INCOMPLETE + 0.01:.2f} times the"
+    first = f"The vehicle does not explain its healthy trips (3 trips): the misfit is {times}"
     assert words.verdict(found, spoilt).startswith(first)
     assert not training_notes(found, spoilt)["explained"]
     assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
