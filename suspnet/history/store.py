@@ -94,7 +94,7 @@ class History:
         self._url = _url(place)
         self._engine = _engine(self._url)
         try:
-            with self._writing() as connection:
+            with self._transaction() as connection:
                 self._check(connection)
         except BaseException:
             self.close()
@@ -120,10 +120,8 @@ class History:
 
     def places(self) -> list[tuple[str, Place]]:
         """Return vehicle and place of each suspension, sorted."""
-        with self._writing() as connection:
-            rows = connection.execute(sql.select(suspensions)).mappings().all()
-        found = [(str(row["vehicle"]), Place(**{key: row[key] for key in PLACE})) for row in rows]
-        return sorted(found, key=lambda one: (one[0], str(one[1])))
+        with self._transaction() as connection:
+            return self._places(connection)
 
     def write(self, results: Sequence[TripResult]) -> None:
         """Keep trips, all or none. One that is there already is replaced by what was read last.
@@ -135,7 +133,7 @@ class History:
         HistoryError
             If the store cannot be written.
         """
-        with self._writing() as connection:
+        with self._transaction() as connection:
             ids = {
                 key: self._suspension(connection, *key)
                 for key in dict.fromkeys((result.vehicle, result.place) for result in results)
@@ -146,7 +144,7 @@ class History:
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
         chosen = sql.select(trips).join(suspensions).where(_is(vehicle, place))
-        with self._writing() as connection:
+        with self._transaction() as connection:
             rows = connection.execute(chosen).mappings().all()
             ids = chosen.with_only_columns(trips.c.id)
             numbers = connection.execute(
@@ -166,12 +164,12 @@ class History:
         HistoryError
             If the store knows no trip of the suspension, or cannot be written.
         """
-        with self._writing() as connection:
+        with self._transaction() as connection:
             chosen = connection.execute(
                 sql.select(suspensions.c.id).where(_is(vehicle, place))
             ).scalar()
             if chosen is None:
-                known = "; ".join(f"{vehicle}: {one}" for vehicle, one in self._known(connection))
+                known = "; ".join(f"{vehicle}: {one}" for vehicle, one in self._places(connection))
                 raise HistoryError(
                     f"{self}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
                 )
@@ -186,17 +184,18 @@ class History:
             .where(_is(vehicle, place))
             .order_by(events.c.mileage_km, events.c.kind)
         )
-        with self._writing() as connection:
+        with self._transaction() as connection:
             return [Event(**row) for row in connection.execute(chosen).mappings()]
 
     @staticmethod
-    def _known(connection: Connection) -> list[tuple[str, Place]]:
-        """Return vehicle and place of each suspension."""
+    def _places(connection: Connection) -> list[tuple[str, Place]]:
+        """Return vehicle and place of each suspension, sorted."""
         rows = connection.execute(sql.select(suspensions)).mappings()
-        return [(row["vehicle"], Place(**{key: row[key] for key in PLACE})) for row in rows]
+        found = [(row["vehicle"], Place(**{key: row[key] for key in PLACE})) for row in rows]
+        return sorted(found, key=lambda one: (one[0], str(one[1])))
 
     @contextmanager
-    def _writing(self) -> Iterator[Connection]:
+    def _transaction(self) -> Iterator[Connection]:
         """Give a connection whose changes are kept together at the end, or not at all."""
         try:
             with self._engine.begin() as connection:
@@ -236,7 +235,7 @@ class History:
         """Keep one trip."""
         row = {name: getattr(result, name) for name in TEXTS}
         row |= {name: _known(getattr(result, name)) for name in NUMBERS}
-        row |= {"suspension_id": suspension, "key": _key(result)}
+        row |= {"suspension_id": suspension, "key": trip_key(result)}
         row |= {"quality": {k: _known(v) for k, v in asdict(result.quality).items()}}
         self._upsert(connection, trips, [row], ("suspension_id", "key"))
         where = (trips.c.suspension_id == suspension) & (trips.c.key == row["key"])
@@ -320,8 +319,8 @@ def _is(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
     return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
 
 
-def _key(result: TripResult) -> str:
-    """Return what tells a trip from the others of its suspension."""
+def trip_key(result: TripResult) -> str:
+    """Return what tells a trip from the others of its suspension: a hash of 64 letters."""
     content = [result.trip, result.start, repr(float(result.mileage_km))]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
