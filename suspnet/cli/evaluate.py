@@ -17,12 +17,12 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import folders, program
 from suspnet.history import History
+from suspnet.maintenance.limits import Severity
 from suspnet.model.checkpoint import load_model
 from suspnet.runs.evaluate import evaluate, find_runs
 from suspnet.storage import write_atomically
 from suspnet.studies.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
-from suspnet.trips.limits import Severity
 from suspnet.trips.overview import Evaluated
 
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4

@@ -19,6 +19,7 @@ from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
 from suspnet.history import Event, History
 from suspnet.history.records import TripResult, first_trips, relative_to_first
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity, read_limits
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
@@ -35,7 +36,6 @@ from suspnet.trips.commissionings import (
 )
 from suspnet.trips.earlier import between, with_earlier
 from suspnet.trips.finished import FinishedTrips
-from suspnet.trips.limits import DEFAULT_LIMITS, Limits, Severity, read_limits
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
 from suspnet.trips.places import Group, find_groups

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from suspnet.history import Event
 from suspnet.history.records import TripResult
+from suspnet.maintenance.limits import Limits
 from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
-from suspnet.trips.limits import Limits
 from suspnet.trips.trend import PAYLOAD
 from suspnet.types import FloatArray
 

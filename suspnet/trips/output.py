@@ -16,13 +16,13 @@ from tabulate import tabulate
 
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.limits import Limits
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips import figures
 from suspnet.trips.assessment import Assessment, overall, spoken
 from suspnet.trips.commissionings import Commissioning, relative_to_first_healthy
 from suspnet.trips.health_figure import health_trend
-from suspnet.trips.limits import Limits
 from suspnet.trips.report import write_report
 
 KNOWN_ERROR_PERCENT = "rms error %"

@@ -12,10 +12,10 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
-from suspnet.trips.limits import Severity
 from suspnet.trips.output import write_table
 from suspnet.trips.report import render
 

@@ -21,10 +21,10 @@ from matplotlib.figure import Figure
 from suspnet.dynamics.vehicle import UNITS
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.limits import Limits, Severity
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.commissionings import Commissioning
-from suspnet.trips.limits import Limits, Severity
 from suspnet.trips.sides import sides_finding
 
 NAMES = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from suspnet.history.records import OK, TripResult
-from suspnet.trips.limits import N_LAST
+from suspnet.maintenance.limits import N_LAST
 
 
 def sides_finding(trips: Sequence[TripResult]) -> str:

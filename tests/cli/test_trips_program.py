@@ -21,11 +21,11 @@ from trip_records import trip as record
 from suspnet.cli import evaluate, simulate, train
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
+from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.trips import fleet, output
-from suspnet.trips.limits import Severity
 
 SLOW = ("china_star", "chinese_coach")
 """Like the others, and tested on request only; every kind of vehicle is among the others."""

@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.trips.assessment import (
     ALL_FLAGGED,
     LastTrips,
@@ -15,7 +16,6 @@ from suspnet.trips.assessment import (
     spoken,
     worst_first,
 )
-from suspnet.trips.limits import DEFAULT_LIMITS, Severity
 from suspnet.trips.trend import Shape, Step, Trend, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]

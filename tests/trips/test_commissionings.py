@@ -13,6 +13,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
 from suspnet.trips.commissionings import (
@@ -27,7 +28,6 @@ from suspnet.trips.commissionings import (
 )
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet, healthy_words
 from suspnet.trips.health_figure import ANEW, health_trend
-from suspnet.trips.limits import DEFAULT_LIMITS
 from suspnet.trips.trip import evaluate_trip
 
 ANEW_KM = 195_000.0

@@ -20,6 +20,7 @@ from trip_fixtures import OUTPUTS, changed, model_at, signal
 from trip_records import fleet as made_up
 
 from suspnet.data import CurveSettings
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.apart import LIMIT, apart
@@ -28,7 +29,6 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import read_arrays
 from suspnet.trips import finished, fleet, output
 from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
-from suspnet.trips.limits import DEFAULT_LIMITS, Severity
 from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.trend import LEAST_PERCENT
 from suspnet.trips.trip import evaluate_trip

@@ -10,13 +10,13 @@ import pytest
 from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
 from trip_records import HALF_WIDTHS, trip
 
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import Place
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet, models_of
-from suspnet.trips.limits import DEFAULT_LIMITS, Severity
 from suspnet.trips.overview import Evaluated, write_overview
 
 SETTINGS = FleetSettings(TripSettings())

@@ -11,10 +11,10 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
+from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.recordings.manifest import Place
 from suspnet.trips import figures, health_figure, report
 from suspnet.trips.assessment import assess, last_trips
-from suspnet.trips.limits import DEFAULT_LIMITS
 from suspnet.trips.trend import flagged_trend
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"

@@ -9,9 +9,7 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.simulation.scenarios import Scenario
-from suspnet.trips.assessment import assess, last_trips, overall
-from suspnet.trips.limits import (
+from suspnet.maintenance.limits import (
     DEFAULT_LIMITS,
     N_CONFIRMING,
     N_LAST,
@@ -20,6 +18,8 @@ from suspnet.trips.limits import (
     judge,
     read_limits,
 )
+from suspnet.simulation.scenarios import Scenario
+from suspnet.trips.assessment import assess, last_trips, overall
 from suspnet.trips.trend import trend
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -1,0 +1,1 @@
+"""What a history means for a depot: limits, alarms, remaining life and a plan."""
