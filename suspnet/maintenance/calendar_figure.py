@@ -55,6 +55,8 @@ def plan_calendar(plan: Plan, level: float = 0.8) -> Figure:
         _draw_passing(axis, plan, row, jobs[name])
         for visit in visits[name]:
             _draw_visit(axis, row, visit)
+    if not shown:
+        axis.text(0.5, 0.5, "nothing to be done", ha="center", transform=axis.transAxes)
     axis.set_ylim(max(len(shown), 1) - 0.5, -0.5)
     axis.set_yticks(range(len(shown)), shown)
     axis.set_xlim(mdates.date2num(plan.today), mdates.date2num(plan.horizon))

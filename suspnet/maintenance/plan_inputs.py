@@ -85,6 +85,12 @@ class PlanSettings:
                 f"got {self.step_days:g}"
             )
 
+        given = self.costs.values() if isinstance(self.costs, Mapping) else [self.costs]
+        if not all(isinstance(one, Costs) for one in given):
+            raise TypeError(
+                f"`costs` must be Costs or a mapping of parameters to Costs, got {self.costs!r}"
+            )
+
     def of(self, parameter: str) -> Costs:
         """Return the costs of a parameter's part.
 

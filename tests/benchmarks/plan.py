@@ -21,9 +21,7 @@ service, after which that part alone is replaced at a visit of its own.
 Prints costs for 1,000,000 km of a part, in units of V, and writes plan.csv.
 """
 
-import argparse
 import csv
-import pickle
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, timedelta
@@ -31,10 +29,10 @@ from pathlib import Path
 
 import numpy as np
 from cells import Parser, at_least
-from tabulate import tabulate
-from wear_histories import PER_TRAIN, WearHistory, make_histories
-
 from suspnet.maintenance.life import predict_life
+from tabulate import tabulate
+from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
+
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.visits import Costs
@@ -46,8 +44,22 @@ KM_PER_DAY = 500.0
 TODAY = date(2026, 1, 1)
 STRIDE = 101
 """A part is followed by the history so many further on: 101 and 300 have no common divisor."""
+LEAST_TRIPS = 5
+"""A life is not predicted from fewer; the part is left alone."""
 SHARES = (0.0, 0.2, 0.4)
-RATIOS = ((2, 0), (2, 1), (2, 2), (2, 5), (2, 10), (2, 20), (2, 50), (2, 100), (0.5, 10), (5, 10), (10, 20))
+RATIOS = (
+    (2, 0),
+    (2, 1),
+    (2, 2),
+    (2, 5),
+    (2, 10),
+    (2, 20),
+    (2, 50),
+    (2, 100),
+    (0.5, 10),
+    (5, 10),
+    (10, 20),
+)
 """R and F in units of V."""
 RESULTS = Path(__file__).parent / "results"
 
@@ -100,6 +112,7 @@ class Fleet:
 
 
 def steps() -> FloatArray:
+    """Return the mileages at which plans are made."""
     return np.arange(0.0, DURATION_KM, STEP_KM)
 
 
@@ -116,9 +129,11 @@ def run_to_limit(lives: FloatArray, seed: int) -> Fleet:
 
 
 def run_fixed(lives: FloatArray, seed: int, interval_km: float, share: float | None) -> Fleet:
-    """Replace a part at an age, with those of its train near to it; all together if share is None."""
+    """Replace a part at an age, and those of its train near to it; if `share` is None, all of it."""
     fleet = Fleet(lives, seed)
-    done = -np.floor(interval_km * np.random.default_rng(seed + 1).random(-(-lives.size // PER_TRAIN)))
+    done = -np.floor(
+        interval_km * np.random.default_rng(seed + 1).random(-(-lives.size // PER_TRAIN))
+    )
     for km in steps():
         fleet.run_until(km)
         for number, parts in enumerate(trains(lives.size)):
@@ -178,14 +193,36 @@ def bound(lives: FloatArray, seed: int) -> Fleet:
     return fleet
 
 
-def predictions(histories: Sequence[WearHistory], others: Sequence[WearHistory], path: Path | None) -> dict:
-    """Return samples at each age of each history, from what was measured until then."""
-    if path and path.exists():
-        return pickle.loads(path.read_bytes())
-    raise NotImplementedError
+@dataclass
+class Predicted:
+    """Remaining lives from what was measured until an age, each asked for once.
+
+    Attributes
+    ----------
+    histories : sequence of WearHistory
+    known : dict of (history, age) to samples and the age from which they count
+    """
+
+    histories: Sequence[WearHistory]
+    known: dict[tuple[int, float], tuple[FloatArray, float]] = field(default_factory=dict)
+
+    def __call__(self, history: int, age_km: float) -> tuple[FloatArray, float]:
+        age = STEP_KM * np.floor(
+            age_km / STEP_KM
+        )  # until the step before, so that few are asked for
+        if (history, age) not in self.known:
+            one = self.histories[history]
+            mileage, values, half_widths = one.until(age)
+            found = np.array([np.inf]), float(age)
+            if np.isfinite(values).sum() >= LEAST_TRIPS:
+                life = predict_life(mileage, values, half_widths, one.limits, seed=history)
+                found = life.samples_km, float(mileage[-1])
+            self.known[history, age] = found
+        return self.known[history, age]
 
 
 def settings_of(replacement: float, failure: float, usual_life_km: float) -> PlanSettings:
+    """Return what the plan is told; an inspection would cost as much as a replacement."""
     return PlanSettings(
         visit=1.0,
         costs=Costs(replacement, replacement, failure, usual_life_km=usual_life_km),
@@ -193,3 +230,79 @@ def settings_of(replacement: float, failure: float, usual_life_km: float) -> Pla
         step_days=STEP_KM / KM_PER_DAY,
         horizon_days=1000.0,
     )
+
+
+def compare(
+    histories: Sequence[WearHistory],
+    seed: int,
+    ratios: Sequence[tuple[float, float]],
+    factor: float,
+) -> list[dict[str, float]]:
+    """Return the costs of all policies for each pair of R and F."""
+    lives = np.array([one.crossing_km for one in histories])
+    usual_km, customary_km = factor * round(lives.mean(), -4), float(np.quantile(lives, 0.1))
+    intervals = [customary_km, *np.arange(4 * STEP_KM, np.quantile(lives, 0.99), STEP_KM)]
+    fixed = {
+        (km, share): run_fixed(lives, seed, km, share)
+        for km in intervals
+        for share in (None, *SHARES)
+    }
+    to_limit, least, predict = run_to_limit(lives, seed), bound(lives, seed), Predicted(histories)
+    rows = []
+    for R, F in ratios:
+        settings = settings_of(R, F, usual_km)
+        plan = run_plan(lives, seed, settings, predict)
+        known = run_plan(lives, seed, settings, lambda i, _: (lives[i : i + 1], 0.0))
+        costs = {key: fleet.cost(R, F) for key, fleet in fixed.items()}
+        best = min(costs, key=lambda key: costs[key])
+        rows.append(
+            {
+                "R": R,
+                "F": F,
+                "plan": plan.cost(R, F),
+                "customary": min(v for (km, _), v in costs.items() if km == customary_km),
+                "best fixed": costs[best],
+                "best km": best[0],
+                "to limit": to_limit.cost(R, F),
+                "known lives": known.cost(R, F),
+                "bound": least.cost(R, F),
+                "failures": plan.n_failed,
+                "replaced": plan.n_replaced,
+                "visits": plan.n_visits,
+            }
+        )
+        rows[-1]["plan / customary"] = rows[-1]["plan"] / rows[-1]["customary"]
+        rows[-1]["plan / best fixed"] = rows[-1]["plan"] / rows[-1]["best fixed"]
+        rows[-1]["plan / to limit"] = rows[-1]["plan"] / rows[-1]["to limit"]
+    return rows
+
+
+def main() -> None:
+    parser = Parser(description="Costs of a plan beside other policies.")
+    parser.add_argument("--n", type=at_least(1), default=300, help="number of wear histories")
+    parser.add_argument("--seed", type=at_least(0), default=0)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), help="of wear histories")
+    help_text = "factor by which the plan is told a wrong usual life"
+    parser.add_argument("--usual", type=at_least(0.01, float), default=1.0, help=help_text)
+    parser.add_argument("--quick", action="store_true", help="only R = 2, F = 10")
+    parser.add_argument("--output", type=Path, default=RESULTS)
+    options = parser.parse_args()
+    histories = make_histories(options.n, options.seed, kinds=options.kinds)
+    ratios = ((2.0, 10.0),) if options.quick else RATIOS
+    rows = compare(histories, options.seed, ratios, options.usual)
+    lives = np.array([one.crossing_km for one in histories])
+    print(
+        f"{options.n} histories ({', '.join(options.kinds)}), seed {options.seed}: lives "
+        f"{lives.min():.0f} to {lives.max():.0f} km, mean {lives.mean():.0f}, "
+        f"L10 {np.quantile(lives, 0.1):.0f}; {DURATION_KM:.0f} km, step and lead {STEP_KM:.0f} km; "
+        f"V = 1, costs for 1,000,000 km of a part; usual life told x {options.usual:g}"
+    )
+    print(tabulate(rows, "keys", tablefmt="github", floatfmt=".4g"))
+    with (options.output / "plan.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
