@@ -24,9 +24,11 @@ BARS = 5
 """Largest number of parts of one train whose intervals are drawn, the first to pass first."""
 BAND = 0.7
 """Share of a train's row that intervals take."""
+PASSING = "passing"
+"""Label of the bars, until the legend says it with its level."""
 
 
-def plan_calendar(plan: Plan, level: float = 0.8) -> Figure:
+def plan_calendar(plan: Plan) -> Figure:
     """Trains as rows, the most urgent on top, with their visits along the time.
 
     A mark is a visit with the number of its jobs, the line behind it reaches until its latest day.
@@ -37,8 +39,6 @@ def plan_calendar(plan: Plan, level: float = 0.8) -> Figure:
     Parameters
     ----------
     plan : Plan
-    level : float
-        Probability of the intervals, for the legend.
     """
     visits: dict[str, list[Visit]] = defaultdict(list)
     jobs: dict[str, list[Job]] = defaultdict(list)
@@ -73,7 +73,7 @@ def plan_calendar(plan: Plan, level: float = 0.8) -> Figure:
     if len(names) > len(shown):
         title += f"\n{len(shown)} trains of {len(names)}, the most urgent"
     axis.set_title(title, fontsize="medium")
-    _legend(figure, axis, level)
+    _legend(figure, axis, plan.level)
     return figure
 
 
@@ -103,10 +103,6 @@ def _draw_passing(axis: Axes, plan: Plan, row: int, jobs: Sequence[Job]) -> None
         height = row + BAND * ((i + 0.5) / len(ends) - 0.5)
         style: dict[str, Any] = {"color": "0.45", "lw": 1.2, "alpha": 0.7, "zorder": 1}
         axis.plot([begin + low, min(begin + high, end)], [height, height], label=PASSING, **style)
-
-
-PASSING = "passing"
-"""Label of the bars, until the legend says it with its level."""
 
 
 def _legend(figure: Figure, axis: Axes, level: float) -> None:

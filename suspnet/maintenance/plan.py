@@ -69,6 +69,7 @@ def make_plan(
         tuple(sorted(waiting, key=lambda job: (job.plan_again_km, str(job.part)))),
         len(parts) - sum(len(visit.jobs) for visit in visits) - len(waiting),
         sum(found[2] for found in planned),
+        settings.level,
     )
 
 
@@ -170,6 +171,7 @@ def _calendar(
     end_km = max(settings.of(part.parameter).usual_life_km for part in parts)
     end_days = end_km / train.km_per_day
     near = np.arange(settings.lead_days, settings.horizon_days, settings.step_days)
+    near = np.unique(np.ceil(near))  # whole days, none before the lead time is over
     near = near[: max(1, int(np.searchsorted(near, end_days)))]
     days = near
     if end_days > settings.horizon_days:

@@ -84,7 +84,6 @@ class PlanSettings:
                 f"`step_days` must leave at most {MAX_DATES} dates until `horizon_days`, "
                 f"got {self.step_days:g}"
             )
-
         given = self.costs.values() if isinstance(self.costs, Mapping) else [self.costs]
         if not all(isinstance(one, Costs) for one in given):
             raise TypeError(

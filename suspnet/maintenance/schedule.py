@@ -95,6 +95,8 @@ class Plan:
         Other parts: nothing to be done.
     objective : float
         What the plan minimises, summed over trains: see ``choose_dates`` and ``part_costs``.
+    level : float
+        Probability of ``Job.passing_days``.
     """
 
     today: date
@@ -103,6 +105,7 @@ class Plan:
     waiting: tuple[Job, ...]
     n_quiet: int
     objective: float
+    level: float
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one flat row for each job, visits first; days in ISO 8601, empty where none."""

@@ -29,10 +29,10 @@ from pathlib import Path
 
 import numpy as np
 from cells import Parser, at_least
-from suspnet.maintenance.life import predict_life
 from tabulate import tabulate
 from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 
+from suspnet.maintenance.life import predict_life
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.visits import Costs
@@ -129,7 +129,7 @@ def run_to_limit(lives: FloatArray, seed: int) -> Fleet:
 
 
 def run_fixed(lives: FloatArray, seed: int, interval_km: float, share: float | None) -> Fleet:
-    """Replace a part at an age, and those of its train near to it; if `share` is None, all of it."""
+    """Replace a part at an age and those of its train near it; if `share` is None, the train."""
     fleet = Fleet(lives, seed)
     done = -np.floor(
         interval_km * np.random.default_rng(seed + 1).random(-(-lives.size // PER_TRAIN))
