@@ -289,7 +289,9 @@ def _wiener(blocks: Blocks, noise: Noise, prior: FleetPrior, log_prior: FloatArr
     onsets = _onsets(blocks.last, N_ONSETS)
     log_measure = _log_measure(onsets).reshape(N_STARTS, -1)
     covariance = _noise_covariance(blocks, noise.variance[1:], noise.correlation[1:])
-    case = _Case(blocks, True, covariance[:, None], onsets.reshape(N_STARTS, -1), DIFFUSIONS**2)
+    case = _Case(
+        blocks, True, covariance[:, None], onsets.reshape(N_STARTS, -1), DIFFUSIONS**2
+    )
     return _nodes(
         case,
         prior,
