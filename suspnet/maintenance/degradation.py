@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 from suspnet.types import FloatArray, IntArray
 
 UNIT_KM = 100_000.0
-MODELS = ("no trend", "linear", "exponential", "wiener")
+MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
 MAX_BLOCKS = 40
 """Most blocks that the trips of a history are averaged to."""
 N_ONSETS = 40
@@ -35,6 +35,13 @@ LEAST_NOISE = 1e-5
 """Smallest standard deviation of the noise of a trip, relative to the value."""
 DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
 """Standard deviations of Brownian motion after ``UNIT_KM``."""
+RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
+"""Standard deviations of the change of the rate after ``UNIT_KM``, per ``UNIT_KM``."""
+POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+"""Powers of the mileage since the onset that "changing rate" is tried with."""
+FIRST_WIENER = 3
+FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
+"""First row of each model in ``FleetPrior.models``."""
 N_STARTS = 10
 """Onsets of Brownian motion; an onset of the drift uses the last one before it."""
 NOISE_SCALES = np.geomspace(0.1, 4.0, 16)
@@ -55,9 +62,9 @@ class FleetPrior:
 
     Attributes
     ----------
-    models : array of shape (3 + n_diffusions,), [-]
-        Probability of "no trend", "linear", "exponential" and "wiener" with each of
-        ``DIFFUSIONS``.
+    models : array of shape (n_rows,), [-]
+        Probability of "no trend", "linear", "exponential", "wiener" with each of ``DIFFUSIONS``
+        and "changing rate" with each of ``RATE_CHANGES``.
     weights, means, spreads : arrays of shape (n_components,), [-], [1 / UNIT_KM]
         The rate is a mixture of normal distributions.
     """
@@ -125,23 +132,23 @@ class Posterior:
         Logarithm of prior times evidence of each node.
     row, component : int array
         Model (and diffusion) as in ``FleetPrior.models``, component of the rate.
-    onset : array, [UNIT_KM]
-    rate, rate_variance : array, [1 / UNIT_KM]
-        Mean and variance.
-    now, slope, now_variance : array, [-]
-        Of the value, or its logarithm, at the last trip given the rate: mean at the mean rate, its
-        derivative by the rate, variance.
+    since : array, [UNIT_KM]
+        Mileage from the onset to the last trip.
+    power : array, [-]
+        Of the mileage since the onset.
+    mean : array of shape (n_nodes, 3), [-], [1 / UNIT_KM^power], [1 / UNIT_KM]
+        At the last trip: value - 1 (or its logarithm for "exponential"), coefficient of the
+        power, change of the rate by Brownian motion.
+    covariance : array of shape (n_nodes, 3, 3)
     """
 
     log_weight: FloatArray
     row: IntArray
     component: IntArray
-    onset: FloatArray
-    rate: FloatArray
-    rate_variance: FloatArray
-    now: FloatArray
-    slope: FloatArray
-    now_variance: FloatArray
+    since: FloatArray
+    power: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
 
 
 def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
@@ -230,7 +237,8 @@ def posterior(blocks: Blocks, noise: Noise, prior: FleetPrior, thorough: bool = 
     found = _join(parts)
     share = np.exp(found.log_weight[1:] - logsumexp(found.log_weight)).sum()
     if thorough or share > DETAILED:
-        parts.append(_wiener(blocks, noise, prior, log_models[3:]))
+        for rows in (np.arange(3, FIRST_CHANGING), np.arange(FIRST_CHANGING, log_models.size)):
+            parts.append(_wandering(blocks, noise, prior, rows, log_models[rows]))
         found = _join(parts)
     return found
 
@@ -263,7 +271,7 @@ def _without_trend(blocks: Blocks, noise: Noise, log_prior: float) -> Posterior:
     """Return the node of a constant value: a rate of which the prior knows that it is 0."""
     constant = FleetPrior(np.ones(1), np.ones(1), np.zeros(1), np.full(1, 1e-9))
     covariance = _noise_covariance(blocks, noise.variance[:1], noise.correlation[:1])
-    case = _Case(blocks, True, covariance[None], np.zeros((1, 1)))
+    case = _Case(blocks, True, covariance[None], np.zeros((1, 1)), np.ones((1, 1)))
     return _nodes(case, constant, np.zeros(1, dtype=np.int64), log_prior + np.zeros((1, 1, 1)))
 
 
@@ -274,7 +282,7 @@ def _straight(
     covariance = _noise_covariance(blocks, noise.variance[:1], noise.correlation[:1])
     onsets = _onsets(blocks.last, N_ONSETS)
     for i in range(ONSET_PASSES):
-        case = _Case(blocks, row == 1, covariance[None], onsets[None])
+        case = _Case(blocks, row == 1, covariance[None], onsets[None], np.ones((1, onsets.size)))
         log_measure = log_prior + _log_measure(onsets)
         found = _nodes(case, prior, np.array([row]), log_measure[None, None])
         if i + 1 < ONSET_PASSES:
@@ -284,20 +292,22 @@ def _straight(
     return found
 
 
-def _wiener(blocks: Blocks, noise: Noise, prior: FleetPrior, log_prior: FloatArray) -> Posterior:
-    """Return the nodes of a hinge with Brownian motion, which begins in one of few onsets."""
+def _wandering(
+    blocks: Blocks, noise: Noise, prior: FleetPrior, rows: IntArray, log_prior: FloatArray
+) -> Posterior:
+    """Return the nodes of a hinge with Brownian motion of the value or of the rate."""
     onsets = _onsets(blocks.last, N_ONSETS)
     log_measure = _log_measure(onsets).reshape(N_STARTS, -1)
-    covariance = _noise_covariance(blocks, noise.variance[1:], noise.correlation[1:])
-    case = _Case(
-        blocks, True, covariance[:, None], onsets.reshape(N_STARTS, -1), DIFFUSIONS**2
-    )
-    return _nodes(
-        case,
-        prior,
-        3 + np.arange(DIFFUSIONS.size),
-        log_prior[:, None, None] + log_measure,
-    )
+    changing = bool(rows[0] == FIRST_CHANGING)
+    which = np.zeros(rows.size, dtype=np.int64) if changing else rows - FIRST_WIENER + 1
+    covariance = _noise_covariance(blocks, noise.variance[which], noise.correlation[which])
+    motion = _Motion((RATE_CHANGES if changing else DIFFUSIONS) ** 2, changing)
+    powers = POWERS if changing else np.ones(1)
+    onsets = np.repeat(onsets.reshape(N_STARTS, -1), powers.size, axis=1)
+    log_measure = np.repeat(log_measure, powers.size, axis=1) - np.log(powers.size)
+    powers = np.broadcast_to(np.tile(powers, onsets.shape[1] // powers.size), onsets.shape)
+    case = _Case(blocks, True, covariance[:, None], onsets, powers, motion)
+    return _nodes(case, prior, rows, log_prior[:, None, None] + log_measure)
 
 
 def _log_measure(onsets: FloatArray) -> FloatArray:
@@ -309,8 +319,41 @@ def _log_measure(onsets: FloatArray) -> FloatArray:
     return np.asarray(np.log(share), dtype=float)
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """Brownian motion of the value, or of the rate if `integrated`; `variances` per mileage."""
+
+    variances: FloatArray
+    integrated: bool
+
+    def covariance(self, since: FloatArray, length: FloatArray) -> FloatArray:
+        """Return that of unit variance between blocks (starts, blocks, blocks)."""
+        least = np.minimum(since[:, :, None], since[:, None, :])
+        if self.integrated:
+            most = np.maximum(since[:, :, None], since[:, None, :])
+            return np.asarray(least**2 * (3 * most - least) / 6)
+        index = np.arange(since.shape[1])
+        least[:, index, index] = np.maximum(since - length / 6, since / 2)
+        return least
+
+    def with_last(self, since: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return covariances of blocks with value and rate at the last trip (starts, blocks, 3).
+
+        The third axis is value, 0, rate; the second array is their own (starts, 3, 3).
+        """
+        own = np.zeros((last.size, 3, 3))
+        none = np.zeros_like(since)
+        if not self.integrated:
+            own[:, 0, 0] = last
+            return np.stack([since, none, none], axis=-1), own
+        own[:, 0, 0], own[:, 2, 2] = last**3 / 3, last
+        own[:, 0, 2] = own[:, 2, 0] = last**2 / 2
+        value = since**2 * (3 * last[:, None] - since) / 6
+        return np.stack([value, none, since**2 / 2], axis=-1), own
+
+
 class _Case:
-    """Matrices of generalised least squares, for diffusions x starts x onsets of each start.
+    """Matrices of generalised least squares, for motions x starts x onsets of each start.
 
     The linear scale is divided by the value, so that noise is relative to the value in both.
     """
@@ -321,44 +364,45 @@ class _Case:
         linear: bool,
         covariance: FloatArray,
         onsets: FloatArray,
-        diffusions: FloatArray | None = None,
+        powers: FloatArray,
+        motion: _Motion | None = None,
     ) -> None:
         scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
-        self.onsets, self.last = onsets, blocks.last
+        self.since, self.powers = blocks.last - onsets, powers
         self.one = 1 / scale
         self.values = (blocks.value if linear else blocks.log_value) / scale
-        self.hinge = np.maximum(blocks.t - onsets[..., None], 0) / scale  # (starts, onsets, blocks)
+        since = np.maximum(blocks.t - onsets[..., None], 0)  # (starts, onsets, blocks)
+        self.hinge = since ** powers[..., None] / scale
         start = onsets[:, 0]
-        if diffusions is None:
-            self.brownian = np.zeros((1, start.size, blocks.t.size))
-            self.variance = np.zeros((1, start.size))
-            total = np.broadcast_to(covariance, (1, start.size, *covariance.shape[-2:]))
-        else:
+        self.with_last = np.zeros((1, start.size, blocks.t.size, 3))
+        self.own = np.zeros((1, start.size, 3, 3))
+        total = covariance
+        if motion is not None:
             since = np.maximum(blocks.t - start[:, None], 0)
-            motion = np.minimum(since[:, :, None], since[:, None, :])
-            index = np.arange(blocks.t.size)
-            motion[:, index, index] = np.maximum(since - blocks.length / 6, since / 2)
-            total = covariance + diffusions[:, None, None, None] * motion / np.outer(scale, scale)
-            self.brownian = diffusions[:, None, None] * since / scale
-            self.variance = np.multiply.outer(diffusions, blocks.last - start)
+            variances = motion.variances[:, None, None, None]
+            shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
+            total = covariance + variances * shape
+            with_last, own = motion.with_last(since, blocks.last - start)
+            self.with_last = variances * with_last / scale[:, None]
+            self.own = variances * own
         self.inverse = np.linalg.inv(total)
         self.log_det = np.linalg.slogdet(total)[1]
 
 
 def _nodes(case: _Case, prior: FleetPrior, rows: IntArray, log_prior: FloatArray) -> Posterior:
-    """Return the posterior of each diffusion, start, onset and component of the rate.
+    """Return the posterior of each motion, start, onset and component of the rate.
 
     With C the covariance, X = (1, hinge) and the Gaussian prior of level and rate, their posterior
-    has precision X^T C^-1 X + P; the evidence is that of Bayesian linear regression ([1], sec.
-    2.3).
+    has precision M = X^T C^-1 X + P; the evidence is that of Bayesian linear regression, and
+    motion at the last trip follows from it ([1]_, sec. 2.7).
 
     References
     ----------
-    .. [1] Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT Press, 2006, sec. 2.7.
+    .. [1] Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT Press, 2006.
     """
     of_one, of_values = (case.inverse @ x for x in (case.one, case.values))
-    of_brownian = (case.inverse @ case.brownian[..., None])[..., 0]
-    of_hinge = case.hinge @ case.inverse  # (diffusions, starts, onsets, blocks)
+    of_last = case.inverse @ case.with_last  # (motions, starts, blocks, 3)
+    of_hinge = case.hinge @ case.inverse  # (motions, starts, onsets, blocks)
     a11 = (of_one @ case.one)[..., None, None]
     a12 = np.einsum("sob,dsb->dso", case.hinge, of_one)[..., None]
     a22 = (of_hinge * case.hinge).sum(axis=-1)[..., None]
@@ -372,24 +416,31 @@ def _nodes(case: _Case, prior: FleetPrior, rows: IntArray, log_prior: FloatArray
     misfit = yy + p2 * prior.means**2 - level * c1 - rate * r2
     log_det = case.log_det[..., None, None] + np.log(det / (p1 * p2))
     log_weight = log_prior[..., None] + np.log(prior.weights) - 0.5 * (log_det + misfit)
-    # the value at the last trip: level, hinge and what Brownian motion has become
-    by_level = 1 - (case.brownian * of_one).sum(axis=-1)[..., None, None]
-    known = (of_brownian @ case.values)[..., None, None]
-    by_rate = (case.last - case.onsets) - np.einsum("sob,dsb->dso", case.hinge, of_brownian)
-    slope = by_rate[..., None] - by_level * a12 / m11
-    spare = case.variance - (case.brownian * of_brownian).sum(axis=-1)
-    parts = np.broadcast_arrays(
+    # at the last trip: G (level, rate) + what is known of motion
+    of_motion = np.swapaxes(case.with_last, -1, -2)  # (motions, starts, 3, blocks)
+    columns = np.stack([np.broadcast_to(case.one, case.hinge.shape), case.hinge], axis=-1)
+    gain = -(of_last.swapaxes(-1, -2)[:, :, None] @ columns)  # (motions, starts, onsets, 3, 2)
+    gain[..., 0, 0] += 1
+    gain[..., 0, 1] += case.since**case.powers
+    gain[..., 1, 1] += 1
+    gain = gain[..., None, :, :]
+    known = (case.values @ of_last)[:, :, None, None]
+    mean = known + (gain @ np.stack([level, rate], axis=-1)[..., None])[..., 0]
+    m12, m11 = (np.broadcast_to(m, det.shape) for m in (a12, m11))
+    precision = np.stack([m22, -m12, -m12, m11], axis=-1) / det[..., None]
+    inverse = precision.reshape(*det.shape, 2, 2)
+    spare = (case.own - of_motion @ of_last)[:, :, None, None]
+    covariance = gain @ inverse @ np.swapaxes(gain, -1, -2) + spare
+    shape = log_weight.shape
+    parts = (
         log_weight,
-        rows[:, None, None, None],
-        np.arange(prior.weights.size),
-        case.onsets[..., None],
-        rate,
-        m11 / det,
-        known + by_level * c1 / m11 + slope * rate,
-        slope,
-        np.maximum(spare, 0)[..., None, None] + by_level**2 / m11,
+        np.broadcast_to(rows[:, None, None, None], shape),
+        np.broadcast_to(np.arange(prior.weights.size), shape),
+        np.broadcast_to(case.since[..., None], shape),
+        np.broadcast_to(case.powers[..., None], shape),
     )
-    return Posterior(*(part.reshape(-1) for part in parts))
+    flat = (part.reshape(-1) for part in parts)
+    return Posterior(*flat, mean.reshape(-1, 3), covariance.reshape(-1, 3, 3))
 
 
 def _join(parts: list[Posterior]) -> Posterior:
