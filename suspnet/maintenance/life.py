@@ -12,19 +12,39 @@ from scipy.special import logsumexp
 
 from suspnet.checks import check_number
 from suspnet.maintenance import degradation
-from suspnet.maintenance.degradation import DIFFUSIONS, MODELS, UNIT_KM, FleetPrior, Posterior
-from suspnet.types import FloatArray, IntArray
+from suspnet.maintenance.degradation import (
+    DIFFUSIONS,
+    FIRST_CHANGING,
+    FIRST_WIENER,
+    MODELS,
+    RATE_CHANGES,
+    UNIT_KM,
+    Fit,
+    FleetPrior,
+    State,
+    join,
+    powered,
+)
+from suspnet.types import BoolArray, FloatArray, IntArray
 
 MIN_TRIPS = 5
 """Fewest trips with an estimate that a life is predicted from."""
 HORIZON_KM = 5e6
 """Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
+FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
+"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
 OUTLYING = 6.0
 """A trip farther from the median of five is drawn to it, in robust standard deviations."""
 NOISE_TRIPS = 4.0
 """Number of trips that the half-widths count for when the noise is estimated."""
 DEFAULT_PRIOR = FleetPrior(
-    models=np.concatenate([[1 / 2, 1 / 6, 1 / 6], DIFFUSIONS / DIFFUSIONS.sum() / 6]),
+    models=np.concatenate(
+        [
+            [0.5, 0.1, 0.1],
+            0.2 * DIFFUSIONS / DIFFUSIONS.sum(),
+            np.full(RATE_CHANGES.size, 0.1 / RATE_CHANGES.size),
+        ]
+    ),
     weights=np.full(3, 1 / 3),
     means=np.zeros(3),
     spreads=np.array([0.03, 0.1, 0.3]),
@@ -137,14 +157,24 @@ def predict_life(
     check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
     check_number("seed", seed, low=0, whole=True)
     lower, upper = _checked_limits(limits_pair)
-    found, n_trips = _posterior(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
+    fits, n_trips = _fits(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
     rng = np.random.default_rng(seed)
-    weight = np.exp(found.log_weight - logsumexp(found.log_weight))
-    share = np.bincount(np.minimum(found.row, 3), weight, len(MODELS))
+    weights = [fit.log_weight.reshape(-1) for fit in fits]
+    ends = np.cumsum([0, *(weight.size for weight in weights)])
+    log_weight = np.concatenate(weights)
+    weight = np.exp(log_weight - logsumexp(log_weight))
     node = _stratified(weight, n_samples, rng)
-    samples = _samples(found, node, (lower, upper), n_trips + NOISE_TRIPS, rng)
-    probabilities = dict(zip(MODELS, (float(one) for one in share), strict=True))
-    return Life(MODELS[int(share.argmax())], rng.permutation(samples), probabilities)
+    state = join(
+        [
+            fit.now(node[(node >= begin) & (node < end)] - begin)
+            for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
+        ]
+    )
+    share = np.zeros(len(MODELS))
+    share[: len(fits)] = np.add.reduceat(weight, ends[:-1])
+    samples = rng.permutation(_samples(state, (lower, upper), n_trips + NOISE_TRIPS, rng))
+    probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
+    return Life(MODELS[int(share.argmax())], samples, probabilities)
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -195,47 +225,92 @@ def first_passage_km(
 
 
 def _samples(
-    found: Posterior,
-    node: IntArray,
-    limits: tuple[float, float],
-    freedom: float,
-    rng: np.random.Generator,
+    state: State, limits: tuple[float, float], freedom: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return draws of the remaining life from nodes; the noise has `freedom` degrees of freedom.
+    """Return a draw of the remaining life from each node; the noise has `freedom` degrees of it.
 
     The two limits are passed independently given rate and present value: exact but for paths that
     would pass both.
     """
-    row = found.row[node]
-    wide = np.sqrt(freedom / rng.chisquare(freedom, node.size))
-    off = wide * np.sqrt(found.rate_variance[node]) * rng.normal(size=node.size)
-    now = found.now[node] + found.slope[node] * off
-    now += wide * np.sqrt(found.now_variance[node]) * rng.normal(size=node.size)
-    rate = found.rate[node] + off
-    diffusion = np.where(row > 2, DIFFUSIONS[np.maximum(row - 3, 0)] ** 2, 0.0)
-    log_limits = [np.log(limit) if limit > 0 else -np.inf for limit in limits]
-    lower, upper = (
-        np.where(row == 2, log_limit, limit - 1)
-        for limit, log_limit in zip(limits, log_limits, strict=True)
-    )
-    if limits[0] == 0:
-        lower = np.full(node.size, -np.inf)
+    row = state.row
+    wide = np.sqrt(freedom / rng.chisquare(freedom, row.size))
+    values, vectors = np.linalg.eigh(state.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+    draws = (root @ rng.normal(size=(row.size, 3, 1)))[..., 0]
+    now, rate, change = (state.mean + wide[:, None] * draws).T
+    lower, upper = (_on_scale(limit, row == 2) for limit in limits)
+    wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
+    diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
     samples = np.minimum(
         first_passage_km(now - lower, -rate, diffusion, rng),
         first_passage_km(upper - now, rate, diffusion, rng),
     )
+    changing = np.flatnonzero(row >= FIRST_CHANGING)
+    if changing.size:
+        spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
+        since, power = (part[changing, None] for part in (state.since, state.power))
+        ahead = powered(since + FUTURE, power) - powered(since, power)
+        mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
+        samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)
     return np.where(samples > HORIZON_KM, np.inf, samples)
 
 
-def _posterior(
+def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
+    """Return a limit on the scale of each sample; 0 is no limit."""
+    if limit == 0:
+        return np.full(logarithmic.size, -np.inf)
+    return np.where(logarithmic, np.log(limit), limit - 1)
+
+
+def changing_passage_km(
+    mean: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    spread: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
+
+    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
+
+    Parameters
+    ----------
+    mean : array of shape (n_samples, n_future), [-]
+        Mean value at ``FUTURE``.
+    lower, upper, spread : arrays of shape (n_samples,)
+        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+    """
+    dt = np.diff(FUTURE)
+    a, b = rng.normal(size=(2, lower.size, dt.size))
+    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
+    before = rates - np.sqrt(dt) * a
+    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
+    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
+    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
+    out = (values <= lower[:, None]) | (values >= upper[:, None])
+    index, each = out.argmax(axis=1), np.arange(lower.size)
+    last = np.maximum(index - 1, 0)
+    one, two = values[each, last], values[each, index]
+    limit = np.where(two >= upper, upper, lower)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
+    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
+    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
+
+
+def _fits(
     mileage_km: ArrayLike,
     values: ArrayLike,
     half_widths: ArrayLike,
     level: float,
     prior: FleetPrior,
-    thorough: bool = False,
-) -> tuple[Posterior, int]:
-    """Return the posterior and the number of trips with an estimate."""
+) -> tuple[list[Fit], int]:
+    """Return the fit of each model, in the order of ``MODELS``, and the number of estimates."""
     check_number("level", level, above=0, below=1)
     km, value, half = _checked_series(mileage_km, values, half_widths)
     t = (km - km[0]) / UNIT_KM
@@ -246,7 +321,7 @@ def _posterior(
     value = _tamed(value)
     noise = degradation.estimate_noise(t, np.log(value), sigma)
     blocks = degradation.average(t, value, sigma)
-    return degradation.posterior(blocks, noise, prior, thorough), km.size
+    return degradation.fit_models(blocks, noise, prior), km.size
 
 
 def _spread(log_values: FloatArray) -> float:
