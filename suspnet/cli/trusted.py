@@ -49,6 +49,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "fleet": ("suspnet.simulation.fleet.Fleet",),
     "scenario": ("suspnet.simulation.scenarios.Scenario",),
     "monitor": ("suspnet.trips.fleet.FleetSettings",),
+    "changes": ("suspnet.maintenance.change.ChangeSettings",),
     "trips": ("suspnet.model.from_recording.TripSettings",),
     "study": (
         "suspnet.studies.identifiability.write_identifiability",

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
@@ -57,12 +58,15 @@ class Assessment:
         The reason.
     limited : bool
         The parameter has limits.
+    alarms : tuple of Alarm
+        That stand.
     """
 
     trend: Trend
     severity: Severity
     words: str
     limited: bool = True
+    alarms: tuple[Alarm, ...] = ()
 
     @property
     def parameter(self) -> str:
@@ -99,11 +103,14 @@ def last_trips(
     return LastTrips(centre[last], low, high, doubtful[last], everywhere)
 
 
-def assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
+def assess(
+    trend: Trend, last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm] = ()
+) -> Assessment:
     """Return how severe it is what the trips show of one parameter, and why.
 
-    The severity is that of ``judge``, of the last trips alone. If all trips are flagged, they speak
-    against the model rather than the vehicle: then it is a notice at most, and unknown at least.
+    The severity is that of ``judge``, of the last trips alone, or that of an alarm that stands if
+    that is worse. If all trips are flagged, they speak against the model rather than the vehicle:
+    then it is a notice at most, and unknown at least.
 
     Parameters
     ----------
@@ -112,7 +119,21 @@ def assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
     last : LastTrips
     limits : Limits or None
         None: no value is alarming, as of the pay-load.
+    alarms : sequence of Alarm
+        Of the parameter, that stand.
     """
+    found = _assess(trend, last, limits)
+    worst = max((one.severity for one in alarms), default=Severity.NONE)
+    if worst <= found.severity:
+        return replace(found, alarms=tuple(alarms))
+    since = min(one.begin_km for one in alarms if one.severity == worst)
+    why = next(one for one in alarms if one.severity == worst)
+    words = f"{why.words} (alarm since {_thousands(since)}); {found.words}"
+    return replace(found, severity=worst, words=words, alarms=tuple(alarms))
+
+
+def _assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
+    """Return the assessment by the limits."""
     if len(last.values) == 0:
         severity = Severity.UNKNOWN if limits else Severity.NONE
         return Assessment(trend, severity, "no trip with an estimate", bool(limits))
@@ -310,4 +331,9 @@ def _percent(value: float) -> str:
 def _km(step: Step) -> str:
     """Return the mileage, rounded to the power of ten below the distance between the trips."""
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return f"{round(step.mileage_km, -digits):,.0f} km".replace(",", " ")
+    return _thousands(round(step.mileage_km, -digits))
+
+
+def _thousands(km: float) -> str:
+    """Return a mileage in words."""
+    return f"{km:,.0f} km".replace(",", " ")

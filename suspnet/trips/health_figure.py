@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from suspnet.history import Event
 from suspnet.history.records import TripResult
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Limits
 from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
@@ -37,6 +38,7 @@ def health_trend(
     limits: Mapping[str, Limits] | None = None,
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
 ) -> Figure:
     """Each parameter in % of healthy along the mileage (Fig. 10).
 
@@ -61,6 +63,8 @@ def health_trend(
         relative to the first, and limits are those of the last.
     events : sequence of Event
         Maintenance: a dotted vertical line each.
+    alarms : sequence of Alarm
+        A triangle at the top where each began, in the colour of its severity's limit.
     """
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
     axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
@@ -82,6 +86,7 @@ def health_trend(
             axis.axvline(state.since_km / 1000, color="0.3", lw=0.9, ls="-.", label=ANEW)
         for event in events:
             axis.axvline(event.mileage_km / 1000, color="0.3", lw=0.9, ls=":", label=MAINTENANCE)
+        _mark_alarms(axis, [one for one in alarms if one.parameter == name])
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
     _legend(figure, axes, len(results) - len(placed))
@@ -209,6 +214,21 @@ def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
             transform=axis.get_xaxis_transform(),
             clip_on=False,
             label="trip without an estimate",
+        )
+
+
+def _mark_alarms(axis: Axes, alarms: Sequence[Alarm]) -> None:
+    """Mark the begin of each alarm at the top of the axis."""
+    for one in alarms:
+        axis.plot(
+            one.begin_km / 1000,
+            1,
+            "v",
+            ms=7,
+            color=LIMIT_COLOURS[str(one.severity)],
+            transform=axis.get_xaxis_transform(),
+            clip_on=False,
+            label=f"{one.severity}: an alarm begins",
         )
 
 

@@ -16,6 +16,7 @@ from tabulate import tabulate
 
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Limits
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
@@ -156,6 +157,7 @@ def write_pages(
     limits: Mapping[str, Limits],
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
 ) -> None:
     """Write figures, TensorBoard events, metrics.json and report.html.
 
@@ -164,7 +166,13 @@ def write_pages(
     done = [r for r in results if r.status == OK]
     drawn = {
         "trend": health_trend(
-            relative_to_first_healthy(results, states), outputs, level, limits, states, events
+            relative_to_first_healthy(results, states),
+            outputs,
+            level,
+            limits,
+            states,
+            events,
+            alarms,
         ),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
@@ -196,6 +204,11 @@ def write_pages(
         ],
         "commissionings": [asdict(one) for one in states],
         "maintenance": [asdict(one) for one in events],
+        "alarms": [
+            asdict(one)
+            | {"severity": str(one.severity), "end_km": None if one.is_open else one.end_km}
+            for one in alarms
+        ],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
@@ -211,4 +224,5 @@ def write_pages(
         limits,
         states,
         events,
+        alarms,
     )

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from suspnet.dynamics.vehicle import UNITS
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Limits, Severity
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
@@ -107,6 +108,7 @@ def write_report(
     limits: Mapping[str, Limits] | None = None,
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
 ) -> Path:
     """Write one HTML file that needs no other file and no network.
 
@@ -133,6 +135,8 @@ def write_report(
         Several healthy states; `assessments` are of the trips since the last.
     events : sequence of Event
         Maintenance; `assessments` are of the trips since the last.
+    alarms : sequence of Alarm
+        Those that stand and those that ended.
 
     Returns
     -------
@@ -166,6 +170,7 @@ def write_report(
         told=told,
         assessments=assessments,
         limits=limits or {},
+        alarms=sorted(alarms, key=lambda one: (not one.is_open, -one.severity, one.begin_km)),
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
         anew=_anew(states, events),
