@@ -42,7 +42,7 @@ suspensions = Table(
     UniqueConstraint("vehicle", *PLACE),
 )
 
-NUMBERS = ("mileage_km", "healthy_since_km", "seconds")
+NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
 """Columns of a trip's numbers and texts, named as in its result."""
 QUALITY = {"float": Double, "int": Integer, "str": String}

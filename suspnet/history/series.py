@@ -20,7 +20,7 @@ from suspnet.types import BoolArray, FloatArray
 
 ROWS = 20_000
 """Rows that are held as Python's objects at once."""
-NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s")
+NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 TEXTS = ("trip", "start")
 
 
@@ -39,6 +39,8 @@ class Series:
     flagged : bool array
     mileage_km, healthy_since_km : arrays, [km]
     speed_m_per_s : array, [m/s]
+    temperature_c : array, [°C]
+        Of the air outside.
     estimates, half_widths : dict of arrays, [-]
         Of each parameter, as in a trip's result; NaN where there is none.
     events : tuple of Event
@@ -53,6 +55,7 @@ class Series:
     mileage_km: FloatArray
     healthy_since_km: FloatArray
     speed_m_per_s: FloatArray
+    temperature_c: FloatArray
     estimates: dict[str, FloatArray]
     half_widths: dict[str, FloatArray]
     events: tuple[Event, ...] = ()
@@ -60,7 +63,8 @@ class Series:
     @property
     def done(self) -> BoolArray:
         """Which trips have an estimate, bool array of shape (n_trips,)."""
-        return np.isfinite(np.stack(list(self.estimates.values()), axis=-1)).any(axis=-1)
+        known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
+        return np.asarray(known.any(axis=0))
 
 
 def read_series(

@@ -21,7 +21,9 @@ def test_arrays_hold_what_the_trips_do(store, monkeypatch):
     monkeypatch.setattr(module, "ROWS", 7)
     results = fleet(20, with_curves=False)
     results[3] = flagged(results[3])
-    results[5] = replace(results[5], mileage_km=np.nan, start="", healthy_since_km=1e4)
+    results[5] = replace(
+        results[5], mileage_km=np.nan, start="", healthy_since_km=1e4, temperature_c=-4.5
+    )
     other = [trip(i, with_curves=False, place=Place("x"), half_widths=HALF_WIDTHS) for i in (2, 1)]
     store.write([*results[::-1], *other])
     store.add_event("AM96 217", Place("x"), Event(5e3, "exchanged"))
@@ -33,7 +35,7 @@ def test_arrays_hold_what_the_trips_do(store, monkeypatch):
         assert list(one.trip) == [r.trip for r in expected]
         assert list(one.flagged) == [bool(r.flags) for r in expected]
         assert list(one.done) == [r.status == "ok" for r in expected]
-        for name in ("mileage_km", "healthy_since_km"):
+        for name in ("mileage_km", "healthy_since_km", "temperature_c"):
             np.testing.assert_array_equal(getattr(one, name), [getattr(r, name) for r in expected])
         np.testing.assert_array_equal(
             one.speed_m_per_s, [r.quality.speed_m_per_s for r in expected]
