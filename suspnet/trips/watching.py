@@ -63,4 +63,5 @@ def covariates(results: Sequence[TripResult]) -> dict[str, list[float]]:
     return {
         "pay-load": [r.estimates.get(PAYLOAD, np.nan) for r in results],
         "speed": [r.quality.speed_m_per_s for r in results],
+        "temperature": [r.temperature_c for r in results],
     }
