@@ -97,8 +97,8 @@ def compose(config: DictConfig) -> int:
     if config.study is not None:
         program.n_threads(config.threads)
         program.save_config(config, program.run_folder())
-        program.build(config, "study", folder=program.run_folder())
-        return FINE
+        found = program.build(config, "study", folder=program.run_folder())
+        return worst(ALARMS.get(getattr(one, "severity", None), FINE) for one in found or ())
     runs, output = _runs(config.run), program.run_folder()
     folders.clear(output)
     program.save_config(config, output)

@@ -54,7 +54,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "study": (
         "suspnet.studies.identifiability.write_identifiability",
         "suspnet.studies.reliability.write_reliability",
+        "suspnet.depot.study.write_maintenance",
     ),
+    "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
+    "costs": ("suspnet.maintenance.visits.Costs",),
     "others": ("suspnet.cli.configs.read_vehicles",),
 }
 """All that a configuration may build, by the key below which it may stand."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +48,7 @@ def watch(
     limits: Mapping[str, Limits],
     settings: ChangeSettings,
     least_percent: Mapping[str, float] | None = None,
+    maintenance_km: Sequence[float] = (),
 ) -> Watched:
     """Return the alarms that the trips of a suspension raise, one after the other.
 
@@ -54,11 +56,12 @@ def watch(
     ``find_changes``, so that the alarms of a history are the same however often it is read. An
     alarm of a limit stands until ``N_QUIET`` trips in a row are within the limits, and keeps its
     worst severity. A change is a notice, and none where an alarm of a limit stands already.
+    Maintenance ends all alarms, and reference trips are those since the last.
 
     Parameters
     ----------
     mileage_km : array of shape (n_trips,), [km]
-        Since the last maintenance, in any order; NaN: not used.
+        In any order; NaN: not used.
     values, half_widths : mapping from parameter to array of shape (n_trips,), [-]
         Relative to healthy, and half widths of their intervals in logarithms; NaN: none.
     flagged : bool array of shape (n_trips,)
@@ -69,6 +72,8 @@ def watch(
     settings : ChangeSettings
     least_percent : mapping from parameter to number, [%], optional
         Size below which a change is none.
+    maintenance_km : sequence of float, [km]
+        The first trips of this mileage or more are after it.
 
     Raises
     ------
@@ -77,26 +82,41 @@ def watch(
     """
     km = np.asarray(mileage_km, dtype=float)
     order = np.argsort(km, kind="stable")[: int(np.isfinite(km).sum())]
-    km, doubtful = km[order], np.asarray(flagged, dtype=bool)[order]
-    known, widths, beside = (
-        {name: np.asarray(column, dtype=float)[order] for name, column in part.items()}
-        for part in (values, half_widths, covariates)
-    )
-    changes = Changes()
-    if known:
-        changes = find_changes(
-            km,
-            known,
-            beside,
-            settings,
-            usable=~doubtful,
-            widths=widths,
-            least_percent=least_percent,
+    ends = sorted(maintenance_km)
+    alarms: list[Alarm] = []
+    found = Watched()
+    for part, end in zip(
+        np.split(order, np.searchsorted(km[order], ends)), [*ends, np.nan], strict=True
+    ):
+        known, widths, beside = (
+            {name: np.asarray(column, dtype=float)[part] for name, column in given.items()}
+            for given in (values, half_widths, covariates)
         )
+        doubtful = np.asarray(flagged, dtype=bool)[part]
+        found = _watch(km[part], known, widths, doubtful, beside, limits, settings, least_percent)
+        alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
+    return replace(found, alarms=alarms)
+
+
+def _watch(
+    km: FloatArray,
+    values: Mapping[str, FloatArray],
+    widths: Mapping[str, FloatArray],
+    flagged: BoolArray,
+    covariates: Mapping[str, FloatArray],
+    limits: Mapping[str, Limits],
+    settings: ChangeSettings,
+    least_percent: Mapping[str, float] | None,
+) -> Watched:
+    """Return the alarms of trips in the order of the mileage, between maintenance."""
+    if not values:
+        return Watched()
+    options: dict[str, Any] = {"usable": ~flagged, "widths": widths, "least_percent": least_percent}
+    changes = find_changes(km, values, covariates, settings, **options)
     alarms = []
-    for name in known:
+    for name, column in values.items():
         width = widths.get(name, np.full(len(km), np.nan))
-        beyond = _beyond(name, km, known[name], width, doubtful, limits.get(name))
+        beyond = _beyond(name, km, column, width, flagged, limits.get(name))
         changed = [_changed(name, km, one) for one in changes.found.get(name, [])]
         alarms += beyond + [one for one in changed if not any(_stood(b, one) for b in beyond)]
     return Watched(sorted(alarms, key=lambda one: (one.begin_km, one.parameter)), changes)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
@@ -126,9 +126,10 @@ def assess(
     worst = max((one.severity for one in alarms), default=Severity.NONE)
     if worst <= found.severity:
         return replace(found, alarms=tuple(alarms))
-    since = min(one.begin_km for one in alarms if one.severity == worst)
-    why = next(one for one in alarms if one.severity == worst)
-    words = f"{why.words} (alarm since {_thousands(since)}); {found.words}"
+    why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
+    since = f"alarm since {_thousands(why.begin_km)}"
+    told = why.cause == Cause.CHANGE and trend.changed
+    words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
     return replace(found, severity=worst, words=words, alarms=tuple(alarms))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from suspnet.history.records import TripResult
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import Limits
 from suspnet.maintenance.watch import Watched, watch
-from suspnet.trips.earlier import between
 from suspnet.trips.trend import PAYLOAD
 
 
@@ -26,9 +24,6 @@ def watch_trips(
 ) -> Watched:
     """Return the alarms of trips that are relative to one healthy state.
 
-    Those that stood when maintenance was done end with it. What the detector can do is said of the
-    trips since the last.
-
     Parameters
     ----------
     results : sequence of TripResult
@@ -40,22 +35,17 @@ def watch_trips(
         Of ``watch``.
     """
     names = [name for name in outputs if name != PAYLOAD]
-    ends = [*sorted(event.mileage_km for event in events), np.nan]
-    alarms = []
-    found = Watched()
-    for trips, end in zip(between(events, results), ends, strict=True):
-        found = watch(
-            [r.mileage_km for r in trips],
-            {name: [r.estimates.get(name, np.nan) for r in trips] for name in names},
-            {name: [r.half_widths.get(name, np.nan) for r in trips] for name in names},
-            [bool(r.flags) for r in trips],
-            covariates(trips),
-            limits,
-            settings,
-            least_percent,
-        )
-        alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
-    return replace(found, alarms=alarms)
+    return watch(
+        [r.mileage_km for r in results],
+        {name: [r.estimates.get(name, np.nan) for r in results] for name in names},
+        {name: [r.half_widths.get(name, np.nan) for r in results] for name in names},
+        [bool(r.flags) for r in results],
+        covariates(results),
+        limits,
+        settings,
+        least_percent,
+        [event.mileage_km for event in events],
+    )
 
 
 def covariates(results: Sequence[TripResult]) -> dict[str, list[float]]:
