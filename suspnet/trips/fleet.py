@@ -17,10 +17,11 @@ from tqdm import tqdm
 from suspnet._version import __version__
 from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
+from suspnet.dynamics.limits import PARAMETERS, TIGHTEST, limits_words
 from suspnet.history import Event, History
 from suspnet.history.records import TripResult, first_trips, relative_to_first
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity, read_limits
+from suspnet.maintenance.limits import Limits, Severity, read_limits
 from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
@@ -56,6 +57,8 @@ else:
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
+OVERRIDDEN = "set for this evaluation"
+"""Reason of limits that are given as a setting without one."""
 UNKNOWN_HEALTHY = "healthy is not known yet"
 
 
@@ -70,9 +73,10 @@ class FleetSettings:
         Healthy values: the vehicle's parameters, or the median of its first trips.
     n_reference : int
         Number of first trips.
-    limits : mapping
-        From a parameter to its `notice` and `act`, each [lower, upper] relative to healthy; a
-        parameter that is not there, or null, raises no alarm.
+    limits : mapping, optional
+        In place of the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
+        relative to healthy, and `why`. What is not there or None is as the vehicle's; a parameter
+        that is None raises no alarm.
     changes : ChangeSettings
         How changes are looked for.
     workers : int
@@ -92,16 +96,30 @@ class FleetSettings:
     n_reference: int = 5
     workers: int = 1
     cluster: str | None = None
-    limits: Mapping[str, Any] = field(default_factory=lambda: dict(DEFAULT_LIMITS))
+    limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
 
     def __post_init__(self) -> None:
         check_choice("reference", self.reference, ("vehicle", "first_trips"))
         for name in ("n_reference", "workers"):
             check_number(name, getattr(self, name), low=1, most=1024, whole=True)
-        object.__setattr__(self, "limits", read_limits(self.limits))
+        any_limits = dict.fromkeys(PARAMETERS, TIGHTEST)
+        read_limits(self.limits or {}, any_limits)  # whatever the vehicle's are
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
+
+    def limits_of(self, models: Sequence[TrainedModel]) -> dict[str, Limits]:
+        """Return the limits of each parameter that has any: these, or the vehicle's.
+
+        Of models of several commissionings, those of the last one count.
+
+        Raises
+        ------
+        ValueError
+            If these and those do not go together.
+        """
+        vehicle = eras(models)[-1][0].vehicle
+        return read_limits(self.limits or {}, vehicle.known_limits, OVERRIDDEN)
 
 
 def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
@@ -208,8 +226,9 @@ def evaluate_fleet(
     ModelFileError
         If a model cannot read trips.
     ValueError
-        If no suspension could be read.
+        If no suspension could be read, or the limits do not go together.
     """
+    settings.limits_of(models)
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
         return [_evaluate_group(groups[0], models, output, settings, progress, store)]
@@ -245,6 +264,7 @@ def _evaluate_group(
 ) -> Evaluated:
     """Evaluate one suspension's trips and write tables, figures and report."""
     fitting = models_of(models, group.place)
+    limits = settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
     outputs = fitting[0].task.outputs
@@ -266,8 +286,8 @@ def _evaluate_group(
     era = of_last_era(results, states)
     recent = between(events, era)[-1]
     least = _least_percent(outputs, fitting)
-    watched = watch_trips(era, events, outputs, settings.limits, settings.changes, least)
-    found = _assessments(recent, outputs, least, settings.limits, watched)
+    watched = watch_trips(era, events, outputs, limits, settings.changes, least)
+    found = _assessments(recent, outputs, least, limits, watched)
     missing = _missing_reference(settings, recent)
     if missing:
         log.warning("%s: %s", group.folder, missing)
@@ -280,7 +300,7 @@ def _evaluate_group(
         details["trips"] += f" ({partial})"
     if store is not None:
         details["history"] = printable(str(store))
-    options = settings.trips.level, settings.limits, states, events, watched.alarms
+    options = settings.trips.level, limits, states, events, watched.alarms
     write_pages(results, outputs, found, output, details, *options)
     words = f"{spoken(found)}\nAlarms of changes: {armed}."
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
@@ -402,7 +422,7 @@ def _details(
         f"{trained.segment_s:g} s",
         "healthy is": reference,
         "intervals": _interval_words(first, settings.trips.level),
-        "limits": "; ".join(f"{name}: {one}" for name, one in settings.limits.items()) or "none",
+        "limits": limits_words(settings.limits_of(models)),
     }
 
 

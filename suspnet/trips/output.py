@@ -197,6 +197,7 @@ def write_pages(
         "n_flagged": sum(bool(r.flags) for r in results),
         "rms_error_percent": errors,
         "coverage_percent": coverage_percent(results, outputs),
+        "limits": {name: one.to_dict() for name, one in limits.items()},
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}

@@ -90,7 +90,7 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
         parameters.pop("folder", None)  # which the program gives a study
-        optional = GEOMETRY if target is Vehicle else ()
+        optional = (*GEOMETRY, "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:
             continue
