@@ -1,0 +1,369 @@
+"""Remaining life: the mileage until a parameter passes a limit, as a distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from suspnet.checks import check_number
+from suspnet.maintenance import degradation
+from suspnet.maintenance.degradation import (
+    DIFFUSIONS,
+    FIRST_CHANGING,
+    FIRST_WIENER,
+    MODELS,
+    RATE_CHANGES,
+    UNIT_KM,
+    FleetPrior,
+    Posterior,
+)
+from suspnet.types import BoolArray, FloatArray, IntArray
+
+MIN_TRIPS = 5
+"""Fewest trips with an estimate that a life is predicted from."""
+HORIZON_KM = 5e6
+"""Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
+FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
+"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
+OUTLYING = 6.0
+"""A trip farther from the median of five is drawn to it, in robust standard deviations."""
+NOISE_TRIPS = 4.0
+"""Number of trips that the half-widths count for when the noise is estimated."""
+DEFAULT_PRIOR = FleetPrior(
+    models=np.concatenate(
+        [
+            [0.5, 0.1, 0.1],
+            0.2 * DIFFUSIONS / DIFFUSIONS.sum(),
+            np.full(RATE_CHANGES.size, 0.1 / RATE_CHANGES.size),
+        ]
+    ),
+    weights=np.full(3, 1 / 3),
+    means=np.zeros(3),
+    spreads=np.array([0.03, 0.1, 0.3]),
+)
+"""Vague prior: half of all parameters do not wear; rates of 0.1 to 50 % in 100,000 km."""
+
+
+@dataclass(frozen=True)
+class Life:
+    """Remaining life of one parameter, as samples.
+
+    Attributes
+    ----------
+    model : str
+        The most probable of "no trend", "linear", "exponential" and "wiener".
+    samples_km : array of shape (n_samples,), [km]
+        Mileage still to go from the last trip until the nearer limit is passed; inf: not within
+        ``HORIZON_KM``, 0: already passed.
+    probabilities : dict of float, [-]
+        Of each model; the samples are of all of them in these shares.
+    """
+
+    model: str
+    samples_km: FloatArray
+    probabilities: dict[str, float] = field(default_factory=dict)
+
+    def quantile_km(self, q: float) -> float:
+        """Return the mileage still to go that is not reached with probability `q`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `q` is not a number from 0 to 1.
+        """
+        check_number("q", q, low=0, high=1)
+        return float(np.quantile(self.samples_km, q, method="inverted_cdf"))
+
+    def interval_km(self, level: float = 0.8) -> tuple[float, float]:
+        """Return the central interval that holds the crossing with probability `level`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `level` is not a number above 0 and below 1.
+        """
+        check_number("level", level, above=0, below=1)
+        return self.quantile_km((1 - level) / 2), self.quantile_km((1 + level) / 2)
+
+    def probability(self, km: float) -> float:
+        """Return the probability that the limit is passed within `km`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `km` is not a number of at least 0.
+        """
+        check_number("km", km, low=0)
+        return float(np.mean(self.samples_km <= km))
+
+    def __str__(self) -> str:
+        """Return model, median and the interval of 80 % in words."""
+        low, high = self.interval_km()
+        if np.isinf(low):
+            return f"{self.model}: no crossing within {HORIZON_KM:,.0f} km (90 %)"
+        median = self.quantile_km(0.5)
+        if median == 0:
+            return f"{self.model}: limit passed ({100 * self.probability(0):.0f} %)"
+        ends = [f"{end:,.0f}" if np.isfinite(end) else "no end" for end in (low, median, high)]
+        return f"{self.model}: {ends[1]} km to go (80 %: {ends[0]} to {ends[2]})"
+
+
+def predict_life(
+    mileage_km: ArrayLike,
+    values: ArrayLike,
+    half_widths: ArrayLike,
+    limits_pair: tuple[float, float],
+    *,
+    fleet: FleetPrior | None = None,
+    level: float = 0.9,
+    seed: int = 0,
+    n_samples: int = 500,
+) -> Life:
+    """Return the remaining life of one parameter of one suspension.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        Since the last maintenance, ascending.
+    values : array of shape (n_trips,), [-]
+        Estimates relative to healthy; NaN: none.
+    half_widths : array of shape (n_trips,), [-]
+        Of the intervals, in logarithms; NaN: none.
+    limits_pair : (lower, upper), [-]
+        Lower 0 or upper infinity is no limit on that side.
+    fleet : FleetPrior, optional
+        What is known of suspensions of this type, from ``learn_fleet``.
+    level : float
+        Of the intervals.
+    seed, n_samples : int
+
+    Returns
+    -------
+    Life
+
+    Raises
+    ------
+    TypeError, ValueError
+        If arrays or settings are out of range, or there are fewer than ``MIN_TRIPS`` estimates.
+    """
+    check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
+    check_number("seed", seed, low=0, whole=True)
+    lower, upper = _checked_limits(limits_pair)
+    found, n_trips = _posterior(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
+    rng = np.random.default_rng(seed)
+    weight = np.exp(found.log_weight - logsumexp(found.log_weight))
+    kind = np.searchsorted([1, 2, FIRST_WIENER, FIRST_CHANGING], found.row, side="right")
+    share = np.bincount(kind, weight, len(MODELS))
+    node = _stratified(weight, n_samples, rng)
+    samples = _samples(found, node, (lower, upper), n_trips + NOISE_TRIPS, rng)
+    probabilities = dict(zip(MODELS, (float(one) for one in share), strict=True))
+    return Life(MODELS[int(share.argmax())], rng.permutation(samples), probabilities)
+
+
+def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
+    """Return `n` indices drawn with these weights, each as often as it can be expected."""
+    places = (np.arange(n) + rng.random(n)) / n
+    return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
+
+
+def first_passage_km(
+    distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws of the mileage until a Wiener process with drift first passes a limit.
+
+    With a drift towards the limit, of `distance` d, `rate` v and variance q per mileage, the law is
+    inverse Gaussian with mean d / v and shape d^2 / q [1]_; with a drift away from it, it is that
+    of |v| with probability exp(-2 |v| d / q) and infinite otherwise. Without diffusion it is d / v.
+
+    Parameters
+    ----------
+    distance : array of shape (n_samples,), [-]
+        At most 0: passed already, which gives 0. May be infinite.
+    rate : array of shape (n_samples,), [1 / UNIT_KM]
+    diffusion : array of shape (n_samples,), [1 / UNIT_KM]
+        Variance per mileage.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+
+    References
+    ----------
+    .. [1] Chhikara, Folks, The Inverse Gaussian Distribution, Marcel Dekker, 1989; drawn as by
+       Michael, Schucany, Haas, The American Statistician 30 (1976) 88-90.
+    """
+    y, u, away = rng.normal(size=rate.size) ** 2, rng.random(rate.size), rng.random(rate.size)
+    reachable = (distance > 0) & (distance < np.inf)
+    d, v = np.where(reachable, distance, 1.0), np.maximum(np.abs(rate), 1e-12)
+    q = np.where(diffusion > 0, diffusion, 1.0)
+    mean = d / v
+    half = 0.5 * y * q / (v * d)
+    # the smaller root, without the difference of large numbers of the usual form
+    smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
+    random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
+    reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
+    passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
+    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
+
+
+def _samples(
+    found: Posterior,
+    node: IntArray,
+    limits: tuple[float, float],
+    freedom: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of the remaining life from nodes; the noise has `freedom` degrees of freedom.
+
+    The two limits are passed independently given rate and present value: exact but for paths that
+    would pass both.
+    """
+    row = found.row[node]
+    wide = np.sqrt(freedom / rng.chisquare(freedom, node.size))
+    values, vectors = np.linalg.eigh(found.covariance[node])
+    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+    draws = (root @ rng.normal(size=(node.size, 3, 1)))[..., 0]
+    now, rate, change = (found.mean[node] + wide[:, None] * draws).T
+    lower, upper = (_on_scale(limit, row == 2) for limit in limits)
+    wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
+    diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
+    samples = np.minimum(
+        first_passage_km(now - lower, -rate, diffusion, rng),
+        first_passage_km(upper - now, rate, diffusion, rng),
+    )
+    changing = np.flatnonzero(row >= FIRST_CHANGING)
+    if changing.size:
+        spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
+        since, power = (part[node[changing], None] for part in (found.since, found.power))
+        ahead = (since + FUTURE) ** power - since**power
+        mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
+        samples[changing] = changing_passage_km(
+            mean, lower[changing], upper[changing], spread, rng
+        )
+    return np.where(samples > HORIZON_KM, np.inf, samples)
+
+
+def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
+    """Return a limit on the scale of each sample; 0 is no limit."""
+    if limit == 0:
+        return np.full(logarithmic.size, -np.inf)
+    return np.where(logarithmic, np.log(limit), limit - 1)
+
+
+def changing_passage_km(
+    mean: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    spread: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
+
+    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
+
+    Parameters
+    ----------
+    mean : array of shape (n_samples, n_future), [-]
+        Mean value at ``FUTURE``.
+    lower, upper, spread : arrays of shape (n_samples,)
+        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+    """
+    dt = np.diff(FUTURE)
+    a, b = rng.normal(size=(2, lower.size, dt.size))
+    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
+    before = rates - np.sqrt(dt) * a
+    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
+    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
+    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
+    out = (values <= lower[:, None]) | (values >= upper[:, None])
+    index, each = out.argmax(axis=1), np.arange(lower.size)
+    last = np.maximum(index - 1, 0)
+    one, two = values[each, last], values[each, index]
+    limit = np.where(two >= upper, upper, lower)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
+    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
+    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
+
+
+def _posterior(
+    mileage_km: ArrayLike,
+    values: ArrayLike,
+    half_widths: ArrayLike,
+    level: float,
+    prior: FleetPrior,
+    thorough: bool = False,
+) -> tuple[Posterior, int]:
+    """Return the posterior and the number of trips with an estimate."""
+    check_number("level", level, above=0, below=1)
+    km, value, half = _checked_series(mileage_km, values, half_widths)
+    t = (km - km[0]) / UNIT_KM
+    sigma = half / NormalDist().inv_cdf((1 + level) / 2)
+    known = np.isfinite(sigma)
+    usual = np.median(sigma[known]) if known.any() else _spread(np.log(value))
+    sigma = np.maximum(np.where(known, sigma, usual), degradation.LEAST_NOISE)
+    value = _tamed(value)
+    noise = degradation.estimate_noise(t, np.log(value), sigma)
+    blocks = degradation.average(t, value, sigma)
+    return degradation.posterior(blocks, noise, prior, thorough), km.size
+
+
+def _spread(log_values: FloatArray) -> float:
+    """Return a robust standard deviation of the noise, from second differences."""
+    return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
+
+
+def _tamed(values: FloatArray) -> FloatArray:
+    """Return values with single trips that lie far off drawn to the median of five trips."""
+    padded = np.pad(np.log(values), 2, mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    off = np.log(values) - middle
+    most = OUTLYING * max(float(np.median(np.abs(off))) / 0.6745, degradation.LEAST_NOISE)
+    return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)
+
+
+def _checked_series(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the trips with an estimate, or raise."""
+    named = {"mileage_km": mileage_km, "values": values, "half_widths": half_widths}
+    km, value, half = (np.asarray(one, dtype=float) for one in named.values())
+    if km.ndim != 1 or value.shape != km.shape or half.shape != km.shape:
+        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in named.items())
+        raise ValueError(f"arrays must have one and the same length, got {shapes}")
+    if not np.isfinite(km).all():
+        raise ValueError("`mileage_km` must be finite numbers")
+    if (np.diff(km) < 0).any():
+        raise ValueError("`mileage_km` must be ascending: sort the trips by mileage")
+    if np.isinf(value).any() or (value <= 0).any():
+        raise ValueError("`values` must be above 0 and finite, or NaN where there is no estimate")
+    if np.isinf(half).any() or (half < 0).any():
+        raise ValueError("`half_widths` must be at least 0 and finite, or NaN where there is none")
+    kept = np.isfinite(value)
+    if kept.sum() < MIN_TRIPS or km[kept][-1] == km[kept][0]:
+        raise ValueError(
+            f"a life needs at least {MIN_TRIPS} trips with an estimate, at different mileages, "
+            f"got {kept.sum()}"
+        )
+    return km[kept], value[kept], half[kept]
+
+
+def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
+    pair = tuple(limits_pair)
+    if len(pair) != 2:
+        raise ValueError(f"`limits_pair` must be two numbers, lower and upper, got {pair}")
+    check_number("limits_pair[0]", pair[0], low=0, below=1)
+    if pair[1] != np.inf:
+        check_number("limits_pair[1]", pair[1], above=1)
+    return float(pair[0]), float(pair[1])
