@@ -59,6 +59,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),
     "others": ("suspnet.cli.configs.read_vehicles",),
+    "vehicles": ("suspnet.cli.configs.read_vehicles",),
 }
 """All that a configuration may build, by the key below which it may stand."""
 CALLBACKS = (

@@ -12,7 +12,7 @@ from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.life import MIN_TRIPS, FleetPrior, Life, learn_fleet, predict_life
-from suspnet.maintenance.limits import Limits, Severity
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.watch import Watched, watch
 from suspnet.types import BoolArray, FloatArray
 
@@ -67,7 +67,10 @@ class State:
 
 
 def fleet_state(
-    fleet: Sequence[Series], limits: Mapping[str, Limits], settings: ChangeSettings, seed: int = 0
+    fleet: Sequence[Series],
+    limits: Mapping[str, Mapping[str, Limits]],
+    settings: ChangeSettings,
+    seed: int = 0,
 ) -> list[State]:
     """Return the state of each suspension, the most severe first, then the shortest life.
 
@@ -76,13 +79,15 @@ def fleet_state(
     Parameters
     ----------
     fleet : sequence of Series
-    limits : mapping from parameter to Limits
+    limits : mapping from vehicle to mapping from parameter to Limits
+        A vehicle that is not there has ``DEFAULT_LIMITS``.
     settings : ChangeSettings
     seed : int
     """
-    states = [_watched(one, limits, settings) for one in fleet]
-    priors = _priors(states, limits)
-    states = [_with_lives(one, limits, priors, seed) for one in states]
+    known = {one.vehicle: limits.get(one.vehicle, DEFAULT_LIMITS) for one in fleet}
+    states = [_watched(one, known[one.vehicle], settings) for one in fleet]
+    priors = _priors(states, known)
+    states = [_with_lives(one, known[one.series.vehicle], priors, seed) for one in states]
     return sorted(states, key=_order)
 
 
@@ -129,12 +134,12 @@ def _with_lives(
 
 
 def _priors(
-    states: Sequence[State], limits: Mapping[str, Limits]
+    states: Sequence[State], limits: Mapping[str, Mapping[str, Limits]]
 ) -> dict[tuple[str, str], FleetPrior]:
     """Return what the suspensions of each vehicle show together of each parameter."""
     trips = defaultdict(list)
     for state in states:
-        for name in limits:
+        for name in limits[state.series.vehicle]:
             found = _trips(state, name)
             if len(found[0]) >= MIN_TRIPS and found[0][-1] > found[0][0]:
                 trips[state.series.vehicle, name].append(found)

@@ -14,10 +14,11 @@ import pyarrow as pa
 from suspnet.depot.overview import overview_rows, overview_table, write_page
 from suspnet.depot.parts import parts_of, trains_of
 from suspnet.depot.state import State, fleet_state
+from suspnet.dynamics import Vehicle
 from suspnet.history import History
 from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.limits import DEFAULT_LIMITS, read_limits
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.storage import write_atomically, write_json
@@ -30,7 +31,8 @@ def write_maintenance(
     store: str,
     folder: Path,
     *,
-    limits: Mapping[str, Limits],
+    vehicles: Mapping[str, Vehicle],
+    limits: Mapping[str, Any] | None,
     changes: ChangeSettings,
     plan: PlanSettings,
     today: str | None = None,
@@ -45,7 +47,10 @@ def write_maintenance(
     store : str
         File or URL of the history.
     folder : Path
-    limits : mapping from parameter to Limits
+    vehicles : mapping of Vehicle
+        Those whose limits are known; others have ``DEFAULT_LIMITS``.
+    limits : mapping, optional
+        In place of the vehicles': from a parameter to `notice` and `act`.
     changes : ChangeSettings
     plan : PlanSettings
     today : str, optional
@@ -76,7 +81,10 @@ def write_maintenance(
         acknowledged = history.all_acknowledgements()
     if not fleet:
         raise ValueError(f"{store}: no trip is kept here yet")
-    states = fleet_state(fleet, limits, changes, seed)
+    known = {one.vehicle: DEFAULT_LIMITS for one in fleet}
+    known |= {vehicle.name: vehicle.known_limits for vehicle in vehicles.values()}
+    own = {name: read_limits(limits or {}, one) for name, one in known.items()}
+    states = fleet_state(fleet, own, changes, seed)
     trains = trains_of(states, day, plan.km_per_day)
     planned = make_plan(parts_of(states), trains, plan, day)
     rows = overview_rows(states, acknowledged)

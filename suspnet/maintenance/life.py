@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
 
@@ -243,9 +242,7 @@ def _samples(
         since, power = (part[node[changing], None] for part in (found.since, found.power))
         ahead = (since + FUTURE) ** power - since**power
         mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
-        samples[changing] = changing_passage_km(
-            mean, lower[changing], upper[changing], spread, rng
-        )
+        samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)
     return np.where(samples > HORIZON_KM, np.inf, samples)
 
 
