@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -11,10 +10,11 @@ import numpy as np
 from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.life import MIN_TRIPS, FleetPrior, Life, learn_fleet, predict_life
+from suspnet.maintenance.forecast import remaining_lives
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.watch import Watched, watch
-from suspnet.types import BoolArray, FloatArray
+from suspnet.types import BoolArray
 
 PAYLOAD = "M_s"
 
@@ -74,8 +74,6 @@ def fleet_state(
 ) -> list[State]:
     """Return the state of each suspension, the most severe first, then the shortest life.
 
-    Remaining lives are learnt together from the suspensions of one vehicle (``learn_fleet``).
-
     Parameters
     ----------
     fleet : sequence of Series
@@ -86,8 +84,7 @@ def fleet_state(
     """
     known = {one.vehicle: limits.get(one.vehicle, DEFAULT_LIMITS) for one in fleet}
     states = [_watched(one, known[one.vehicle], settings) for one in fleet]
-    priors = _priors(states, known)
-    states = [_with_lives(one, known[one.series.vehicle], priors, seed) for one in states]
+    states = [_with_lives(one, known[one.series.vehicle], seed) for one in states]
     return sorted(states, key=_order)
 
 
@@ -117,41 +114,16 @@ def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSetti
     return State(series, recent, found)
 
 
-def _with_lives(
-    state: State,
-    limits: Mapping[str, Limits],
-    priors: Mapping[tuple[str, str], FleetPrior],
-    seed: int,
-) -> State:
+def _with_lives(state: State, limits: Mapping[str, Limits], seed: int) -> State:
     """Return a suspension with the remaining life of each of its parameters."""
-    lives = {}
-    for name, limit in limits.items():
-        trips = _trips(state, name)
-        if len(trips[0]) >= MIN_TRIPS and trips[0][-1] > trips[0][0]:
-            prior = priors.get((state.series.vehicle, name))
-            lives[name] = predict_life(*trips, limit.act, fleet=prior, seed=seed)
+    series, used = state.series, state.recent
+    values, half_widths = (
+        {name: column[used] for name, column in part.items()}
+        for part in (series.estimates, series.half_widths)
+    )
+    km, flagged = series.mileage_km[used], series.flagged[used]
+    lives = remaining_lives(km, values, half_widths, flagged, limits, seed)
     return replace(state, lives=lives)
-
-
-def _priors(
-    states: Sequence[State], limits: Mapping[str, Mapping[str, Limits]]
-) -> dict[tuple[str, str], FleetPrior]:
-    """Return what the suspensions of each vehicle show together of each parameter."""
-    trips = defaultdict(list)
-    for state in states:
-        for name in limits[state.series.vehicle]:
-            found = _trips(state, name)
-            if len(found[0]) >= MIN_TRIPS and found[0][-1] > found[0][0]:
-                trips[state.series.vehicle, name].append(found)
-    return {key: learn_fleet(found) for key, found in trips.items() if len(found) > 1}
-
-
-def _trips(state: State, name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mileage, estimates and half widths of the recent trips that are not flagged."""
-    series = state.series
-    values = series.estimates[name]
-    used = state.recent & np.isfinite(values) & np.isfinite(series.mileage_km) & ~series.flagged
-    return series.mileage_km[used], values[used], series.half_widths[name][used]
 
 
 def _order(state: State) -> tuple[int, float, str, str]:

@@ -92,7 +92,7 @@ def write_maintenance(
     jobs: list[dict[str, Any]] = planned.rows()
     if jobs:
         write_table(pa.Table.from_pylist(jobs), folder / "plan")
-    figure = plan_calendar(planned, plan.level)
+    figure = plan_calendar(planned)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=150)
     write_atomically(folder / "calendar.png", picture.getvalue())

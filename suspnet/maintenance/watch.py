@@ -170,12 +170,20 @@ def _beyond(
         side, level = int(judged.side[worst]), Severity(int(severity[worst]))
         limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
         words = (
-            f"at {100 * centre[worst]:.3g} % of healthy, {'above' if side > 0 else 'below'} the "
+            f"{beside(centre[worst], limit)} of healthy, {'above' if side > 0 else 'below'} the "
             f"{level} limit of {100 * limit:g} %"
         )
         until = np.nan if end is None else float(km[end])
         found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, words))
     return found
+
+
+def beside(value: float, limit: float) -> str:
+    """Return a level in %, with as many digits as tell it from a limit."""
+    digits = 0
+    while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
+        digits += 1
+    return f"at {100 * value:.{digits}f} %"
 
 
 def _changed(name: str, km: FloatArray, change: Change) -> Alarm:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
+from suspnet.maintenance.watch import beside
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
 
@@ -60,6 +62,8 @@ class Assessment:
         The parameter has limits.
     alarms : tuple of Alarm
         That stand.
+    life : Life, optional
+        Mileage until the act limit; None if too few trips tell it.
     """
 
     trend: Trend
@@ -67,6 +71,7 @@ class Assessment:
     words: str
     limited: bool = True
     alarms: tuple[Alarm, ...] = ()
+    life: Life | None = None
 
     @property
     def parameter(self) -> str:
@@ -202,13 +207,13 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
     if count >= N_CONFIRMING and run < count:
         out = last.values[side * (last.values - limit) > 0]
-        where = _at(np.median(out), limit)
+        where = beside(np.median(out), limit)
         words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
-        return words if run else f"{words}; the last trip is {_at(last.values[-1], limit)}"
+        return words if run else f"{words}; the last trip is {beside(last.values[-1], limit)}"
     trips, it, are, its = ("trip", "it", "is", "its interval reaches")
     if run > 1:
         trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
-    where = _at(np.median(last.values[n_last - run :]), limit)
+    where = beside(np.median(last.values[n_last - run :]), limit)
     words = f"the last {trips} {are} {where} of healthy, {beyond}"
     if judged.weak and last.flagged[n_last - run :].any():
         return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
@@ -312,14 +317,6 @@ def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
 def _is(n: int) -> str:
     """Return the verb for some number of things."""
     return "is" if n == 1 else "are"
-
-
-def _at(value: float, limit: float) -> str:
-    """Return a level in %, with as many digits as tell it from a limit."""
-    digits = 0
-    while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
-        digits += 1
-    return f"at {100 * value:.{digits}f} %"
 
 
 def _percent(value: float) -> str:

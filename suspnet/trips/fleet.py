@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import operator
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,8 +20,10 @@ from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
 from suspnet.dynamics.limits import PARAMETERS, TIGHTEST, limits_words
 from suspnet.history import Event, History
-from suspnet.history.records import TripResult, first_trips, relative_to_first
+from suspnet.history.records import ERROR, TripResult, first_trips, relative_to_first
+from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.forecast import remaining_lives
 from suspnet.maintenance.limits import Limits, Severity, read_limits
 from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.model import ModelFileError, TrainedModel
@@ -287,6 +290,10 @@ def _evaluate_group(
     recent = between(events, era)[-1]
     least = _least_percent(outputs, fitting)
     watched = watch_trips(era, events, outputs, limits, settings.changes, least)
+    seen: list[Acknowledgement] = []
+    if store is not None and any(r.status != ERROR for r in results):
+        store.keep_alarms(fitting[0].vehicle.name, group.place, watched.alarms)
+        seen = store.acknowledgements(fitting[0].vehicle.name, group.place)
     found = _assessments(recent, outputs, least, limits, watched)
     missing = _missing_reference(settings, recent)
     if missing:
@@ -300,7 +307,7 @@ def _evaluate_group(
         details["trips"] += f" ({partial})"
     if store is not None:
         details["history"] = printable(str(store))
-    options = settings.trips.level, limits, states, events, watched.alarms
+    options = settings.trips.level, limits, states, events, watched.alarms, seen
     write_pages(results, outputs, found, output, details, *options)
     words = f"{spoken(found)}\nAlarms of changes: {armed}."
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
@@ -382,12 +389,18 @@ def _assessments(
     """Return each parameter's assessment; a change that the models cannot resolve is none."""
     mileage = np.array([r.mileage_km for r in results])
     flagged = np.array([bool(r.flags) for r in results])
+    estimates, half_widths = (
+        {name: [part(r).get(name, np.nan) for r in results] for name in outputs}
+        for part in (operator.attrgetter("estimates"), operator.attrgetter("half_widths"))
+    )
+    lives = remaining_lives(mileage, estimates, half_widths, flagged, limits)
     found = []
     for name in outputs:
-        values = np.array([r.estimates.get(name, np.nan) for r in results])
+        values = np.array(estimates[name])
         trend = flagged_trend(name, mileage, values, flagged, least_percent=least_percent[name])
         last = last_trips(mileage, values, [r.interval(name) for r in results], flagged)
-        found.append(assess(trend, last, limits.get(name), watched.standing(name)))
+        one = assess(trend, last, limits.get(name), watched.standing(name))
+        found.append(replace(one, life=lives.get(name)))
     return found
 
 

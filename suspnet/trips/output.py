@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +17,8 @@ from tabulate import tabulate
 
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
-from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
@@ -158,6 +160,7 @@ def write_pages(
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
     alarms: Sequence[Alarm] = (),
+    seen: Sequence[Acknowledgement] = (),
 ) -> None:
     """Write figures, TensorBoard events, metrics.json and report.html.
 
@@ -173,6 +176,7 @@ def write_pages(
             states,
             events,
             alarms,
+            {one.parameter: one.life for one in assessments if one.life},
         ),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
@@ -201,6 +205,7 @@ def write_pages(
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
+            | {"life": _life_row(one.life)}
             for one in assessments
         ],
         "commissionings": [asdict(one) for one in states],
@@ -226,4 +231,16 @@ def write_pages(
         states,
         events,
         alarms,
+        seen,
     )
+
+
+def _life_row(life: Life | None) -> dict[str, Any] | None:
+    """Return a remaining life as JSON holds it, null where it has no end."""
+    if life is None:
+        return None
+    ends = dict(zip(("low", "high"), life.interval_km(), strict=True))
+    ends["median"] = life.quantile_km(0.5)
+    return {"model": life.model} | {
+        f"{name}_km": km if np.isfinite(km) else None for name, km in ends.items()
+    }
