@@ -317,11 +317,10 @@ def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> 
     """Return how much wider than the reference's each trip's interval is; at least 1."""
     if widths is None:
         return np.ones(len(trips))
-    known = np.asarray(widths, dtype=float)[trips]
+    known = np.clip(np.asarray(widths, dtype=float)[trips], 1e-12, LARGEST)
     if not np.isfinite(known[:needed]).any():
         return np.ones(len(trips))
-    usual = max(float(np.nanmedian(known[:needed])), 1e-12)
-    return np.maximum(np.nan_to_num(known / usual, nan=1.0, posinf=1e6), 1.0)
+    return np.maximum(np.nan_to_num(known / np.nanmedian(known[:needed]), nan=1.0), 1.0)
 
 
 def _column(rest: Residuals, i: int) -> Residuals:

@@ -67,13 +67,15 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     - phi is the posterior mean, with equal prior weights on 0 to ``MAX_CORRELATION``, given the
       first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j and
       whose variance is (1 - phi^2) / j;
-    - b and the variance s^2 of e are those of least squares on x_t - phi x_(t-1);
+    - b and the variance s^2 of e are those of least squares on x_t - phi x_(t-1), s^2 at least
+      ``LEAST_SPREAD``^2 j / nu;
     - e_t over s and the uncertainty of b follows Student's t and is turned into a standard normal
       by z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), nu = j - 1 less the length of x (Abramowitz
       and Stegun, 26.7.8).
 
-    A later trip with |z| above ``CLIP`` never becomes part of the reference: one outlier there
-    would hide changes. A change of that size has raised its alarm before.
+    A later trip with |z| above ``CLIP`` never becomes part of the reference, as one outlier there
+    would hide changes: its x and y count as zeros, and not in j. A change of that size has raised
+    its alarm before.
 
     Parameters
     ----------
