@@ -22,7 +22,7 @@ from suspnet.types import FloatArray, IntArray
 
 UNIT_KM = 100_000.0
 MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
-MAX_BLOCKS = 40
+MAX_BLOCKS = 32
 """Most blocks that the trips of a history are averaged to."""
 N_ONSETS = 40
 """Onsets that each model is tried with; "linear" and "exponential" then refine the best."""
@@ -39,10 +39,12 @@ RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
 """Standard deviations of the change of the rate after ``UNIT_KM``, per ``UNIT_KM``."""
 POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 """Powers of the mileage since the onset that "changing rate" is tried with."""
+POWER_UNITS = 3.0
+"""Mileage [UNIT_KM] since the onset to which the rate of a power is the mean rate."""
 FIRST_WIENER = 3
 FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
 """First row of each model in ``FleetPrior.models``."""
-N_STARTS = 10
+N_STARTS = 8
 """Onsets of Brownian motion; an onset of the drift uses the last one before it."""
 NOISE_SCALES = np.geomspace(0.1, 4.0, 16)
 """Noise from trip to trip, relative to what the half-widths say."""
@@ -122,35 +124,6 @@ class Noise:
     log_likelihood: FloatArray
 
 
-@dataclass(frozen=True)
-class Posterior:
-    """Posterior as a mixture of nodes; arrays of shape (n_nodes,), the first is "no trend".
-
-    Attributes
-    ----------
-    log_weight : array
-        Logarithm of prior times evidence of each node.
-    row, component : int array
-        Model (and diffusion) as in ``FleetPrior.models``, component of the rate.
-    since : array, [UNIT_KM]
-        Mileage from the onset to the last trip.
-    power : array, [-]
-        Of the mileage since the onset.
-    mean : array of shape (n_nodes, 3), [-], [1 / UNIT_KM^power], [1 / UNIT_KM]
-        At the last trip: value - 1 (or its logarithm for "exponential"), coefficient of the
-        power, change of the rate by Brownian motion.
-    covariance : array of shape (n_nodes, 3, 3)
-    """
-
-    log_weight: FloatArray
-    row: IntArray
-    component: IntArray
-    since: FloatArray
-    power: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
-
-
 def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
     """Return blocks of `n_trips` trips with mileages `t` after the first, in ``UNIT_KM``."""
     n_trips = t.size
@@ -222,25 +195,24 @@ def estimate_noise(t: FloatArray, log_values: FloatArray, sigma: FloatArray) -> 
     )
 
 
-def posterior(blocks: Blocks, noise: Noise, prior: FleetPrior, thorough: bool = False) -> Posterior:
-    """Return the posterior over all models, without "wiener" where no trend is likely.
-
-    Parameters
-    ----------
-    thorough : bool
-        Consider "wiener" always.
-    """
+def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
+    """Return the fit of each model, without Brownian motion where no trend is likely."""
     log_models = np.log(np.maximum(prior.models, 1e-300))
-    parts = [_without_trend(blocks, noise, log_models[0])]
-    for row in (1, 2):
-        parts.append(_straight(blocks, noise, prior, row, log_models[row]))
-    found = _join(parts)
-    share = np.exp(found.log_weight[1:] - logsumexp(found.log_weight)).sum()
-    if thorough or share > DETAILED:
-        for rows in (np.arange(3, FIRST_CHANGING), np.arange(FIRST_CHANGING, log_models.size)):
-            parts.append(_wandering(blocks, noise, prior, rows, log_models[rows]))
-        found = _join(parts)
-    return found
+    covariance = _noise_covariance(blocks, noise.variance, noise.correlation)
+    fits = [_without_trend(blocks, covariance[:1], log_models[:1])]
+    fits += [_straight(blocks, covariance[:1], prior, row, log_models) for row in (1, 2)]
+    totals = np.array([logsumexp(fit.log_weight) for fit in fits])
+    if np.exp(totals[0] - logsumexp(totals)) > 1 - DETAILED:
+        return fits
+    fits[1:] = [_refined(blocks, covariance[:1], prior, fit, log_models) for fit in fits[1:]]
+    changing = np.zeros(RATE_CHANGES.size, dtype=np.int64)
+    wiener = np.arange(1, DIFFUSIONS.size + 1)
+    for rows, which in (
+        (FIRST_WIENER + wiener - 1, wiener),
+        (FIRST_CHANGING + np.arange(changing.size), changing),
+    ):
+        fits.append(_wandering(blocks, covariance[which], prior, rows, log_models[rows]))
+    return fits
 
 
 def _onsets(last: float, n: int) -> FloatArray:
@@ -267,47 +239,63 @@ def _noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> 
     return variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
 
 
-def _without_trend(blocks: Blocks, noise: Noise, log_prior: float) -> Posterior:
-    """Return the node of a constant value: a rate of which the prior knows that it is 0."""
+def _without_trend(blocks: Blocks, covariance: FloatArray, log_prior: FloatArray) -> Fit:
+    """Return the fit of a constant value: a rate of which the prior knows that it is 0."""
     constant = FleetPrior(np.ones(1), np.ones(1), np.zeros(1), np.full(1, 1e-9))
-    covariance = _noise_covariance(blocks, noise.variance[:1], noise.correlation[:1])
-    case = _Case(blocks, True, covariance[None], np.zeros((1, 1)), np.ones((1, 1)))
-    return _nodes(case, constant, np.zeros(1, dtype=np.int64), log_prior + np.zeros((1, 1, 1)))
+    hinges = _Hinges(np.zeros((1, 1)), np.ones((1, 1)), log_prior[:, None])
+    return Fit(blocks, True, covariance[:, None], hinges, constant, np.zeros(1, dtype=np.int64))
 
 
 def _straight(
-    blocks: Blocks, noise: Noise, prior: FleetPrior, row: int, log_prior: float
-) -> Posterior:
-    """Return the nodes of a hinge without Brownian motion; onsets are refined about the best."""
-    covariance = _noise_covariance(blocks, noise.variance[:1], noise.correlation[:1])
-    onsets = _onsets(blocks.last, N_ONSETS)
-    for i in range(ONSET_PASSES):
-        case = _Case(blocks, row == 1, covariance[None], onsets[None], np.ones((1, onsets.size)))
-        log_measure = log_prior + _log_measure(onsets)
-        found = _nodes(case, prior, np.array([row]), log_measure[None, None])
-        if i + 1 < ONSET_PASSES:
-            best = int(found.log_weight.reshape(onsets.size, -1).max(axis=1).argmax())
-            low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
-            onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
-    return found
+    blocks: Blocks,
+    covariance: FloatArray,
+    prior: FleetPrior,
+    row: int,
+    log_models: FloatArray,
+    onsets: FloatArray | None = None,
+) -> Fit:
+    """Return the fit of "linear" or "exponential", without Brownian motion."""
+    onsets = _onsets(blocks.last, N_ONSETS) if onsets is None else onsets
+    log_prior = log_models[row] + _log_measure(onsets)
+    hinges = _Hinges(onsets[None], np.ones((1, onsets.size)), log_prior[None])
+    return Fit(blocks, row == 1, covariance[:, None], hinges, prior, np.array([row]))
+
+
+def _refined(
+    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit, log_models: FloatArray
+) -> Fit:
+    """Return a fit with more onsets about the best."""
+    for _ in range(ONSET_PASSES):
+        onsets = fit.hinges.onsets[0]
+        best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
+        low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
+        onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
+        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), log_models, onsets)
+    return fit
 
 
 def _wandering(
-    blocks: Blocks, noise: Noise, prior: FleetPrior, rows: IntArray, log_prior: FloatArray
-) -> Posterior:
-    """Return the nodes of a hinge with Brownian motion of the value or of the rate."""
-    onsets = _onsets(blocks.last, N_ONSETS)
-    log_measure = _log_measure(onsets).reshape(N_STARTS, -1)
+    blocks: Blocks,
+    covariance: FloatArray,
+    prior: FleetPrior,
+    rows: IntArray,
+    log_prior: FloatArray,
+) -> Fit:
+    """Return the fit with Brownian motion of the value or of the rate."""
     changing = bool(rows[0] == FIRST_CHANGING)
-    which = np.zeros(rows.size, dtype=np.int64) if changing else rows - FIRST_WIENER + 1
-    covariance = _noise_covariance(blocks, noise.variance[which], noise.correlation[which])
     motion = _Motion((RATE_CHANGES if changing else DIFFUSIONS) ** 2, changing)
     powers = POWERS if changing else np.ones(1)
-    onsets = np.repeat(onsets.reshape(N_STARTS, -1), powers.size, axis=1)
-    log_measure = np.repeat(log_measure, powers.size, axis=1) - np.log(powers.size)
-    powers = np.broadcast_to(np.tile(powers, onsets.shape[1] // powers.size), onsets.shape)
-    case = _Case(blocks, True, covariance[:, None], onsets, powers, motion)
-    return _nodes(case, prior, rows, log_prior[:, None, None] + log_measure)
+    onsets = _onsets(blocks.last, N_ONSETS)
+    log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
+    hinges = _Hinges(
+        np.repeat(onsets, powers.size).reshape(N_STARTS, -1),
+        np.tile(powers, N_ONSETS).reshape(N_STARTS, -1),
+        log_measure.reshape(N_STARTS, -1),
+    )
+    log_weights = log_prior[:, None, None]
+    fit = Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
+    fit.log_weight += log_weights[..., None]
+    return fit
 
 
 def _log_measure(onsets: FloatArray) -> FloatArray:
@@ -352,10 +340,60 @@ class _Motion:
         return np.stack([value, none, since**2 / 2], axis=-1), own
 
 
-class _Case:
-    """Matrices of generalised least squares, for motions x starts x onsets of each start.
+@dataclass(frozen=True)
+class _Hinges:
+    """Courses of the drift: arrays of shape (n_starts, n_onsets), Brownian motion from each start.
 
-    The linear scale is divided by the value, so that noise is relative to the value in both.
+    Attributes
+    ----------
+    onsets : array, [UNIT_KM]
+    powers : array, [-]
+        Of the mileage since the onset.
+    log_prior : array
+    """
+
+    onsets: FloatArray
+    powers: FloatArray
+    log_prior: FloatArray
+
+    def course(self, t: FloatArray) -> FloatArray:
+        """Return the course for a rate of 1, of shape (n_starts, n_onsets, n_t)."""
+        return powered(np.maximum(t - self.onsets[..., None], 0), self.powers[..., None])
+
+
+def powered(since: FloatArray, power: FloatArray) -> FloatArray:
+    """Return the drift for a rate of 1 at a mileage since the onset, in ``UNIT_KM``."""
+    return np.asarray(POWER_UNITS * (since / POWER_UNITS) ** power)
+
+
+class Fit:
+    """Posterior of one model, for motions x starts x onsets x components of the rate ("nodes").
+
+    With C the covariance, X = (1, course) and the Gaussian prior of level and rate, their posterior
+    has precision M = X^T C^-1 X + P; the evidence is that of Bayesian linear regression ([1]_, sec.
+    2.7). The linear scale is divided by the value, so that noise is relative to the value in both.
+
+    Parameters
+    ----------
+    blocks : Blocks
+    linear : bool
+        The value itself, or else its logarithm.
+    covariance : array of shape (n_motions, 1, n_blocks, n_blocks)
+        Of the noise.
+    hinges : _Hinges
+    prior : FleetPrior
+    rows : int array of shape (n_motions,)
+        As in ``FleetPrior.models``.
+    motion : _Motion, optional
+
+    Attributes
+    ----------
+    log_weight : array of shape (n_motions, n_starts, n_onsets, n_components)
+        Logarithm of prior times evidence of each node.
+
+    References
+    ----------
+    .. [1] Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT Press, 2006.
     """
 
     def __init__(
@@ -363,19 +401,19 @@ class _Case:
         blocks: Blocks,
         linear: bool,
         covariance: FloatArray,
-        onsets: FloatArray,
-        powers: FloatArray,
+        hinges: _Hinges,
+        prior: FleetPrior,
+        rows: IntArray,
         motion: _Motion | None = None,
     ) -> None:
+        self.hinges, self.rows, self.last = hinges, rows, blocks.last
         scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
-        self.since, self.powers = blocks.last - onsets, powers
-        self.one = 1 / scale
-        self.values = (blocks.value if linear else blocks.log_value) / scale
-        since = np.maximum(blocks.t - onsets[..., None], 0)  # (starts, onsets, blocks)
-        self.hinge = since ** powers[..., None] / scale
-        start = onsets[:, 0]
-        self.with_last = np.zeros((1, start.size, blocks.t.size, 3))
-        self.own = np.zeros((1, start.size, 3, 3))
+        self._one = 1 / scale
+        self._values = (blocks.value if linear else blocks.log_value) / scale
+        self._course = hinges.course(blocks.t) / scale
+        start = hinges.onsets[:, 0]
+        self._with_last = np.zeros((1, start.size, scale.size, 3))
+        self._own = np.zeros((1, start.size, 3, 3))
         total = covariance
         if motion is not None:
             since = np.maximum(blocks.t - start[:, None], 0)
@@ -383,68 +421,84 @@ class _Case:
             shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
             total = covariance + variances * shape
             with_last, own = motion.with_last(since, blocks.last - start)
-            self.with_last = variances * with_last / scale[:, None]
-            self.own = variances * own
-        self.inverse = np.linalg.inv(total)
-        self.log_det = np.linalg.slogdet(total)[1]
+            self._with_last = variances * with_last / scale[:, None]
+            self._own = variances * own
+        diagonal = np.diagonal(np.linalg.cholesky(total), axis1=-2, axis2=-1)
+        self._inverse = np.linalg.inv(total)
+        self._solve(2 * np.log(diagonal).sum(axis=-1), prior)
+
+    def _solve(self, log_det: FloatArray, prior: FleetPrior) -> None:
+        """Compute level, rate and evidence of each node."""
+        of_one, of_values = (self._inverse @ x for x in (self._one, self._values))
+        of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)
+        a11 = (of_one @ self._one)[..., None, None]
+        a12 = np.einsum("sob,msb->mso", self._course, of_one)[..., None]
+        a22 = np.einsum("sob,msob->mso", self._course, of_course)[..., None]
+        c1 = (of_one @ self._values)[..., None, None]
+        c2 = np.einsum("sob,msb->mso", self._course, of_values)[..., None]
+        yy = (of_values @ self._values)[..., None, None]
+        p1, p2 = LEVEL_SPREAD**-2.0, prior.spreads**-2.0
+        m11, m12, m22, r2 = a11 + p1, a12, a22 + p2, c2 + p2 * prior.means
+        det = m11 * m22 - m12**2
+        self._level, self._rate = (m22 * c1 - m12 * r2) / det, (m11 * r2 - m12 * c1) / det
+        self._spreads = [m / det for m in (m22, -m12, m11)]
+        misfit = yy + p2 * prior.means**2 - self._level * c1 - self._rate * r2
+        evidence = -0.5 * (log_det[..., None, None] + np.log(det / (p1 * p2)) + misfit)
+        self.log_weight = evidence + self.hinges.log_prior[..., None] + np.log(prior.weights)
+
+    def now(self, nodes: IntArray) -> State:
+        """Return the posterior of the present state of some nodes, by index of the flat array."""
+        m, s, o, j = np.unravel_index(nodes, self.log_weight.shape)
+        first = np.minimum(m, self._with_last.shape[0] - 1)
+        with_last = self._with_last[first, s]
+        of_last = self._inverse[m, np.minimum(s, self._inverse.shape[1] - 1)] @ with_last
+        since, power = self.last - self.hinges.onsets[s, o], self.hinges.powers[s, o]
+        # at the last trip: gain (level, rate) + what is known of Brownian motion
+        gain = np.zeros((m.size, 3, 2))
+        gain[:, :, 0] = -(self._one @ of_last)
+        gain[:, :, 1] = -(self._course[s, o][:, None] @ of_last)[:, 0]
+        gain[:, 0, 0] += 1
+        gain[:, 0, 1] += powered(since, power)
+        gain[:, 1, 1] += 1
+        at = (m, s, o, j)
+        level, rate = (np.broadcast_to(x, self._rate.shape)[at] for x in (self._level, self._rate))
+        s11, s12, s22 = (np.broadcast_to(x, self._rate.shape)[at] for x in self._spreads)
+        spread = np.stack([s11, s12, s12, s22], axis=-1).reshape(-1, 2, 2)
+        spare = self._own[first, s] - with_last.swapaxes(1, 2) @ of_last
+        return State(
+            row=self.rows[m],
+            since=since,
+            power=power,
+            mean=self._values @ of_last + (gain @ np.stack([level, rate], -1)[..., None])[..., 0],
+            covariance=gain @ spread @ gain.swapaxes(1, 2) + spare,
+        )
 
 
-def _nodes(case: _Case, prior: FleetPrior, rows: IntArray, log_prior: FloatArray) -> Posterior:
-    """Return the posterior of each motion, start, onset and component of the rate.
+@dataclass(frozen=True)
+class State:
+    """Present state of nodes; arrays of shape (n_nodes,).
 
-    With C the covariance, X = (1, hinge) and the Gaussian prior of level and rate, their posterior
-    has precision M = X^T C^-1 X + P; the evidence is that of Bayesian linear regression, and
-    motion at the last trip follows from it ([1]_, sec. 2.7).
-
-    References
+    Attributes
     ----------
-    .. [1] Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT Press, 2006.
+    row : int array
+        As in ``FleetPrior.models``.
+    since : array, [UNIT_KM]
+        Mileage from the onset to the last trip.
+    power : array, [-]
+        Of the mileage since the onset.
+    mean : array of shape (n_nodes, 3), [-], [1 / UNIT_KM], [1 / UNIT_KM]
+        At the last trip: value - 1 (or its logarithm for "exponential"), rate of the drift,
+        change of the rate by Brownian motion.
+    covariance : array of shape (n_nodes, 3, 3)
     """
-    of_one, of_values = (case.inverse @ x for x in (case.one, case.values))
-    of_last = case.inverse @ case.with_last  # (motions, starts, blocks, 3)
-    of_hinge = case.hinge @ case.inverse  # (motions, starts, onsets, blocks)
-    a11 = (of_one @ case.one)[..., None, None]
-    a12 = np.einsum("sob,dsb->dso", case.hinge, of_one)[..., None]
-    a22 = (of_hinge * case.hinge).sum(axis=-1)[..., None]
-    c1 = (of_one @ case.values)[..., None, None]
-    c2 = np.einsum("sob,dsb->dso", case.hinge, of_values)[..., None]
-    yy = (of_values @ case.values)[..., None, None]
-    p1, p2 = LEVEL_SPREAD**-2.0, prior.spreads**-2.0
-    m11, m22, r2 = a11 + p1, a22 + p2, c2 + p2 * prior.means
-    det = m11 * m22 - a12**2
-    level, rate = (m22 * c1 - a12 * r2) / det, (m11 * r2 - a12 * c1) / det
-    misfit = yy + p2 * prior.means**2 - level * c1 - rate * r2
-    log_det = case.log_det[..., None, None] + np.log(det / (p1 * p2))
-    log_weight = log_prior[..., None] + np.log(prior.weights) - 0.5 * (log_det + misfit)
-    # at the last trip: G (level, rate) + what is known of motion
-    of_motion = np.swapaxes(case.with_last, -1, -2)  # (motions, starts, 3, blocks)
-    columns = np.stack([np.broadcast_to(case.one, case.hinge.shape), case.hinge], axis=-1)
-    gain = -(of_last.swapaxes(-1, -2)[:, :, None] @ columns)  # (motions, starts, onsets, 3, 2)
-    gain[..., 0, 0] += 1
-    gain[..., 0, 1] += case.since**case.powers
-    gain[..., 1, 1] += 1
-    gain = gain[..., None, :, :]
-    known = (case.values @ of_last)[:, :, None, None]
-    mean = known + (gain @ np.stack([level, rate], axis=-1)[..., None])[..., 0]
-    m12, m11 = (np.broadcast_to(m, det.shape) for m in (a12, m11))
-    precision = np.stack([m22, -m12, -m12, m11], axis=-1) / det[..., None]
-    inverse = precision.reshape(*det.shape, 2, 2)
-    spare = (case.own - of_motion @ of_last)[:, :, None, None]
-    covariance = gain @ inverse @ np.swapaxes(gain, -1, -2) + spare
-    shape = log_weight.shape
-    parts = (
-        log_weight,
-        np.broadcast_to(rows[:, None, None, None], shape),
-        np.broadcast_to(np.arange(prior.weights.size), shape),
-        np.broadcast_to(case.since[..., None], shape),
-        np.broadcast_to(case.powers[..., None], shape),
-    )
-    flat = (part.reshape(-1) for part in parts)
-    return Posterior(*flat, mean.reshape(-1, 3), covariance.reshape(-1, 3, 3))
+
+    row: IntArray
+    since: FloatArray
+    power: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
 
 
-def _join(parts: list[Posterior]) -> Posterior:
-    """Return all nodes as one posterior."""
-    return Posterior(
-        *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Posterior))
-    )
+def join(states: list[State]) -> State:
+    """Return all nodes as one state."""
+    return State(*(np.concatenate([getattr(one, f.name) for one in states]) for f in fields(State)))

@@ -18,8 +18,11 @@ from suspnet.maintenance.degradation import (
     MODELS,
     RATE_CHANGES,
     UNIT_KM,
+    Fit,
     FleetPrior,
-    Posterior,
+    State,
+    join,
+    powered,
 )
 from suspnet.types import BoolArray, FloatArray, IntArray
 
@@ -153,15 +156,24 @@ def predict_life(
     check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
     check_number("seed", seed, low=0, whole=True)
     lower, upper = _checked_limits(limits_pair)
-    found, n_trips = _posterior(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
+    fits, n_trips = _fits(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
     rng = np.random.default_rng(seed)
-    weight = np.exp(found.log_weight - logsumexp(found.log_weight))
-    kind = np.searchsorted([1, 2, FIRST_WIENER, FIRST_CHANGING], found.row, side="right")
-    share = np.bincount(kind, weight, len(MODELS))
+    weights = [fit.log_weight.reshape(-1) for fit in fits]
+    ends = np.cumsum([0, *(weight.size for weight in weights)])
+    log_weight = np.concatenate(weights)
+    weight = np.exp(log_weight - logsumexp(log_weight))
     node = _stratified(weight, n_samples, rng)
-    samples = _samples(found, node, (lower, upper), n_trips + NOISE_TRIPS, rng)
-    probabilities = dict(zip(MODELS, (float(one) for one in share), strict=True))
-    return Life(MODELS[int(share.argmax())], rng.permutation(samples), probabilities)
+    state = join(
+        [
+            fit.now(node[(node >= begin) & (node < end)] - begin)
+            for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
+        ]
+    )
+    share = np.zeros(len(MODELS))
+    share[: len(fits)] = np.add.reduceat(weight, ends[:-1])
+    samples = rng.permutation(_samples(state, (lower, upper), n_trips + NOISE_TRIPS, rng))
+    probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
+    return Life(MODELS[int(share.argmax())], samples, probabilities)
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -212,23 +224,19 @@ def first_passage_km(
 
 
 def _samples(
-    found: Posterior,
-    node: IntArray,
-    limits: tuple[float, float],
-    freedom: float,
-    rng: np.random.Generator,
+    state: State, limits: tuple[float, float], freedom: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return draws of the remaining life from nodes; the noise has `freedom` degrees of freedom.
+    """Return a draw of the remaining life from each node; the noise has `freedom` degrees of it.
 
     The two limits are passed independently given rate and present value: exact but for paths that
     would pass both.
     """
-    row = found.row[node]
-    wide = np.sqrt(freedom / rng.chisquare(freedom, node.size))
-    values, vectors = np.linalg.eigh(found.covariance[node])
+    row = state.row
+    wide = np.sqrt(freedom / rng.chisquare(freedom, row.size))
+    values, vectors = np.linalg.eigh(state.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
-    draws = (root @ rng.normal(size=(node.size, 3, 1)))[..., 0]
-    now, rate, change = (found.mean[node] + wide[:, None] * draws).T
+    draws = (root @ rng.normal(size=(row.size, 3, 1)))[..., 0]
+    now, rate, change = (state.mean + wide[:, None] * draws).T
     lower, upper = (_on_scale(limit, row == 2) for limit in limits)
     wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
     diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
@@ -239,8 +247,8 @@ def _samples(
     changing = np.flatnonzero(row >= FIRST_CHANGING)
     if changing.size:
         spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
-        since, power = (part[node[changing], None] for part in (found.since, found.power))
-        ahead = (since + FUTURE) ** power - since**power
+        since, power = (part[changing, None] for part in (state.since, state.power))
+        ahead = powered(since + FUTURE, power) - powered(since, power)
         mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
         samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)
     return np.where(samples > HORIZON_KM, np.inf, samples)
@@ -294,15 +302,14 @@ def changing_passage_km(
     return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
 
 
-def _posterior(
+def _fits(
     mileage_km: ArrayLike,
     values: ArrayLike,
     half_widths: ArrayLike,
     level: float,
     prior: FleetPrior,
-    thorough: bool = False,
-) -> tuple[Posterior, int]:
-    """Return the posterior and the number of trips with an estimate."""
+) -> tuple[list[Fit], int]:
+    """Return the fit of each model, in the order of ``MODELS``, and the number of estimates."""
     check_number("level", level, above=0, below=1)
     km, value, half = _checked_series(mileage_km, values, half_widths)
     t = (km - km[0]) / UNIT_KM
@@ -313,7 +320,7 @@ def _posterior(
     value = _tamed(value)
     noise = degradation.estimate_noise(t, np.log(value), sigma)
     blocks = degradation.average(t, value, sigma)
-    return degradation.posterior(blocks, noise, prior, thorough), km.size
+    return degradation.fit_models(blocks, noise, prior), km.size
 
 
 def _spread(log_values: FloatArray) -> float:

@@ -46,7 +46,9 @@ class WearHistory:
         Suspensions of one train have their trips at the same mileages.
     kind : str
         "linear", "exponential" (a straight line in the logarithm), "wiener" (a line plus Brownian
-        motion), "power" (accelerating or slowing; no model of suspnet) or "healthy".
+        motion) or "healthy"; besides, which are no models of suspnet: "power" (a power 0.6, 0.75,
+        1.5 or 2 of the mileage), "bent" (a line whose rate changes once, to 0.4 or 2.5 times) and
+        "jumps" (about 30 jumps instead of a line).
     km_per_day : float
     limits : (lower, upper), [-]
     crossing_km : float, [km]
@@ -152,6 +154,11 @@ def _path(
         worn = np.clip((grid - onset) / (life - onset), 0, None)
         if kind == "power":
             worn = worn ** float(rng.choice([0.6, 0.75, 1.5, 2.0]))
+        elif kind == "bent":
+            bend, factor = rng.uniform(0.2, 0.9), rng.choice([0.4, 2.5])
+            worn = np.minimum(worn, bend) + factor * np.clip(worn - bend, 0, None)
+        elif kind == "jumps":
+            worn = np.cumsum(rng.gamma(30 * np.diff(worn, prepend=0.0), 1 / 30))
         elif kind == "wiener":
             # the spread of the life that Brownian motion alone gives, relative to life - onset
             relative = rng.uniform(0.05, 0.3)
