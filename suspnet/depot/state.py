@@ -122,7 +122,7 @@ def _with_lives(state: State, limits: Mapping[str, Limits], seed: int) -> State:
         for part in (series.estimates, series.half_widths)
     )
     km, flagged = series.mileage_km[used], series.flagged[used]
-    lives = remaining_lives(km, values, half_widths, flagged, limits, seed)
+    lives = remaining_lives(km, values, half_widths, flagged, limits, state.watched.passed, seed)
     return replace(state, lives=lives)
 
 

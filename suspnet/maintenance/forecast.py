@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ def remaining_lives(
     half_widths: Mapping[str, ArrayLike],
     flagged: ArrayLike,
     limits: Mapping[str, Limits],
+    passed: Collection[str] = (),
     seed: int = 0,
 ) -> dict[str, Life]:
     """Return the mileage until each parameter passes its act limit, as a distribution.
@@ -36,6 +37,8 @@ def remaining_lives(
     flagged : bool array of shape (n_trips,)
         Trips that are not used.
     limits : mapping from parameter to Limits
+    passed : collection of str
+        Parameters whose alarm says that the act limit is passed: nothing is left of their lives.
     seed : int
     """
     found = {}
@@ -43,7 +46,9 @@ def remaining_lives(
         if name not in values:
             continue
         trips = trips_of_life(mileage_km, values[name], half_widths[name], flagged)
-        if trips is not None:
+        if name in passed:
+            found[name] = Life("no trend", np.zeros(1))
+        elif trips is not None:
             found[name] = predict_life(*trips, limit.act, seed=seed)
     return found
 

@@ -38,6 +38,12 @@ class Watched:
         """Return the alarms of a parameter that stand still."""
         return [one for one in self.alarms if one.parameter == parameter and one.is_open]
 
+    @property
+    def passed(self) -> set[str]:
+        """The parameters that are beyond their act limit."""
+        standing = [one for one in self.alarms if one.is_open]
+        return {one.parameter for one in standing if one.severity == Severity.ACT}
+
 
 def watch(
     mileage_km: ArrayLike,

@@ -393,7 +393,7 @@ def _assessments(
         {name: [part(r).get(name, np.nan) for r in results] for name in outputs}
         for part in (operator.attrgetter("estimates"), operator.attrgetter("half_widths"))
     )
-    lives = remaining_lives(mileage, estimates, half_widths, flagged, limits)
+    lives = remaining_lives(mileage, estimates, half_widths, flagged, limits, watched.passed)
     found = []
     for name in outputs:
         values = np.array(estimates[name])

@@ -246,7 +246,7 @@ def _draw_lives(axes: Mapping[str, Axes], mileage: FloatArray, lives: Mapping[st
     last = float(mileage.max())
     most = last + AHEAD * (last - float(mileage.min()))
     ends = {name: last + np.array(life.interval_km()) / 1000 for name, life in lives.items()}
-    shown = {name: end for name, end in ends.items() if 0 <= end[0] - last and end[0] < most}
+    shown = {name: end for name, end in ends.items() if last < end[1] and end[0] < most}
     for name, (low, high) in shown.items():
         axes[name].plot(
             [low, min(high, most)],

@@ -373,6 +373,8 @@ def _to_go(life: Life | None) -> Markup:
     low, high = life.interval_km()
     if not math.isfinite(low):
         return Markup("no end in sight")
+    if high == 0:
+        return Markup("passed")
     ends = [f"{_rounded(km)}" if math.isfinite(km) else "no end" for km in (low, high)]
     median = life.quantile_km(0.5)
     middle = _rounded(median) if math.isfinite(median) else "no end"
