@@ -444,7 +444,9 @@ class Fit:
         self._spreads = [m / det for m in (m22, -m12, m11)]
         misfit = yy + p2 * prior.means**2 - self._level * c1 - self._rate * r2
         evidence = -0.5 * (log_det[..., None, None] + np.log(det / (p1 * p2)) + misfit)
-        self.log_weight = evidence + self.hinges.log_prior[..., None] + np.log(prior.weights)
+        self.log_weight = (
+            evidence + self.hinges.log_prior[..., None] + np.log(np.maximum(prior.weights, 1e-300))
+        )
 
     def now(self, nodes: IntArray) -> State:
         """Return the posterior of the present state of some nodes, by index of the flat array."""

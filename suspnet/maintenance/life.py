@@ -35,7 +35,7 @@ FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
 OUTLYING = 6.0
 """A trip farther from the median of five is drawn to it, in robust standard deviations."""
 NOISE_TRIPS = 4.0
-"""Number of trips that the half-widths count for when the noise is estimated."""
+"""Number of trips that the half-widths count for in the degrees of freedom of the noise."""
 DEFAULT_PRIOR = FleetPrior(
     models=np.concatenate(
         [
@@ -49,6 +49,16 @@ DEFAULT_PRIOR = FleetPrior(
     spreads=np.array([0.03, 0.1, 0.3]),
 )
 """Vague prior: half of all parameters do not wear; rates of 0.1 to 50 % in 100,000 km."""
+
+
+FLEET_RATES = np.geomspace(0.005, 0.3, 10)
+"""Means of the rates, per ``UNIT_KM``, that a fleet can tell apart."""
+FLEET_SPREAD = 0.35
+"""Standard deviation of each of these, relative to its mean."""
+PRIOR_SERIES = 3.0
+"""Number of series that the default prior counts for beside a fleet."""
+MAX_STEPS = 200
+"""Most steps of the fit of a fleet."""
 
 
 @dataclass(frozen=True)
@@ -371,3 +381,62 @@ def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
     if pair[1] != np.inf:
         check_number("limits_pair[1]", pair[1], above=1)
     return float(pair[0]), float(pair[1])
+
+
+def learn_fleet(
+    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
+) -> FleetPrior:
+    """Return what several suspensions of one type say of models and rates, by empirical Bayes.
+
+    The rate is given a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and
+    narrower ones about ``FLEET_RATES`` of both signs. Weights of these, and of the models, are
+    those of the largest posterior probability (expectation maximisation with a Dirichlet prior
+    that counts as much as ``PRIOR_SERIES`` series). With no series it is the default.
+
+    Parameters
+    ----------
+    series : sequence of (mileage_km, values, half_widths)
+        Of one parameter, as in ``predict_life``; include those that do not wear.
+    level : float
+        Of the intervals.
+
+    Returns
+    -------
+    FleetPrior
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a series is not as ``predict_life`` needs it; the message says which.
+    """
+    means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
+    spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
+    even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
+    evidence = np.full((len(series), even.models.size, means.size), -np.inf)
+    for i, one in enumerate(series):
+        try:
+            fits, _ = _fits(*one, level, even)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"series {i}: {error}") from None
+        for fit in fits:
+            evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
+    evidence -= np.log(even.models)[:, None]
+    evidence[:, 1:] -= np.log(even.weights)
+    default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
+    models, weights = even.models, (default + even.weights) / 2
+    for _ in range(MAX_STEPS):
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, 1e-300))
+        share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
+        # a constant value says nothing of the rate
+        old = models, weights
+        models = _counted(share.sum(axis=(0, 2)), even.models)
+        weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
+        if max(np.abs(models - old[0]).max(), np.abs(weights - old[1]).max()) < 1e-4:
+            break
+    return FleetPrior(models, weights, means, spreads)
+
+
+def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
+    """Return shares from counts and a default that counts as ``PRIOR_SERIES`` series."""
+    total = counts + PRIOR_SERIES * default
+    return np.asarray(total / total.sum())
