@@ -32,7 +32,7 @@ from cells import Parser, at_least
 from tabulate import tabulate
 from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 
-from suspnet.maintenance.life import predict_life
+from suspnet.maintenance.life import MIN_TRIPS, predict_life
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.visits import Costs
@@ -44,8 +44,6 @@ KM_PER_DAY = 500.0
 TODAY = date(2026, 1, 1)
 STRIDE = 101
 """A part is followed by the history so many further on: 101 and 300 have no common divisor."""
-LEAST_TRIPS = 5
-"""A life is not predicted from fewer; the part is left alone."""
 SHARES = (0.0, 0.2, 0.4)
 RATIOS = (
     (2, 0),
@@ -214,7 +212,7 @@ class Predicted:
             one = self.histories[history]
             mileage, values, half_widths = one.until(age)
             found = np.array([np.inf]), float(age)
-            if np.isfinite(values).sum() >= LEAST_TRIPS:
+            if np.isfinite(values).sum() >= MIN_TRIPS:
                 life = predict_life(mileage, values, half_widths, one.limits, seed=history)
                 found = life.samples_km, float(mileage[-1])
             self.known[history, age] = found
