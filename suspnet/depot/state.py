@@ -10,13 +10,16 @@ import numpy as np
 from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.forecast import remaining_lives
-from suspnet.maintenance.life import Life
+from suspnet.maintenance.degradation import FleetPrior
+from suspnet.maintenance.forecast import remaining_lives, trips_of_life
+from suspnet.maintenance.life import Life, learn_fleet
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.watch import Watched, watch
 from suspnet.types import BoolArray
 
 PAYLOAD = "M_s"
+MOST_LEARNT = 200
+"""Largest number of suspensions from which a fleet's rates of wear are learnt, evenly chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,8 @@ def fleet_state(
 ) -> list[State]:
     """Return the state of each suspension, the most severe first, then the shortest life.
 
+    Remaining lives are learnt together from the suspensions of a vehicle (``learn_fleet``).
+
     Parameters
     ----------
     fleet : sequence of Series
@@ -84,7 +89,11 @@ def fleet_state(
     """
     known = {one.vehicle: limits.get(one.vehicle, DEFAULT_LIMITS) for one in fleet}
     states = [_watched(one, known[one.vehicle], settings) for one in fleet]
-    states = [_with_lives(one, known[one.series.vehicle], seed) for one in states]
+    priors = {vehicle: _priors(states, vehicle, limits) for vehicle, limits in known.items()}
+    states = [
+        _with_lives(one, known[one.series.vehicle], priors[one.series.vehicle], seed)
+        for one in states
+    ]
     return sorted(states, key=_order)
 
 
@@ -114,15 +123,48 @@ def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSetti
     return State(series, recent, found)
 
 
-def _with_lives(state: State, limits: Mapping[str, Limits], seed: int) -> State:
+def _priors(
+    states: Sequence[State], vehicle: str, limits: Mapping[str, Limits]
+) -> dict[str, FleetPrior]:
+    """Return what the suspensions of a vehicle show together of each parameter."""
+    found = {}
+    for name in limits:
+        trips = [
+            trips_of_life(
+                one.series.mileage_km[one.recent],
+                one.series.estimates[name][one.recent],
+                one.series.half_widths[name][one.recent],
+                one.series.flagged[one.recent],
+            )
+            for one in states
+            if one.series.vehicle == vehicle
+        ]
+        known = [one for one in trips if one is not None]
+        if len(known) > 1:
+            every = -(-len(known) // MOST_LEARNT)
+            found[name] = learn_fleet(known[::every])
+    return found
+
+
+def _with_lives(
+    state: State, limits: Mapping[str, Limits], fleet: Mapping[str, FleetPrior], seed: int
+) -> State:
     """Return a suspension with the remaining life of each of its parameters."""
     series, used = state.series, state.recent
     values, half_widths = (
         {name: column[used] for name, column in part.items()}
         for part in (series.estimates, series.half_widths)
     )
-    km, flagged = series.mileage_km[used], series.flagged[used]
-    lives = remaining_lives(km, values, half_widths, flagged, limits, state.watched.passed, seed)
+    lives = remaining_lives(
+        series.mileage_km[used],
+        values,
+        half_widths,
+        series.flagged[used],
+        limits,
+        state.watched.passed,
+        fleet,
+        seed,
+    )
     return replace(state, lives=lives)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.limits import Limits
 from suspnet.types import FloatArray
@@ -22,6 +23,7 @@ def remaining_lives(
     flagged: ArrayLike,
     limits: Mapping[str, Limits],
     passed: Collection[str] = (),
+    fleet: Mapping[str, FleetPrior] | None = None,
     seed: int = 0,
 ) -> dict[str, Life]:
     """Return the mileage until each parameter passes its act limit, as a distribution.
@@ -39,6 +41,8 @@ def remaining_lives(
     limits : mapping from parameter to Limits
     passed : collection of str
         Parameters whose alarm says that the act limit is passed: nothing is left of their lives.
+    fleet : mapping of FleetPrior, optional
+        What is known of each parameter from suspensions of this type (``learn_fleet``).
     seed : int
     """
     found = {}
@@ -49,7 +53,7 @@ def remaining_lives(
         if name in passed:
             found[name] = Life("no trend", np.zeros(1))
         elif trips is not None:
-            found[name] = predict_life(*trips, limit.act, seed=seed)
+            found[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
     return found
 
 
