@@ -233,17 +233,12 @@ def _of_one(
             break
         onset, begin, size = alarm[0] + start, alarm[1] + start, alarm[2]
         known = max(needed, min(onset, int(rest.n_reference[begin - needed])))
+        usual = np.concatenate([np.ones(needed, bool), rest.usual])[:known]
         x = np.concatenate([np.ones((len(used), 1)), covariates[used]], axis=1)
-        fit = np.linalg.lstsq(x[:known], logs[used][:known], rcond=None)[0]
+        fit = np.linalg.lstsq(x[:known][usual], logs[used][:known][usual], rcond=None)[0]
         away = logs[used] - x @ fit
-        phi = rest.correlation[begin - needed]
-        blur = SURE * away[:known].std() / max(abs(size), 1e-9)
-        n_back = max(N_BACK, int(np.ceil(min(blur**2 * (1 + phi) / (1 - phi), len(logs)))))
-        last = None
-        if len(away) - begin > n_back:
-            medians = np.median(sliding_window_view(away[begin + 1 :], n_back), axis=-1)
-            back = np.flatnonzero(np.abs(medians) < BACK * abs(size))
-            last = begin + int(back[0]) + n_back if len(back) else None
+        spread = float(away[:known][usual].std())
+        last = _end(away, begin, size, spread, float(rest.correlation[begin - needed]))
         found.append(
             Change(
                 int(trips[used[onset]]),
@@ -260,6 +255,20 @@ def _of_one(
             break
         rest = _column(residuals(logs[used][:, None], covariates[used][:, None], needed), 0)
     return found
+
+
+def _end(away: FloatArray, begin: int, size: float, spread: float, phi: float) -> int | None:
+    """Return the trip after `begin` at which a change was back, of deviations of trips.
+
+    The mean of n trips has the variance spread^2 (1 + phi) / (1 - phi) / n.
+    """
+    n_sure = (SURE * spread / max(abs(size), 1e-9)) ** 2 * (1 + phi) / (1 - phi)
+    n_back = max(N_BACK, int(np.ceil(min(n_sure, len(away)))))
+    if len(away) - begin <= n_back:
+        return None
+    medians = np.median(sliding_window_view(away[begin + 1 :], n_back), axis=-1)
+    back = np.flatnonzero(np.abs(medians) < BACK * abs(size))
+    return begin + int(back[0]) + n_back if len(back) else None
 
 
 def _first(
@@ -320,7 +329,8 @@ def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> 
     known = np.clip(np.asarray(widths, dtype=float)[trips], 1e-12, LARGEST)
     if not np.isfinite(known[:needed]).any():
         return np.ones(len(trips))
-    return np.maximum(np.nan_to_num(known / np.nanmedian(known[:needed]), nan=1.0), 1.0)
+    usual = float(np.nanmedian(known[:needed]))
+    return np.asarray(np.maximum(np.nan_to_num(known / usual, nan=1.0), 1.0))
 
 
 def _column(rest: Residuals, i: int) -> Residuals:
@@ -331,4 +341,5 @@ def _column(rest: Residuals, i: int) -> Residuals:
         rest.leverage[:, i],
         rest.n_reference,
         rest.correlation[:, i],
+        rest.usual[:, i],
     )

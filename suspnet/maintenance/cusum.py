@@ -49,6 +49,8 @@ class Residuals:
         Trips that are old enough for the reference.
     correlation : array of the shape of `standard`, [-]
         phi.
+    usual : bool array of the shape of `standard`
+        Whether the trip may become part of the reference: |z| is at most ``CLIP``.
     """
 
     standard: FloatArray
@@ -56,6 +58,7 @@ class Residuals:
     leverage: FloatArray
     n_reference: IntArray
     correlation: FloatArray
+    usual: BoolArray
 
 
 def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
@@ -101,15 +104,15 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     kept = np.ones(values.shape, dtype=bool)
     # z of a trip needs `kept` of trips DELAY older alone: each turn settles DELAY trips more
     for _ in range(len(values) // DELAY + 2):
-        rest, inside = _compare(rows, kept, n_reference)
-        if (inside == kept[n_reference:]).all():
+        rest = _compare(rows, kept, n_reference)
+        if (rest.usual == kept[n_reference:]).all():
             break
-        kept[n_reference:] = inside
+        kept[n_reference:] = rest.usual
     return rest
 
 
-def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> tuple[Residuals, BoolArray]:
-    """Return the residuals of rows (x, y) against those `kept`, and whether |z| is in ``CLIP``."""
+def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
+    """Return the residuals of rows (x, y) against those `kept`."""
     used = rows * kept[..., None]
     squares = np.cumsum(_outer(used, used), axis=0)
     products = np.cumsum(_outer(used[1:], used[:-1]), axis=0)
@@ -143,7 +146,7 @@ def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> tuple[Resid
     z = z / np.sqrt(variance[where] * (1 + leverage))
     standard = z * (1 - 0.25 / nu) / np.sqrt(1 + z**2 / (2 * nu))
     deviations = np.einsum("...i,...i", rows[now], contrast[where])
-    return Residuals(standard, deviations, leverage, j, phi), np.abs(z) <= CLIP
+    return Residuals(standard, deviations, leverage, j, phi, np.abs(z) <= CLIP)
 
 
 def cusum(standard: FloatArray) -> FloatArray:

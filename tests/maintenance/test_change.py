@@ -116,6 +116,14 @@ def test_one_outlier_hides_no_later_step():
     assert only(changes(logs), "c_p")[0].begin <= plain + 2
 
 
+def test_one_outlier_delays_no_end():
+    logs = healthy(200)
+    logs[35, 1] += 50 * SPREADS[1]
+    logs[60:100, 1] += 5 * SPREADS[1]
+    (change,) = only(changes(logs), "c_p")
+    assert 100 <= change.end <= 110
+
+
 def test_a_lasting_step_does_not_flap():
     n_found = []
     for seed in range(10):
