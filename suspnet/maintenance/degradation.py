@@ -46,7 +46,7 @@ FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
 """First row of each model in ``FleetPrior.models``."""
 N_STARTS = 8
 """Onsets of Brownian motion; an onset of the drift uses the last one before it."""
-NOISE_SCALES = np.geomspace(0.1, 4.0, 16)
+NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
 """Noise from trip to trip, relative to what the half-widths say."""
 NOISE_SPREAD = 0.5
 """Prior standard deviation of the logarithm of that factor."""
@@ -236,7 +236,8 @@ def _noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> 
     own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
     index = np.arange(m.size)
     covariance[..., index, index] = own
-    return variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
+    scaled = variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
+    return np.asarray(scaled)
 
 
 def _without_trend(blocks: Blocks, covariance: FloatArray, log_prior: FloatArray) -> Fit:

@@ -40,18 +40,17 @@ NOISE_TRIPS = 4.0
 DEFAULT_PRIOR = FleetPrior(
     models=np.concatenate(
         [
-            [0.5, 0.1, 0.1],
-            0.2 * DIFFUSIONS / DIFFUSIONS.sum(),
-            np.full(RATE_CHANGES.size, 0.1 / RATE_CHANGES.size),
+            [0.8, 0.04, 0.04],
+            0.08 * DIFFUSIONS / DIFFUSIONS.sum(),
+            np.full(RATE_CHANGES.size, 0.04 / RATE_CHANGES.size),
         ]
     ),
-    weights=np.full(3, 1 / 3),
+    weights=np.array([0.5, 0.35, 0.15]),
     means=np.zeros(3),
     spreads=np.array([0.03, 0.1, 0.3]),
 )
-"""Vague prior: half of all parameters do not wear; rates of 0.1 to 50 % in 100,000 km."""
-
-
+"""Vague prior: four of five parameters do not wear; those that do change by 3, 10 or 30 % in
+100,000 km (standard deviation, both signs), slower being likelier."""
 FLEET_RATES = np.geomspace(0.005, 0.3, 10)
 """Means of the rates, per ``UNIT_KM``, that a fleet can tell apart."""
 FLEET_SPREAD = 0.35
@@ -69,7 +68,8 @@ class Life:
     Attributes
     ----------
     model : str
-        The most probable of "no trend", "linear", "exponential" and "wiener".
+        "no trend" if that is at least as probable as all others together, or else the most
+        probable of "linear", "exponential", "wiener" and "changing rate".
     samples_km : array of shape (n_samples,), [km]
         Mileage still to go from the last trip until the nearer limit is passed; inf: not within
         ``HORIZON_KM``, 0: already passed.
@@ -117,13 +117,15 @@ class Life:
     def __str__(self) -> str:
         """Return model, median and the interval of 80 % in words."""
         low, high = self.interval_km()
+        median = self.quantile_km(0.5)
         if np.isinf(low):
             return f"{self.model}: no crossing within {HORIZON_KM:,.0f} km (90 %)"
-        median = self.quantile_km(0.5)
-        if median == 0:
-            return f"{self.model}: limit passed ({100 * self.probability(0):.0f} %)"
-        ends = [f"{end:,.0f}" if np.isfinite(end) else "no end" for end in (low, median, high)]
-        return f"{self.model}: {ends[1]} km to go (80 %: {ends[0]} to {ends[2]})"
+        if high == 0:
+            return f"{self.model}: limit passed"
+        if np.isinf(median):
+            return f"{self.model}: limit passed within {low:,.0f} km with 10 %, perhaps never"
+        latest = f"{high:,.0f}" if np.isfinite(high) else "never"
+        return f"{self.model}: {median:,.0f} km to go (80 %: {low:,.0f} to {latest})"
 
 
 def predict_life(
@@ -184,7 +186,8 @@ def predict_life(
     share[: len(fits)] = np.add.reduceat(weight, ends[:-1])
     samples = rng.permutation(_samples(state, (lower, upper), n_trips + NOISE_TRIPS, rng))
     probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
-    return Life(MODELS[int(share.argmax())], samples, probabilities)
+    model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
+    return Life(model, samples, probabilities)
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -341,10 +344,12 @@ def _spread(log_values: FloatArray) -> float:
 
 def _tamed(values: FloatArray) -> FloatArray:
     """Return values with single trips that lie far off drawn to the median of five trips."""
-    padded = np.pad(np.log(values), 2, mode="reflect")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    off = np.log(values) - middle
-    most = OUTLYING * max(float(np.median(np.abs(off))) / 0.6745, degradation.LEAST_NOISE)
+    logs = np.log(values)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
+    middle = np.median(windows, axis=1)
+    off = logs - middle
+    scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), degradation.LEAST_NOISE)
+    most = OUTLYING * scale / 0.6745
     return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)
 
 
