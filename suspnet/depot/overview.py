@@ -80,6 +80,7 @@ def _row(
     used = state.recent & series.done
     return {
         "vehicle": series.vehicle,
+        "where": str(place),
         "train": place.train,
         "car": place.car,
         "suspension": place.suspension,

@@ -17,6 +17,8 @@ from suspnet.types import BoolArray, FloatArray
 
 N_QUIET = 3
 """Trips in a row within the limits that end an alarm: one that comes and goes stands."""
+GOES_ON = 1.5
+"""Ratio of a change now to what it was at its alarm from which words give both."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ def _watch(
     for name, column in values.items():
         width = widths.get(name, np.full(len(km), np.nan))
         beyond = _beyond(name, km, column, width, flagged, limits.get(name))
-        changed = [_changed(name, km, one) for one in changes.found.get(name, [])]
+        changed = [_changed(name, km, column, one) for one in changes.found.get(name, [])]
         alarms += beyond + [one for one in changed if not any(_stood(b, one) for b in beyond)]
     return Watched(sorted(alarms, key=lambda one: (one.begin_km, one.parameter)), changes)
 
@@ -173,6 +175,8 @@ def _beyond(
     )
     found = []
     for begin, worst, end in _spans(severity.tolist()):
+        if end is None and severity[-1] == severity[worst]:
+            worst = len(severity) - 1  # the newest level
         side, level = int(judged.side[worst]), Severity(int(severity[worst]))
         limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
         words = (
@@ -192,11 +196,15 @@ def beside(value: float, limit: float) -> str:
     return f"at {100 * value:.{digits}f} %"
 
 
-def _changed(name: str, km: FloatArray, change: Change) -> Alarm:
-    """Return the alarm of a change."""
+def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> Alarm:
+    """Return the alarm of a change, with the level it has led to if it goes on."""
     about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
     verb = "fell" if change.percent < 0 else "rose"
     words = f"{verb} by {abs(change.percent):.2g} % at about {_km(about)}"
+    before = float(np.nanmedian(values[: max(change.onset, 1)]))
+    now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
+    if change.end is None and abs(now) > GOES_ON * abs(change.percent):
+        words += f", by {abs(now):.2g} % by now"
     end = np.nan if change.end is None else float(km[change.end])
     return Alarm(name, Cause.CHANGE, Severity.NOTICE, float(km[change.begin]), end, words)
 

@@ -222,6 +222,7 @@ def render(template: str, package: str = "suspnet.trips", **values: Any) -> str:
         "si": _si,
         "unbroken": _unbroken,
         "to_go": _to_go,
+        "rounded": _rounded,
     }
     labels = {str(severity): label for severity, label in SEVERITIES.items()}
     return environment.get_template(template).render(labels=labels, **values)
@@ -375,15 +376,13 @@ def _to_go(life: Life | None) -> Markup:
         return Markup("no end in sight")
     if high == 0:
         return Markup("passed")
-    ends = [f"{_rounded(km)}" if math.isfinite(km) else "no end" for km in (low, high)]
-    median = life.quantile_km(0.5)
-    middle = _rounded(median) if math.isfinite(median) else "no end"
-    return Markup("{}<small>{} to {}</small>").format(middle, *ends)
+    ends = [_rounded(km) for km in (life.quantile_km(0.5), low, high)]
+    return Markup("{}<small>{} to {}</small>").format(*ends)
 
 
 def _rounded(km: float) -> str:
     """Return a mileage in words, with two digits that count."""
-    return _thousands(float(f"{km:.2g}"))
+    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 
 def _symbol(name: str) -> Markup:
