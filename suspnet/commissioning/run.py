@@ -67,6 +67,9 @@ def commission_folder(
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
         log.warning("%s", doubt)
+    if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
+        if hint := words.unplaced(found):
+            log.warning("%s", hint)
     if hint := words.other_minutes(found, settings):
         log.info("%s", hint)
     return found, outcome

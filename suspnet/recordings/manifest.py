@@ -227,6 +227,12 @@ class TripManifest:
         """Return the side of a single sensor: its own or else the suspension's, if one is said."""
         return channel.side or self.side
 
+    @property
+    def unplaced(self) -> tuple[str, ...]:
+        """Names of the single sensors whose side is not said; they are taken as in the middle."""
+        singles = {n: one for n, one in self.channels.items() if isinstance(one, Channel)}
+        return tuple(name for name, one in singles.items() if self.side_of(one) is None)
+
     def sensors(self) -> dict[str, Channel]:
         """Return every sensor by its name: the channel's, followed by the side in a pair."""
         found: dict[str, Channel] = {}
