@@ -103,6 +103,25 @@ def test_optional_keys_may_be_missing_or_null(folder):
     assert read_manifest(changed(folder, "speed", to=70)).speed == 70.0
 
 
+@pytest.mark.parametrize("text", ["252 km/h", "252.0km/h", "70 m/s"])
+def test_constant_speed_may_name_its_unit(folder, text):
+    assert read_manifest(changed(folder, "speed", to=text)).speed == pytest.approx(70.0)
+
+
+@pytest.mark.parametrize("text", ["0 km/h", "-252 km/h", "252,0 km/h", "252 mph", "252 kmh"])
+def test_constant_speed_of_another_unit_is_refused(folder, text):
+    with pytest.raises(TripError, match=r"`speed` must be a number of m/s > 0, one with its unit"):
+        read_manifest(changed(folder, "speed", to=text))
+
+
+def test_single_sensors_are_on_the_side_of_the_suspension_unless_they_say_another(folder):
+    manifest = read_manifest(changed(folder, "channels", "body", "side", to="middle"))
+    assert manifest.unplaced == ("axle_box", "bogie")
+    manifest = replace(manifest, side="right")
+    sides = [manifest.side_of(channel) for channel in manifest.sensors().values()]
+    assert (sides, manifest.unplaced) == (["right", "right", "middle"], ())
+
+
 @pytest.mark.parametrize(
     ("written", "meant"),
     [
