@@ -415,6 +415,8 @@ def learn_fleet(
     TypeError, ValueError
         If a series is not as ``predict_life`` needs it; the message says which.
     """
+    if not series:
+        return DEFAULT_PRIOR
     means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
     spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
     even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
