@@ -2,54 +2,23 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
+from drifting_series import history
 from scipy.stats import multivariate_normal
 
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
     FIRST_CHANGING,
     LEVEL_SPREAD,
-    MAX_BLOCKS,
     RATE_CHANGES,
     FleetPrior,
-    _Motion,
-    _noise_covariance,
-    average,
-    estimate_noise,
+    Motion,
     fit_models,
     powered,
 )
 from suspnet.maintenance.life import DEFAULT_PRIOR
-
-
-def history(n_trips=97, seed=0, rate=-0.03, spread=0.004, rho=0.4):
-    """Return mileages in 100,000 km, values and the noise that is known of each trip."""
-    rng = np.random.default_rng(seed)
-    t = np.cumsum(rng.uniform(0.01, 0.03, n_trips))
-    t -= t[0]
-    noise = np.empty(n_trips)
-    noise[0] = rng.normal()
-    for i in range(1, n_trips):
-        noise[i] = rho * noise[i - 1] + np.sqrt(1 - rho**2) * rng.normal()
-    return t, (1 + rate * t) * np.exp(spread * noise), np.full(n_trips, spread)
-
+from suspnet.maintenance.noise import average, estimate_noise, noise_covariance
 
 # reference: naive evaluation
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.3, 0.7])
-@pytest.mark.parametrize("n_trips", [7, 40, 97])
-def test_covariance_of_blocks_is_that_of_averaged_trips(rho, n_trips):
-    t, values, sigma = history(n_trips)
-    blocks = average(t, values, sigma)
-    assert blocks.t.size == min(n_trips, MAX_BLOCKS)
-    assert blocks.size.sum() == n_trips
-    mean = block_diag(*(np.full((1, size), 1 / size) for size in blocks.size))
-    trips = np.arange(n_trips)
-    naive = sigma[0] ** 2 * mean @ rho ** np.abs(trips[:, None] - trips) @ mean.T
-    found = _noise_covariance(blocks, np.array([1.0]), np.array([rho]))[0]
-    assert naive.max() > 0
-    np.testing.assert_allclose(found, naive, rtol=1e-6, atol=1e-6 * naive.max())
 
 
 @pytest.mark.parametrize("integrated", [False, True])
@@ -62,7 +31,7 @@ def test_brownian_motion_has_the_covariance_of_its_increments(integrated):
     paths = np.cumsum(steps, axis=0) * dt if integrated else steps
     at = np.array([299, 1499, 2399])
     since = (at + 1.0) * dt
-    motion = _Motion(np.ones(1), integrated)
+    motion = Motion(np.ones(1), integrated)
     naive = paths[at] @ paths[at].T
     found = motion.covariance(since[None], np.zeros(3))[0]
     np.testing.assert_allclose(found, naive, rtol=0.01)
@@ -81,7 +50,10 @@ def test_brownian_motion_has_the_covariance_of_its_increments(integrated):
 def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
     """Level, rate, Brownian motion and noise are one Gaussian vector, conditioned naively."""
     t, values, sigma = history(60, rate=-0.05)
-    blocks, noise = average(t, values, sigma), estimate_noise(t, np.log(values), sigma)
+    blocks, noise = (
+        average(t, values, sigma),
+        estimate_noise(t, np.log(values), sigma, np.append(0, DIFFUSIONS)),
+    )
     prior = FleetPrior(DEFAULT_PRIOR.models, np.ones(1), np.array([0.02]), np.array([0.04]))
     fits = fit_models(blocks, noise, prior)
     assert len(fits) == 5
@@ -97,7 +69,7 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
         start, onset = fit.hinges.onsets[s, 0], fit.hinges.onsets[s, o]
         power, row = fit.hinges.powers[s, o], fit.rows[m]
         which = 0 if model < 3 or model == 4 else m + 1
-        covariance = _noise_covariance(blocks, noise.variance[[which]], noise.correlation[[which]])[
+        covariance = noise_covariance(blocks, noise.variance[[which]], noise.correlation[[which]])[
             0
         ]
         rate, spread = (0.0, 1e-9) if model == 0 else (0.02, 0.04)
@@ -110,7 +82,7 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
         if model > 2:
             changing = model == 4
             size = (RATE_CHANGES[row - FIRST_CHANGING] if changing else DIFFUSIONS[m]) ** 2
-            motion = _Motion(np.ones(1), changing)
+            motion = Motion(np.ones(1), changing)
             since = np.maximum(blocks.t - start, 0)[None]
             with_last, ends = motion.with_last(since, np.array([t[-1] - start]))
             total = total + size * motion.covariance(since, blocks.length)[0]
@@ -130,19 +102,3 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
         assert state.row[i] == row
     constant = blocks.t.size / 2 * np.log(2 * np.pi)
     np.testing.assert_allclose(found, np.array(naive) + constant, rtol=1e-6, atol=1e-4)
-
-
-# property
-
-
-@pytest.mark.parametrize("rho", [0.0, 0.5])
-def test_noise_is_found_whatever_the_half_widths_say(rho):
-    spreads, correlations = [], []
-    for seed in range(20):
-        t, values, sigma = history(300, seed, rho=rho)
-        noise = estimate_noise(t, np.log(values), 3 * sigma)
-        spreads.append(3 * np.sqrt(noise.variance[0]))
-        correlations.append(noise.correlation[0])
-    # 20 histories of 300 trips: standard errors are 0.01 of each, plus the grid
-    assert np.mean(spreads) == pytest.approx(1, abs=0.12)
-    assert np.mean(correlations) == pytest.approx(rho, abs=0.12)

@@ -1,4 +1,4 @@
-"""Remaining life: exact crossings, first-passage laws, honest intervals, and clear errors."""
+"""Remaining life: exact crossings, honest intervals, a fleet, and clear errors."""
 
 import numpy as np
 import pytest
@@ -7,20 +7,11 @@ from benchmarks.wear_histories import make_histories
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.stats import kstest, norm
 
-from suspnet.maintenance.degradation import MODELS, UNIT_KM
-from suspnet.maintenance.life import (
-    DEFAULT_PRIOR,
-    FUTURE,
-    HORIZON_KM,
-    MIN_TRIPS,
-    Life,
-    changing_passage_km,
-    first_passage_km,
-    learn_fleet,
-    predict_life,
-)
+from suspnet.maintenance.degradation import MODELS
+from suspnet.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, learn_fleet, predict_life
+from suspnet.maintenance.noise import UNIT_KM
+from suspnet.maintenance.passage import HORIZON_KM
 
 LIMITS = (0.7, 1.4)
 KM = 2_000.0 * np.arange(150)
@@ -54,56 +45,6 @@ def test_noise_free_exponential_crosses_where_it_does(limit, onset):
     assert life.quantile_km(0.5) == pytest.approx(500_000 - KM[-1], rel=0.01)
 
 
-def inverse_gaussian_cdf(t, distance, rate, variance):
-    """Return the probability that a limit is passed by `t`; the closed form (Chhikara, Folks)."""
-    root = np.sqrt(variance * t)
-    return norm.cdf((rate * t - distance) / root) + np.exp(
-        2 * rate * distance / variance
-    ) * norm.cdf(-(rate * t + distance) / root)
-
-
-@pytest.mark.parametrize("rate", [-0.02, 0.001, 0.05, 0.5])
-def test_first_passage_has_the_law_of_the_wiener_process(rate):
-    n, distance, variance = 20_000, 0.2, 0.03**2
-    rng = np.random.default_rng(4)
-    km = first_passage_km(np.full(n, distance), np.full(n, rate), np.full(n, variance), rng)
-    reached = np.exp(2 * rate * distance / variance) if rate < 0 else 1.0
-    share = np.isfinite(km).mean()
-    assert share == pytest.approx(reached, abs=4 * np.sqrt(reached * (1 - reached) / n) + 1e-12)
-    if share > 0:
-        sample = km[np.isfinite(km)] / UNIT_KM
-
-        def cdf(t):
-            return inverse_gaussian_cdf(t, distance, rate, variance) / reached
-
-        assert kstest(sample, cdf).pvalue > 1e-3
-
-
-def test_first_passage_without_diffusion_is_distance_over_rate():
-    distance = np.array([0.2, 0.2, 0.0, -0.1, np.inf])
-    rate = np.array([0.05, -0.05, 0.05, -0.05, 0.05])
-    km = first_passage_km(distance, rate, np.zeros(5), np.random.default_rng(0))
-    np.testing.assert_allclose(km, np.array([4, np.inf, 0, 0, np.inf]) * UNIT_KM)
-
-
-def test_passage_of_a_changing_rate_is_that_of_small_steps():
-    """Medians of 4,000 draws and of paths of 2,000 small steps; 4 standard errors are 7 %."""
-    n, rate, spread, upper = 4_000, 0.04, 0.02, 0.3
-    rng = np.random.default_rng(6)
-    mean = np.broadcast_to(rate * FUTURE, (n, FUTURE.size))
-    found = changing_passage_km(
-        mean, np.full(n, -np.inf), np.full(n, upper), np.full(n, spread), rng
-    )
-    dt = 0.01
-    rates = rate + spread * np.sqrt(dt) * np.cumsum(rng.normal(size=(1_000, 2_000)), axis=1)
-    values = np.cumsum(rates, axis=1) * dt
-    passed = values >= upper
-    naive = np.where(passed.any(axis=1), passed.argmax(axis=1) * dt, np.inf) * UNIT_KM
-    for q in (0.2, 0.5):
-        known = np.quantile(naive, q, method="inverted_cdf")
-        assert np.quantile(found, q, method="inverted_cdf") == pytest.approx(known, rel=0.07)
-
-
 def test_measures_are_those_of_progpy():
     """Values of progpy 1.9.0: ToEPredictionProfile of UnweightedSamples, truth 1,000."""
     predictions = {
@@ -127,17 +68,16 @@ def test_measures_are_those_of_progpy():
 
 
 def test_intervals_hold_the_truth_on_simulated_wear():
-    """60 histories at half and three quarters of life: 95 % or more if 80 % is true, and less."""
-    histories = make_histories(60, seed=21)
+    """60 histories, every other at half and at three quarters of its life."""
     held = []
-    for share in (0.5, 0.75):
-        for history in histories:
-            mileage, values, half_widths = history.until(share * history.crossing_km)
-            life = predict_life(mileage, values, half_widths, history.limits)
-            low, high = life.interval_km()
-            held.append(low <= history.crossing_km - mileage[-1] <= high)
-    # 120 of 80 %: 4.5 standard deviations of what are at worst 60 independent ones
-    assert 0.57 < np.mean(held) < 0.97
+    for i, history in enumerate(make_histories(60, seed=21)):
+        share = (0.5, 0.75)[i % 2]
+        mileage, values, half_widths = history.until(share * history.crossing_km)
+        life = predict_life(mileage, values, half_widths, history.limits)
+        low, high = life.interval_km()
+        held.append(low <= history.crossing_km - mileage[-1] <= high)
+    # of 60 with 80 % each, fewer are 4.5 standard deviations off; all have a chance of 1e-6
+    assert 0.57 < np.mean(held) < 1
 
 
 def test_healthy_parameters_have_no_trend_and_no_crossing():
