@@ -15,7 +15,7 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.quantities import PARTS
 from suspnet.model.from_recording import TripSettings
-from suspnet.recordings.manifest import Channel
+from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
 
 log = logging.getLogger(__name__)
 ONE_SIDE_M = 1.0
@@ -67,6 +67,9 @@ def commission_folder(
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
         log.warning("%s", doubt)
+    if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
+        if hint := words.unplaced(found):
+            log.warning("%s", hint)
     if hint := words.other_minutes(found, settings):
         log.info("%s", hint)
     return found, outcome
@@ -86,10 +89,16 @@ def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
 
 def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
     """Return the lateral place of each channel's sensor: 0 for a pair, its own if it has a side."""
+    manifest = found.manifests[0]
     places = []
     for lateral_m, is_pair, channel in zip(
-        given, found.paired, found.manifests[0].channels.values(), strict=True
+        given, found.paired, manifest.channels.values(), strict=True
     ):
-        one_sided = isinstance(channel, Channel) and channel.side is not None
-        places.append(0.0 if is_pair else lateral_m or ONE_SIDE_M * one_sided)
+        places.append(0.0 if is_pair else lateral_m or _place_m(manifest, channel))
     return places[0], places[1], places[2]
+
+
+def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:
+    """Return about where a single sensor is, to the left of the middle, [m]."""
+    side = manifest.side_of(channel) if isinstance(channel, Channel) else None
+    return {SIDES[0]: ONE_SIDE_M, SIDES[1]: -ONE_SIDE_M}.get(side or "", 0.0)

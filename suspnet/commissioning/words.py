@@ -145,6 +145,16 @@ def doubts(outcome: Commissioned) -> list[str]:
     return found
 
 
+def unplaced(found: HealthyTrips) -> str | None:
+    """Return a sentence if single sensors are taken as in the middle because nobody said a side."""
+    if not (names := found.manifests[0].unplaced):
+        return None
+    return (
+        f"The single sensors ({', '.join(names)}) are taken as in the middle, where they feel no "
+        "roll: if they are on one side, say so in the manifests (side: left, or right)."
+    )
+
+
 def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
     """Return a sentence if models are to be trained for far longer or shorter trips than these."""
     usual = float(np.median([group.spectra.n_averages for group in found.groups]))

@@ -126,6 +126,10 @@ def _inspected(
     unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
     if unknown:
         remarks.append(f"the speed is unknown for {unknown:.2g} % of the time")
+    if recording.manifest.unplaced:
+        remarks.append(
+            "single sensors are taken as in the middle; if they are on one side, say `side`"
+        )
     result = replace(
         result,
         remarks=(*filter(None, [recording.words]), *map(str, recording.faults), *remarks),
@@ -249,7 +253,8 @@ def _with_plausibility(
 
     def check_order() -> None:
         spectra = segments.average(chosen)
-        doubts.append(check_channels(spectra, segments.frequencies_hz, generator, vehicle))
+        frequencies_hz, single = segments.frequencies_hz, not all(recording.paired)
+        doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
 
     def check_sides() -> None:
         differences = difference_segments(recording, segments.welch)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +56,9 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         How files are read where that had to be found out, for the first lines.
     """
     writer = _Writer(path.parent)
+    by_meaning: dict[str, list[Signal]] = {}
+    for one in signals:
+        by_meaning.setdefault(one.meaning, []).append(one)
     lines = [
         HEAD + path.name,
         *(f"# {_on_one_line(words)}" for words in read_as),
@@ -63,17 +66,15 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         f"vehicle:          # {BLANK}: as the model's, e.g. am96",
         f"suspension:       # {BLANK}: in your words; trips of one suspension say the same",
         "# bogie: leading  # or trailing, in the direction of travel",
-        "# side: left      # or right",
+        *writer.side(by_meaning),
         "# train: '12'     # where several trains or cars are watched",
         "# car: '7'",
         f"mileage_km:       # {BLANK}: of the vehicle at this trip",
         "# start: 2015-08-03T08:00:00",
+        "# temperature_c: 20.0  # of the air outside",
         "",
     ]
-    writer.blanks += ["vehicle", "suspension", "mileage_km"]
-    by_meaning: dict[str, list[Signal]] = {}
-    for one in signals:
-        by_meaning.setdefault(one.meaning, []).append(one)
+    writer.blanks = ["vehicle", "suspension", *writer.blanks, "mileage_km"]
     rest = by_meaning.get("", [])
     lines += writer.speed(by_meaning.get(guess.SPEED, []), rest)
     lines += ["", "channels:"]
@@ -95,6 +96,15 @@ class _Writer:
         self.blanks: list[str] = []
         self.guesses: list[str] = []
 
+    def side(self, by_meaning: Mapping[str, Sequence[Signal]]) -> list[str]:
+        """Return the line of the side, which single sensors without one of their own need."""
+        found = [by_meaning.get(name, []) for name in CHANNELS]
+        if not any(len(signals) == 1 and not signals[0].side for signals in found):
+            return ["# side: left      # or right: of the suspension"]
+        self.blanks.append("side")
+        where = "left or right, where single sensors are; delete the line if in the middle"
+        return [f"side:             # {BLANK}: {where}"]
+
     def speed(self, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of the speed, of which `found` are by their names."""
         if len(found) == 1:
@@ -105,7 +115,10 @@ class _Writer:
         self.blanks.append("speed")
         offers = self._offers(found or rest, SPEED, "  # ")
         other = "one of these without the #" if offers else "a source like that of a channel"
-        return [f"speed:            # {BLANK}: one number in m/s, or {other}", *offers]
+        return [
+            f"speed:            # {BLANK}: one number with its unit (252 km/h), or {other}",
+            *offers,
+        ]
 
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel, of which `found` are by their names."""

@@ -11,45 +11,56 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from suspnet.checks import check_number
-from suspnet.maintenance import degradation
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
     FIRST_CHANGING,
     FIRST_WIENER,
     MODELS,
     RATE_CHANGES,
-    UNIT_KM,
     Fit,
     FleetPrior,
     State,
+    fit_models,
     join,
     powered,
 )
+from suspnet.maintenance.noise import (
+    LEAST_NOISE,
+    UNIT_KM,
+    average,
+    estimate_noise,
+    robust_spread,
+    tame,
+)
+from suspnet.maintenance.passage import FUTURE, HORIZON_KM, changing_passage_km, first_passage_km
 from suspnet.types import BoolArray, FloatArray, IntArray
 
 MIN_TRIPS = 5
 """Fewest trips with an estimate that a life is predicted from."""
-HORIZON_KM = 5e6
-"""Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
-FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
-"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
-OUTLYING = 6.0
-"""A trip farther from the median of five is drawn to it, in robust standard deviations."""
 NOISE_TRIPS = 4.0
-"""Number of trips that the half-widths count for when the noise is estimated."""
+"""Number of trips that the half-widths count for in the degrees of freedom of the noise."""
 DEFAULT_PRIOR = FleetPrior(
     models=np.concatenate(
         [
-            [0.5, 0.1, 0.1],
-            0.2 * DIFFUSIONS / DIFFUSIONS.sum(),
-            np.full(RATE_CHANGES.size, 0.1 / RATE_CHANGES.size),
+            [0.8, 0.04, 0.04],
+            0.08 * DIFFUSIONS / DIFFUSIONS.sum(),
+            np.full(RATE_CHANGES.size, 0.04 / RATE_CHANGES.size),
         ]
     ),
-    weights=np.full(3, 1 / 3),
+    weights=np.array([0.5, 0.35, 0.15]),
     means=np.zeros(3),
     spreads=np.array([0.03, 0.1, 0.3]),
 )
-"""Vague prior: half of all parameters do not wear; rates of 0.1 to 50 % in 100,000 km."""
+"""Vague prior: four of five parameters do not wear; those that do change by 3, 10 or 30 % in
+100,000 km (standard deviation, both signs), slower being likelier."""
+FLEET_RATES = np.geomspace(0.005, 0.3, 10)
+"""Means of the rates, per ``UNIT_KM``, that a fleet can tell apart."""
+FLEET_SPREAD = 0.35
+"""Standard deviation of each of these, relative to its mean."""
+PRIOR_SERIES = 3.0
+"""Number of series that the default prior counts for beside a fleet."""
+MAX_STEPS = 200
+"""Most steps of the fit of a fleet."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +70,8 @@ class Life:
     Attributes
     ----------
     model : str
-        The most probable of "no trend", "linear", "exponential" and "wiener".
+        "no trend" if that is at least as probable as all others together, or else the most
+        probable of "linear", "exponential", "wiener" and "changing rate".
     samples_km : array of shape (n_samples,), [km]
         Mileage still to go from the last trip until the nearer limit is passed; inf: not within
         ``HORIZON_KM``, 0: already passed.
@@ -107,13 +119,15 @@ class Life:
     def __str__(self) -> str:
         """Return model, median and the interval of 80 % in words."""
         low, high = self.interval_km()
+        median = self.quantile_km(0.5)
         if np.isinf(low):
             return f"{self.model}: no crossing within {HORIZON_KM:,.0f} km (90 %)"
-        median = self.quantile_km(0.5)
-        if median == 0:
-            return f"{self.model}: limit passed ({100 * self.probability(0):.0f} %)"
-        ends = [f"{end:,.0f}" if np.isfinite(end) else "no end" for end in (low, median, high)]
-        return f"{self.model}: {ends[1]} km to go (80 %: {ends[0]} to {ends[2]})"
+        if high == 0:
+            return f"{self.model}: limit passed"
+        if np.isinf(median):
+            return f"{self.model}: limit passed within {low:,.0f} km with 10 %, perhaps never"
+        latest = f"{high:,.0f}" if np.isfinite(high) else "never"
+        return f"{self.model}: {median:,.0f} km to go (80 %: {low:,.0f} to {latest})"
 
 
 def predict_life(
@@ -174,54 +188,14 @@ def predict_life(
     share[: len(fits)] = np.add.reduceat(weight, ends[:-1])
     samples = rng.permutation(_samples(state, (lower, upper), n_trips + NOISE_TRIPS, rng))
     probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
-    return Life(MODELS[int(share.argmax())], samples, probabilities)
+    model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
+    return Life(model, samples, probabilities)
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
     """Return `n` indices drawn with these weights, each as often as it can be expected."""
     places = (np.arange(n) + rng.random(n)) / n
     return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
-
-
-def first_passage_km(
-    distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
-) -> FloatArray:
-    """Return draws of the mileage until a Wiener process with drift first passes a limit.
-
-    With a drift towards the limit, of `distance` d, `rate` v and variance q per mileage, the law is
-    inverse Gaussian with mean d / v and shape d^2 / q [1]_; with a drift away from it, it is that
-    of |v| with probability exp(-2 |v| d / q) and infinite otherwise. Without diffusion it is d / v.
-
-    Parameters
-    ----------
-    distance : array of shape (n_samples,), [-]
-        At most 0: passed already, which gives 0. May be infinite.
-    rate : array of shape (n_samples,), [1 / UNIT_KM]
-    diffusion : array of shape (n_samples,), [1 / UNIT_KM]
-        Variance per mileage.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
-
-    References
-    ----------
-    .. [1] Chhikara, Folks, The Inverse Gaussian Distribution, Marcel Dekker, 1989; drawn as by
-       Michael, Schucany, Haas, The American Statistician 30 (1976) 88-90.
-    """
-    y, u, away = rng.normal(size=rate.size) ** 2, rng.random(rate.size), rng.random(rate.size)
-    reachable = (distance > 0) & (distance < np.inf)
-    d, v = np.where(reachable, distance, 1.0), np.maximum(np.abs(rate), 1e-12)
-    q = np.where(diffusion > 0, diffusion, 1.0)
-    mean = d / v
-    half = 0.5 * y * q / (v * d)
-    # the smaller root, without the difference of large numbers of the usual form
-    smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
-    random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
-    reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
-    passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
-    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
 
 
 def _samples(
@@ -262,47 +236,6 @@ def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
     return np.where(logarithmic, np.log(limit), limit - 1)
 
 
-def changing_passage_km(
-    mean: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    spread: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
-
-    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
-
-    Parameters
-    ----------
-    mean : array of shape (n_samples, n_future), [-]
-        Mean value at ``FUTURE``.
-    lower, upper, spread : arrays of shape (n_samples,)
-        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
-    """
-    dt = np.diff(FUTURE)
-    a, b = rng.normal(size=(2, lower.size, dt.size))
-    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
-    before = rates - np.sqrt(dt) * a
-    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
-    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
-    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
-    out = (values <= lower[:, None]) | (values >= upper[:, None])
-    index, each = out.argmax(axis=1), np.arange(lower.size)
-    last = np.maximum(index - 1, 0)
-    one, two = values[each, last], values[each, index]
-    limit = np.where(two >= upper, upper, lower)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
-    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
-    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
-
-
 def _fits(
     mileage_km: ArrayLike,
     values: ArrayLike,
@@ -316,26 +249,12 @@ def _fits(
     t = (km - km[0]) / UNIT_KM
     sigma = half / NormalDist().inv_cdf((1 + level) / 2)
     known = np.isfinite(sigma)
-    usual = np.median(sigma[known]) if known.any() else _spread(np.log(value))
-    sigma = np.maximum(np.where(known, sigma, usual), degradation.LEAST_NOISE)
-    value = _tamed(value)
-    noise = degradation.estimate_noise(t, np.log(value), sigma)
-    blocks = degradation.average(t, value, sigma)
-    return degradation.fit_models(blocks, noise, prior), km.size
-
-
-def _spread(log_values: FloatArray) -> float:
-    """Return a robust standard deviation of the noise, from second differences."""
-    return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
-
-
-def _tamed(values: FloatArray) -> FloatArray:
-    """Return values with single trips that lie far off drawn to the median of five trips."""
-    padded = np.pad(np.log(values), 2, mode="reflect")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    off = np.log(values) - middle
-    most = OUTLYING * max(float(np.median(np.abs(off))) / 0.6745, degradation.LEAST_NOISE)
-    return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)
+    usual = np.median(sigma[known]) if known.any() else robust_spread(np.log(value))
+    sigma = np.maximum(np.where(known, sigma, usual), LEAST_NOISE)
+    value = tame(value)
+    noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
+    blocks = average(t, value, sigma)
+    return fit_models(blocks, noise, prior), km.size
 
 
 def _checked_series(
@@ -372,3 +291,64 @@ def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
     if pair[1] != np.inf:
         check_number("limits_pair[1]", pair[1], above=1)
     return float(pair[0]), float(pair[1])
+
+
+def learn_fleet(
+    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
+) -> FleetPrior:
+    """Return what several suspensions of one type say of models and rates, by empirical Bayes.
+
+    The rate is given a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and
+    narrower ones about ``FLEET_RATES`` of both signs. Weights of these, and of the models, are
+    those of the largest posterior probability (expectation maximisation with a Dirichlet prior
+    that counts as much as ``PRIOR_SERIES`` series). With no series it is the default.
+
+    Parameters
+    ----------
+    series : sequence of (mileage_km, values, half_widths)
+        Of one parameter, as in ``predict_life``; include those that do not wear.
+    level : float
+        Of the intervals.
+
+    Returns
+    -------
+    FleetPrior
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a series is not as ``predict_life`` needs it; the message says which.
+    """
+    if not series:
+        return DEFAULT_PRIOR
+    means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
+    spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
+    even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
+    evidence = np.full((len(series), even.models.size, means.size), -np.inf)
+    for i, one in enumerate(series):
+        try:
+            fits, _ = _fits(*one, level, even)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"series {i}: {error}") from None
+        for fit in fits:
+            evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
+    evidence -= np.log(even.models)[:, None]
+    evidence[:, 1:] -= np.log(even.weights)
+    default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
+    models, weights = even.models, (default + even.weights) / 2
+    for _ in range(MAX_STEPS):
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, 1e-300))
+        share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
+        # a constant value says nothing of the rate
+        old = models, weights
+        models = _counted(share.sum(axis=(0, 2)), even.models)
+        weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
+        if max(np.abs(models - old[0]).max(), np.abs(weights - old[1]).max()) < 1e-4:
+            break
+    return FleetPrior(models, weights, means, spreads)
+
+
+def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
+    """Return shares from counts and a default that counts as ``PRIOR_SERIES`` series."""
+    total = counts + PRIOR_SERIES * default
+    return np.asarray(total / total.sum())

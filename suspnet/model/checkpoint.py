@@ -58,9 +58,16 @@ def save_model(folder: Path, model: TrainedModel) -> None:
 
     Raises
     ------
+    TypeError
+        If `model` is none of `load_model` or `train`, such as an estimator.
     OSError
         If the folder cannot be written.
     """
+    if not isinstance(model, TrainedModel):
+        raise TypeError(
+            f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
+            "estimator such as MSVR is kept by joblib.dump"
+        )
     content, description = _files(model)
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)
@@ -102,6 +109,8 @@ def _described(model: TrainedModel) -> dict[str, Any]:
         "training": model.training,
     }
     plain: dict[str, Any] = _plain(description)
+    if model.vehicle.limits is None:
+        del plain["generator"]["vehicle"]["limits"]  # as models of before have none
     return plain
 
 

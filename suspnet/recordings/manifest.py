@@ -15,6 +15,7 @@ __all__ = [
     "CHANNELS",
     "DELIMITERS",
     "FORMAT",
+    "MIDDLE",
     "SIDES",
     "SPEED_UNITS",
     "TIME_UNITS",
@@ -51,9 +52,15 @@ BOGIES = ("leading", "trailing")
 SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
 
+MIDDLE = "middle"
+"""Side of a single sensor between left and right, or of the mean of both."""
+
 
 HIGHEST_KM = 1e9
 """Mileage that no vehicle reaches [km]."""
+
+TEMPERATURES_C = (-60.0, 60.0)
+"""Temperatures outside that a train meets [°C]."""
 
 
 @dataclass(frozen=True, order=True)
@@ -161,7 +168,7 @@ class Channel(Source):
     range : float, optional, [unit]
         Largest magnitude that the sensor can give.
     side : str, optional
-        One of ``SIDES``; each sensor of a pair has one.
+        One of ``SIDES``; each sensor of a pair has one. A single sensor may be in the ``MIDDLE``.
     """
 
     sign: int = 1
@@ -197,6 +204,8 @@ class TripManifest:
         One of ``BOGIES`` and one of ``SIDES``; None where it is not said.
     train, car : str, optional
         In free text.
+    temperature_c : float, optional, [°C]
+        Of the air outside, along the trip.
     """
 
     path: Path
@@ -212,12 +221,23 @@ class TripManifest:
     side: str | None = None
     train: str | None = None
     car: str | None = None
+    temperature_c: float | None = None
 
     @property
     def place(self) -> Place:
         """Which suspension the trip is of."""
         named = (self.bogie, self.side, self.train, self.car)
         return Place(self.suspension.strip(), *(one or "" for one in named))
+
+    def side_of(self, channel: Channel) -> str | None:
+        """Return the side of a single sensor: its own or else the suspension's, if one is said."""
+        return channel.side or self.side
+
+    @property
+    def unplaced(self) -> tuple[str, ...]:
+        """Names of the single sensors whose side is not said; they are taken as in the middle."""
+        singles = {n: one for n, one in self.channels.items() if isinstance(one, Channel)}
+        return tuple(name for name, one in singles.items() if self.side_of(one) is None)
 
     def sensors(self) -> dict[str, Channel]:
         """Return every sensor by its name: the channel's, followed by the side in a pair."""

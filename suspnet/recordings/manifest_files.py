@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, tzinfo
@@ -22,8 +23,10 @@ from suspnet.recordings.manifest import (
     DELIMITERS,
     FORMAT,
     HIGHEST_KM,
+    MIDDLE,
     SIDES,
     SPEED_UNITS,
+    TEMPERATURES_C,
     TIME_UNITS,
     Channel,
     CsvDialect,
@@ -127,6 +130,7 @@ def write_manifest(manifest: TripManifest) -> Path:
         "car": manifest.car,
         "mileage_km": manifest.mileage_km,
         "start": manifest.start,
+        "temperature_c": manifest.temperature_c,
         "speed": _without_none(asdict(speed)) if isinstance(speed, SpeedSource) else speed,
         "channels": channels,
         "truth": manifest.truth or None,
@@ -169,13 +173,15 @@ def partial_words(folder: Path) -> str:
     return f"partial: {n_written}{wanted} trips are simulated"
 
 
+_CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
+"""Constant speed with its unit, as text: 252 km/h."""
 _SOURCE = ("unit", "column", "rate_hz", "time", "start_s", "time_unit", "time_zone", "csv")
 
 
 def _parse(path: Path, content: Any) -> TripManifest:
     """Return the manifest of a YAML file's content."""
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
-    optional = ("start", "truth", "bogie", "side", "train", "car")
+    optional = ("start", "truth", "bogie", "side", "train", "car", "temperature_c")
     top = CheckedMapping(path, "", content, required, optional)
     found = top.read(
         {
@@ -191,6 +197,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
             "side": lambda: top.choice("side", SIDES),
             "train": lambda: top.text("train").strip(),
             "car": lambda: top.text("car").strip(),
+            "temperature_c": lambda: _parse_temperature(top),
         }
     )
     del found["format"]
@@ -229,6 +236,16 @@ def _parse_mileage(top: CheckedMapping) -> float:
     return mileage
 
 
+def _parse_temperature(top: CheckedMapping) -> float:
+    """Return the temperature outside [°C]."""
+    low, high = TEMPERATURES_C
+    rule = f"a number from {low:g} to {high:g}"
+    temperature = top.number("temperature_c", rule)
+    if not low <= temperature <= high:
+        raise top.refuse("temperature_c", rule)
+    return temperature
+
+
 def _parse_start(top: CheckedMapping) -> datetime:
     """Return the start of a trip from text, or from the datetime of a manifest to be written."""
     value = top.content["start"]
@@ -240,8 +257,12 @@ def _parse_start(top: CheckedMapping) -> datetime:
 
 def _parse_speed(top: CheckedMapping) -> float | SpeedSource:
     """Return a constant speed [m/s] or where the speed is stored."""
-    if not isinstance(top.content["speed"], dict):
-        return top.number("speed", "a number of m/s > 0, or a mapping with `file` and `unit`", 0.0)
+    value = top.content["speed"]
+    if isinstance(value, str) and (found := _CONSTANT_SPEED.fullmatch(value.strip())):
+        return float(found[1]) * SPEED_UNITS[found[2]]
+    if not isinstance(value, dict):
+        rule = "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`"
+        return top.number("speed", rule, 0.0)
     section = CheckedMapping(top.path, "speed", top.content["speed"], ("file",), _SOURCE)
     return SpeedSource(**section.read(_parse_source(section, SPEED_UNITS)))
 
@@ -257,16 +278,18 @@ def _parse_channels(path: Path, content: Any) -> dict[str, Channel | Pair]:
 def _parse_place(path: Path, name: str, content: Any) -> Channel | Pair:
     """Return where the one accelerometer of a channel, or the left and the right, are stored."""
     if not isinstance(content, list):
-        return _parse_channel(path, f"channels.{name}", content)
+        return _parse_channel(path, f"channels.{name}", content, single=True)
     if not 1 <= len(content) <= 2:
         raise TripError(
             f"{path}: `channels.{name}` must be a sensor, or a list of one on the left and one on "
             f"the right, got a list of {len(content)}"
         )
+    single = len(content) == 1
     found: list[Channel] = all_of(
-        partial(_parse_channel, path, f"channels.{name}[{i}]", one) for i, one in enumerate(content)
+        partial(_parse_channel, path, f"channels.{name}[{i}]", one, single=single)
+        for i, one in enumerate(content)
     )
-    if len(found) == 1:
+    if single:
         return found[0]
     first, second = found
     left, right = SIDES
@@ -282,7 +305,7 @@ def _parse_place(path: Path, name: str, content: Any) -> Channel | Pair:
     return (first, second) if first.side == left else (second, first)
 
 
-def _parse_channel(path: Path, where: str, content: Any) -> Channel:
+def _parse_channel(path: Path, where: str, content: Any, *, single: bool) -> Channel:
     """Return where one accelerometer is stored."""
     optional = (*_SOURCE, "sign", "range", "side")
     section = CheckedMapping(path, where, content, ("file",), optional)
@@ -290,7 +313,7 @@ def _parse_channel(path: Path, where: str, content: Any) -> Channel:
         {
             "sign": lambda: _parse_sign(section),
             "range": lambda: section.positive("range"),
-            "side": lambda: section.choice("side", SIDES),
+            "side": lambda: section.choice("side", (*SIDES, MIDDLE) if single else SIDES),
         }
         | _parse_source(section, ACCELERATION_UNITS)
     )

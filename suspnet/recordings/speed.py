@@ -79,10 +79,15 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     Raises
     ------
     TripError
-        If they cannot be read, or their times are wrong.
+        If they cannot be read, their times are wrong, or the number is no speed of a train.
     """
     source = manifest.speed
     if not isinstance(source, SpeedSource):
+        if source > LARGEST_SPEED_M_PER_S:
+            raise TripError(
+                f"{manifest.path}: `speed` is {source:g} m/s, faster than any train; is it in "
+                f"km/h? Then write: speed: {source:g} km/h"
+            )
         return None
     where = f"{manifest.path}: `speed`"
     with open_source(manifest, source, where, "speed") as file:

@@ -135,6 +135,21 @@ def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed
     assert "too little at a steady speed" in done.stdout
 
 
+def test_speed_of_no_train_is_told_as_km_per_h(manifests, tmp_path):
+    path = changed(manifests[0], tmp_path, speed=252)
+    done = typed(check, path, "-o", tmp_path / "o", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "`speed` is 252 m/s, faster than any train; is it in km/h? Then write: " in done.stdout
+
+
+def test_side_of_single_sensors_is_asked_for(manifests, tmp_path):
+    asked = "single sensors are taken as in the middle; if they are on one side, say `side`"
+    for side in (None, "right"):
+        path = changed(manifests[0], tmp_path, side=side)
+        done = typed(check, path, "--no-pictures", "-o", tmp_path / str(side), cwd=tmp_path)
+        assert (asked in done.stdout) == (side is None)
+
+
 def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path):
     changed(manifests[0], tmp_path, "single")
     content = yaml.safe_load((tmp_path / "single.yaml").read_text())

@@ -192,6 +192,15 @@ def test_german_csv_of_a_logger_becomes_a_manifest(channels, tmp_path):
     ]
 
 
+def test_side_is_asked_for_where_names_of_single_sensors_do_not_tell_it(tmp_path):
+    columns = {"Achslager": np.arange(500.0), "Drehgestell": np.arange(500.0)}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    assert f"\nside:             # {BLANK}: left or right" in written(tmp_path, "a.parquet")
+    both = {f"{name} {side}": columns[name] for name in columns for side in ("li", "re")}
+    pq.write_table(pa.table(both), tmp_path / "a.parquet")
+    assert "\n# side: left" in written(tmp_path, "a.parquet", "--force")
+
+
 def test_simulated_files_become_a_manifest_once_blanks_are_filled(manifests, tmp_path):
     files = sorted(manifests[0].with_suffix("").glob("*.parquet"))
     text = written(tmp_path, *files)

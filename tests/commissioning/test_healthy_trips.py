@@ -14,7 +14,10 @@ from trip_fixtures import RATES_HZ, SPEED, changed, signal, small_fleet
 from vehicles import AM96
 
 from suspnet.commissioning import read_healthy
+from suspnet.commissioning.run import _prior
+from suspnet.commissioning.words import unplaced
 from suspnet.data.estimates import EstimateSettings
+from suspnet.dynamics import VerticalVehicle
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import TripError, load_recording, read_manifest
 from suspnet.recordings.apart import apart
@@ -61,6 +64,25 @@ def with_pairs(path, names=("axle_box", "bogie", "body")):
 
 
 # reference
+
+
+@pytest.mark.parametrize(
+    ("side", "body", "expected"),
+    [
+        (None, None, (0.0, 0.0, 0.0)),
+        ("left", None, (1.0, 1.0, 1.0)),
+        ("right", "middle", (-1.0, -1.0, 0.0)),
+        ("right", "left", (-1.0, -1.0, 1.0)),
+    ],
+)
+def test_single_sensors_are_placed_by_the_side_that_is_said(folder, side, body, expected):
+    for name in NAMES:
+        channels = {"body": {"side": body}}
+        changed(folder / f"{name}.yaml", folder, name, channels=channels, side=side)
+    placed = _prior(VerticalVehicle(AM96), read(folder))
+    assert placed.sensor_lateral_m == expected
+    assert ("roll" in placed.parts) == any(expected)
+    assert (unplaced(read(folder)) is None) == (side is not None)
 
 
 def test_spectra_are_those_of_the_whole_trip(folder):

@@ -14,6 +14,7 @@ from suspnet.data import CurveSettings
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.limits import DEFAULT_LIMITS
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.checkpoint import load_model, save_model
@@ -144,6 +145,25 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
     np.testing.assert_array_equal(loaded.unexplained.costs, model.unexplained.costs)
 
 
+def test_limits_travel_with_the_model(tmp_path):
+    model = trained(LinearRegression())
+    rules = {"k_p": {"notice": [0.95, None], "act": [0.9, None], "why": "rule 7"}, "c_p": None}
+    limited = replace(model.generator, vehicle=replace(AM96, limits=rules))
+    save_model(tmp_path, replace(model, generator=limited))
+    loaded = load_model(tmp_path).vehicle
+    assert loaded.known_limits == limited.vehicle.known_limits
+    assert loaded.known_limits["k_p"].notice == (0.95, math.inf)
+
+
+def test_a_model_without_limits_is_written_as_before_there_were_any(tmp_path):
+    model = trained(LinearRegression())
+    plain = replace(model.generator, vehicle=replace(AM96, limits=None))
+    save_model(tmp_path, replace(model, generator=plain))
+    written = json.loads((tmp_path / "model.json").read_text())
+    assert "limits" not in written["generator"]["vehicle"]
+    assert load_model(tmp_path).vehicle.known_limits == DEFAULT_LIMITS
+
+
 def test_model_without_calibration_is_loaded_without(saved):
     loaded = load_model(saved)
     assert loaded.refined is False
@@ -218,6 +238,14 @@ def test_foreign_description_is_rejected(saved, content, message):
     (saved / "model.json").write_text(content)
     with pytest.raises(ModelFileError, match=message):
         load_model(saved)
+
+
+def test_what_is_no_trained_model_is_not_written(tmp_path):
+    with pytest.raises(TypeError, match=r"got MSVR; an estimator .* joblib\.dump"):
+        save_model(tmp_path, MSVR())
+    with pytest.raises(TypeError, match="second argument"):
+        save_model(trained(MSVR(n_components=8)), tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

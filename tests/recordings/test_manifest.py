@@ -103,6 +103,25 @@ def test_optional_keys_may_be_missing_or_null(folder):
     assert read_manifest(changed(folder, "speed", to=70)).speed == 70.0
 
 
+@pytest.mark.parametrize("text", ["252 km/h", "252.0km/h", "70 m/s"])
+def test_constant_speed_may_name_its_unit(folder, text):
+    assert read_manifest(changed(folder, "speed", to=text)).speed == pytest.approx(70.0)
+
+
+@pytest.mark.parametrize("text", ["0 km/h", "-252 km/h", "252,0 km/h", "252 mph", "252 kmh"])
+def test_constant_speed_of_another_unit_is_refused(folder, text):
+    with pytest.raises(TripError, match=r"`speed` must be a number of m/s > 0, one with its unit"):
+        read_manifest(changed(folder, "speed", to=text))
+
+
+def test_single_sensors_are_on_the_side_of_the_suspension_unless_they_say_another(folder):
+    manifest = read_manifest(changed(folder, "channels", "body", "side", to="middle"))
+    assert manifest.unplaced == ("axle_box", "bogie")
+    manifest = replace(manifest, side="right")
+    sides = [manifest.side_of(channel) for channel in manifest.sensors().values()]
+    assert (sides, manifest.unplaced) == (["right", "right", "middle"], ())
+
+
 @pytest.mark.parametrize(
     ("written", "meant"),
     [
@@ -171,6 +190,7 @@ pairs = st.builds(
         suspension=words,
         mileage_km=st.floats(0, 1e7),
         start=st.none() | st.datetimes(),
+        temperature_c=st.none() | st.floats(-60, 60),
         speed=positive | st.builds(SpeedSource, unit=st.sampled_from(["m/s", "km/h"]), **sources),
         channels=st.fixed_dictionaries(dict.fromkeys(CHANNELS, single | pairs)),
         truth=st.dictionaries(st.sampled_from(["k_p", "c_p", "k_s", "c_s", "M_s"]), positive),
@@ -210,6 +230,8 @@ MISTAKES = [
     (("mileage_km",), "far", r"`mileage_km` must be a number >= 0 .*, got 'far'"),
     (("mileage_km",), -1.0, r"`mileage_km` must be a number >= 0, got -1.0"),
     (("mileage_km",), True, r"`mileage_km` must be a number"),
+    (("temperature_c",), 60.5, r"`temperature_c` must be a number from -60 to 60, got 60.5"),
+    (("temperature_c",), "warm", r"`temperature_c` must be a number .*, got 'warm'"),
     (("mileage_km",), float("nan"), r"`mileage_km` must be a number >= 0, got nan"),
     (("start",), "2015-13-45", r"`start` must be a time like 2015-08-03T08:00:00, got '2015-13"),
     (("start",), "noon", r"`start` must be a time like 2015-08-03T08:00:00, got 'noon'"),

@@ -13,11 +13,14 @@ from trip_fixtures import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.journey import steady_journey
+from suspnet.dynamics.quantities import PARTS
 from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.features.cross_spectra import PAIRS, CrossSpectra
 from suspnet.features.transfer_estimate import segment_spectra
 from suspnet.features.welch import Welch
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.plausibility import check_channels
+from suspnet.simulation.scatter import scattered
 from suspnet.simulation.writing import profile_length_m, simulate_trip
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -224,3 +227,32 @@ def test_recording_without_low_frequencies_is_said_not_to_be_checked():
     assert check(generator, scaled(signals, "body", G), low_hz=0.58) == (
         "units and signs not checked: too little coherence at low frequency"
     )
+
+
+def seen_on_one_side(seed, order=(0, 1, 2)):
+    """Return what the drawing says of the exact spectra of single sensors on a rolling vehicle."""
+    drawing = VerticalVehicle(AM96)
+    parts = tuple(part for part in PARTS if part != "air_spring")
+    rolling = scattered(replace(drawing, parts=parts, sensor_lateral_m=(1.0,) * 3), 1.0, seed)
+    frequencies_hz = torch.arange(0.1, RATE_HZ / 4, 0.05, dtype=torch.float64)
+    healthy = torch.ones(1, 5, dtype=torch.float64)
+    channels = rolling.channels(healthy, frequencies_hz)[0][:, list(order)]
+    cross = [(channels[:, x].conj() * channels[:, y]).sum(dim=0) for x, y in PAIRS]
+    spectra = CrossSpectra(channels.abs().square().sum(dim=0), torch.stack(cross), 30.0)
+    return lambda **options: check_channels(spectra, frequencies_hz, drawing, AM96, **options)
+
+
+def test_single_sensors_of_a_vehicle_unlike_its_drawing_raise_doubts_alone():
+    with pytest.raises(TripError, match="rather than at 70 m/s"):
+        seen_on_one_side(seed=0)()
+    for order in ((0, 1, 2), (1, 0, 2)):  # neither is called right
+        told = seen_on_one_side(0, order)(doubtful=True)
+        assert "the order of the channels is not told" in told
+        assert "if you are sure, go on" in told
+
+
+def test_clear_mistakes_of_single_sensors_are_no_doubts():
+    assert seen_on_one_side(seed=1)(doubtful=True) == ""
+    for order in WRONG_ORDERS:
+        with pytest.raises(TripError, match="channels look swapped"):
+            seen_on_one_side(1, order)(doubtful=True)

@@ -178,6 +178,10 @@ def test_small_misfit_that_costs_much_is_incomplete_too():
     assert not Unexplained(1.05, costs / 1.02).is_incomplete
 
 
+def test_noise_alone_is_not_called_incomplete_physics():
+    assert not Unexplained(0.95, 2 * COSTS + COSTLY).is_incomplete
+
+
 def test_model_without_intervals_is_flagged():
     model = replace(incomplete(model_at()), intervals=None, ood=None)
     found: Estimate = estimate_with_noise(model, trip(model), LEVEL)[0]
