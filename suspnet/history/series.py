@@ -61,6 +61,16 @@ class Series:
     events: tuple[Event, ...] = ()
 
     @property
+    def recent(self) -> BoolArray:
+        """Which trips are since the last commissioning and maintenance, of shape (n_trips,)."""
+        newest = self.healthy_since_km[np.flatnonzero(self.done)[-1:]]
+        same = np.isin(self.healthy_since_km, newest)
+        if np.isnan(newest).any():
+            same = np.isnan(self.healthy_since_km)
+        ended = max((event.mileage_km for event in self.events), default=-np.inf)
+        return np.asarray(same & ~(self.mileage_km < ended))
+
+    @property
     def done(self) -> BoolArray:
         """Which trips have an estimate, bool array of shape (n_trips,)."""
         known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
