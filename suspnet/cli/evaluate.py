@@ -16,6 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import folders, program
+from suspnet.depot.state import State
 from suspnet.history import History
 from suspnet.maintenance.limits import Severity
 from suspnet.model.checkpoint import load_model
@@ -97,8 +98,9 @@ def compose(config: DictConfig) -> int:
     if config.study is not None:
         program.n_threads(config.threads)
         program.save_config(config, program.run_folder())
-        program.build(config, "study", folder=program.run_folder())
-        return FINE
+        found = program.build(config, "study", folder=program.run_folder())
+        severities = [one.severity for one in found if isinstance(one, State)]
+        return worst(ALARMS.get(one, FINE) for one in severities)
     runs, output = _runs(config.run), program.run_folder()
     folders.clear(output)
     program.save_config(config, output)

@@ -1,31 +1,39 @@
-"""Look into a history, add maintenance, write tables: suspnet-history STORE ..."""
+"""Look into a history, add what people did, write tables: suspnet-history STORE ..."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Callable
 from dataclasses import asdict
+from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.cli import program
 from suspnet.dynamics import PARAMETERS
 from suspnet.history import Event, History, HistoryError
-from suspnet.history.records import OK
+from suspnet.history.events import KINDS
 from suspnet.history.schema import PLACE
-from suspnet.history.store import KINDS
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
 from suspnet.recordings.manifest import Place
 from suspnet.trips.output import write_table
 
 DESCRIPTION = """\
 The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance
-that was done, and all of it as tables."""
+that was done, alarms and who has seen them, and all of it as tables."""
 
 EPILOG = """\
   suspnet-history fleet.db list
   suspnet-history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
       --kind exchanged --words "new primary dampers"
+  suspnet-history fleet.db alarms
+  suspnet-history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
+      --parameter k_p --by "Kim Li" --words "spring ordered"
   suspnet-history fleet.db export tables
 
 STORE is a file, or postgresql://user:password@host/database."""
@@ -40,24 +48,39 @@ def parser() -> ArgumentParser:
         formatter_class=RawDescriptionHelpFormatter,
     )
     found.add_argument("store", metavar="STORE", help="the store [path or URL]")
-    does = found.add_subparsers(dest="does", required=True, metavar="list | event | export")
+    does = found.add_subparsers(
+        dest="does", required=True, metavar="list | event | alarms | acknowledge | export"
+    )
     does.add_parser("list", help="each suspension with its trips and maintenance")
     event = does.add_parser(
         "event", help="add maintenance: tests for changes, and the report's words, begin anew there"
     )
-    event.add_argument("--vehicle", required=True, help="as in the manifests [text]")
-    for name in PLACE:
-        event.add_argument(
-            f"--{name}", default="", help="as in the manifests, if it stands there [text]"
-        )
+    _add_suspension(event)
     event.add_argument(
         "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done [km]"
     )
     event.add_argument("--kind", choices=KINDS, default="other", help="[other if not given]")
     event.add_argument("--words", default="", help="what was done [text]")
-    export = does.add_parser("export", help="write trips and events as Parquet and CSV")
+    alarms = does.add_parser("alarms", help="open alarms, the worst first, and who has seen them")
+    alarms.add_argument("--all", action="store_true", help="also those that are over")
+    seen = does.add_parser("acknowledge", help="say that somebody has seen the open alarms")
+    _add_suspension(seen)
+    seen.add_argument("--parameter", choices=PARAMETERS, required=True, help="of these alarms")
+    seen.add_argument("--cause", choices=tuple(Cause), help="[all causes if not given]")
+    seen.add_argument("--by", required=True, metavar="NAME", help="who has seen them [text]")
+    seen.add_argument("--words", default="", help="what is done about it [text]")
+    export = does.add_parser("export", help="write all of it as Parquet and CSV")
     export.add_argument("folder", type=Path, metavar="DIR", help="where to [path]")
     return found
+
+
+def _add_suspension(command: ArgumentParser) -> None:
+    """Add the arguments that say which suspension is meant."""
+    command.add_argument("--vehicle", required=True, help="as in the manifests [text]")
+    for name in PLACE:
+        command.add_argument(
+            f"--{name}", default="", help="as in the manifests, if it stands there [text]"
+        )
 
 
 def history(arguments: Namespace) -> None:
@@ -68,49 +91,133 @@ def history(arguments: Namespace) -> None:
     HistoryError
         If there is no store, or it cannot be used.
     ValueError
-        If an event is not valid.
+        If an event or an acknowledgement is not valid.
     """
     if "://" not in arguments.store and not Path(arguments.store).is_file():
         raise HistoryError(
             f"{arguments.store}: there is no such file; evaluate.py trips=DIR store=FILE makes one"
         )
     with History(arguments.store) as store:
-        if arguments.does == "event":
-            place = Place(**{name: getattr(arguments, name) for name in PLACE})
-            event = Event(arguments.at_km, arguments.kind, arguments.words)
-            store.add_event(arguments.vehicle, place, event)
-            print(f"{place}: {event}")
-        elif arguments.does == "export":
-            print(_export(store, arguments.folder))
-        else:
-            print(_listed(store))
+        print(COMMANDS[arguments.does](store, arguments))
 
 
-def _listed(store: History) -> str:
+def _listed(store: History, _: Namespace) -> str:
     """Return a table of the suspensions."""
     rows = []
-    for vehicle, place in store.places():
-        results = store.read(vehicle, place)
-        known = [r.mileage_km for r in results if r.mileage_km == r.mileage_km]
-        span = f"{min(known):,.0f} to {max(known):,.0f}".replace(",", " ") if known else ""
-        n_done = sum(r.status == OK for r in results)
-        done = "; ".join(map(str, store.events(vehicle, place)))
-        rows.append([vehicle, place, len(results), n_done, span, done])
+    for one in store.series():
+        known = one.mileage_km[np.isfinite(one.mileage_km)]
+        span = f"{km(known[0])} to {km(known[-1])}" if len(known) else ""
+        done = "; ".join(map(str, one.events))
+        rows.append([one.vehicle, one.place, len(one.trip), int(one.done.sum()), span, done])
     header = ["vehicle", "suspension", "trips", "with estimate", "km", "maintenance"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
-def _export(store: History, folder: Path) -> str:
-    """Write trips and events as tables and say where they are."""
-    trips, events = [], []
+def _event(store: History, arguments: Namespace) -> str:
+    """Keep maintenance and return it in words."""
+    event = Event(arguments.at_km, arguments.kind, arguments.words)
+    store.add_event(arguments.vehicle, _place(arguments), event)
+    return f"{_place(arguments)}: {event}"
+
+
+def _alarms(store: History, arguments: Namespace) -> str:
+    """Return a table of the alarms, the worst first, those that nobody has seen before others."""
+    seen = store.all_acknowledgements()
+    chosen = [
+        (alarm, newest_of(alarm, seen.get(key, [])), key)
+        for key, alarms in store.all_alarms().items()
+        for alarm in alarms
+        if alarm.is_open or arguments.all
+    ]
+    if not chosen:
+        return "no alarm" if arguments.all else "no open alarm"
+    chosen.sort(key=lambda one: (not one[0].is_open, -one[0].severity, one[1] is not None))
+    rows = [
+        [
+            str(alarm.severity),
+            *key,
+            alarm.parameter,
+            alarm.cause,
+            km(alarm.begin_km) if alarm.is_open else f"{km(alarm.begin_km)} to {km(alarm.end_km)}",
+            alarm.words,
+            f"{by.by}, {by.at[:10]}{': ' * bool(by.words)}{by.words}" if by else "",
+        ]
+        for alarm, by, key in chosen
+    ]
+    header = ["severity", "vehicle", "suspension", "parameter", "cause", "since km"]
+    header += ["words", "acknowledged"]
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def _acknowledge(store: History, arguments: Namespace) -> str:
+    """Keep acknowledgements of the open alarms of a parameter, and return them in words."""
+    vehicle, place = arguments.vehicle, _place(arguments)
+    causes = [arguments.cause] if arguments.cause else list(Cause)
+    chosen = [
+        alarm
+        for alarm in store.alarms(vehicle, place)
+        if alarm.is_open and alarm.parameter == arguments.parameter and alarm.cause in causes
+    ]
+    if not chosen:
+        raise HistoryError(
+            f"{store}: {vehicle}: {place} has no open alarm of {arguments.parameter}"
+            f"{f' with cause {arguments.cause}' * bool(arguments.cause)}; suspnet-history STORE "
+            "alarms lists all"
+        )
+    newest = max(r.mileage_km for r in store.read(vehicle, place) if isfinite(r.mileage_km))
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    said = (arguments.by, now, arguments.words)
+    seen = [
+        Acknowledgement(one.parameter, one.cause, one.severity, newest, *said) for one in chosen
+    ]
+    store.acknowledge(vehicle, place, seen)
+    told = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
+    return f"{place}: {told} acknowledged by {arguments.by} at {km(newest)} km"
+
+
+def _export(store: History, arguments: Namespace) -> str:
+    """Write all that is kept as tables and say where they are."""
+    tables: dict[str, list[dict[str, Any]]] = {
+        name: [] for name in ("trips", "events", "alarms", "acknowledgements")
+    }
     for vehicle, place in store.places():
-        trips += [result.row(PARAMETERS) for result in store.read(vehicle, place)]
+        results = store.read(vehicle, place)
+        tables["trips"] += [result.row(PARAMETERS) for result in results]
         where = {"vehicle": vehicle, **asdict(place)}
-        events += [where | asdict(event) for event in store.events(vehicle, place)]
-    for name, rows in (("trips", trips), ("events", events)):
+        for name in list(tables)[1:]:
+            kept = getattr(store, name)(vehicle, place)
+            tables[name] += [where | _plain(one) for one in kept]
+    for name, rows in tables.items():
         if rows:
-            write_table(pa.Table.from_pylist(rows), folder / name)
-    return f"{len(trips)} trips and {len(events)} events -> {folder}"
+            write_table(pa.Table.from_pylist(rows), arguments.folder / name)
+    told = [f"{len(rows)} {name}" for name, rows in tables.items()]
+    return f"{', '.join(told[:-1])} and {told[-1]} -> {arguments.folder}"
+
+
+def _plain(kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+    """Return what is kept as a row of a table: a severity by its name."""
+    row = asdict(kept)
+    return row | {name: str(row[name]) for name in ("severity", "cause") if name in row}
+
+
+def _place(arguments: Namespace) -> Place:
+    """Return which suspension is meant."""
+    return Place(**{name: getattr(arguments, name) for name in PLACE})
+
+
+def km(mileage: float) -> str:
+    """Return a mileage with spaces between thousands."""
+    return f"{mileage:,.0f}".replace(",", " ")
+
+
+COMMANDS: dict[str, Callable[[History, Namespace], str]] = {
+    "list": _listed,
+    "event": _event,
+    "alarms": _alarms,
+    "acknowledge": _acknowledge,
+    "export": _export,
+}
+"""What does each command."""
 
 
 def main() -> None:

@@ -31,6 +31,7 @@ from suspnet.checks import check_number
 from suspnet.cli import configs, folders, naming, reference
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.cli.values import read_values
+from suspnet.dynamics.limits import DEFAULT_LIMITS, read_limits
 from suspnet.learning import ranks
 from suspnet.storage import write_atomically
 from suspnet.workers import LostWorkerError, end_with_parent, guard_joblib
@@ -179,6 +180,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
         try:
             check_configuration(config)
             read_values(config)
+            _check_limits(config)
             return function(config)
         except MISTAKES as error:
             if _debugging:
@@ -193,6 +195,15 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             raise SystemExit(words) from None
 
     return wrapped
+
+
+def _check_limits(config: DictConfig) -> None:
+    """Raise ValueError or TypeError, which names the vehicle's file, if its limits are wrong."""
+    try:
+        read_limits(OmegaConf.select(config, "vehicle.limits") or {}, DEFAULT_LIMITS)
+    except (TypeError, ValueError) as error:
+        chosen = HydraConfig.get().runtime.choices.get("vehicle")
+        raise type(error)(f"vehicle/{chosen}.yaml: {error}") from None
 
 
 def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:

@@ -49,12 +49,17 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "fleet": ("suspnet.simulation.fleet.Fleet",),
     "scenario": ("suspnet.simulation.scenarios.Scenario",),
     "monitor": ("suspnet.trips.fleet.FleetSettings",),
+    "changes": ("suspnet.maintenance.change.ChangeSettings",),
     "trips": ("suspnet.model.from_recording.TripSettings",),
     "study": (
         "suspnet.studies.identifiability.write_identifiability",
         "suspnet.studies.reliability.write_reliability",
+        "suspnet.depot.study.write_maintenance",
     ),
+    "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
+    "costs": ("suspnet.maintenance.visits.Costs",),
     "others": ("suspnet.cli.configs.read_vehicles",),
+    "vehicles": ("suspnet.cli.configs.read_vehicles",),
 }
 """All that a configuration may build, by the key below which it may stand."""
 CALLBACKS = (

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from suspnet.checks import LARGEST, check_number
-
-PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
-"""The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
+from suspnet.dynamics.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.dynamics.limits import PARAMETERS as PARAMETERS
 
 UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
 """SI unit of each parameter."""
@@ -41,6 +42,10 @@ class Vehicle:
         From a bogie's centre to its axles, from the body's centre to the bogies' centres.
     bogie_gyration_m, body_gyration_m : float, optional, [m]
         Radii of gyration in pitch. These four are what ``VerticalVehicle`` needs besides.
+    limits : mapping, optional
+        When maintenance is to look or to act: from a parameter to its `notice`, `act` and `why`, or
+        to None if it has no limits; see ``Limits``. Parameters that are not there have
+        ``DEFAULT_LIMITS``. Vehicles that differ in limits alone are equal.
 
     Raises
     ------
@@ -69,18 +74,28 @@ class Vehicle:
     half_pivot_distance_m: float | None = None
     bogie_gyration_m: float | None = None
     body_gyration_m: float | None = None
+    limits: Mapping[str, Any] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name not in ("name", "source"):
-                most = 100 if field.name.startswith("half_") else LARGEST  # lengths of a vehicle
-                optional = field.name in GEOMETRY
-                check_number(field.name, value, above=0, optional=optional, most=most)
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name not in ("name", "source", "limits"):
+                most = 100 if one.name.startswith("half_") else LARGEST  # lengths of a vehicle
+                optional = one.name in GEOMETRY
+                check_number(one.name, value, above=0, optional=optional, most=most)
+        if self.limits is not None:
+            known = self.known_limits
+            own = {name: known[name].to_dict() if name in known else None for name in self.limits}
+            object.__setattr__(self, "limits", own)
         _check_frequency(self, "primary", self.primary_frequency_hz)
         _check_frequency(self, "secondary", self.secondary_frequency_hz)
         _check_damping(self, "primary", self.primary_damping_ratio)
         _check_damping(self, "secondary", self.secondary_damping_ratio)
+
+    @property
+    def known_limits(self) -> dict[str, Limits]:
+        """Limits of each parameter that has any, its own or the default ones."""
+        return read_limits(self.limits or {}, DEFAULT_LIMITS, f"the file of vehicle {self.name}")
 
     @property
     def primary_frequency_hz(self) -> float:

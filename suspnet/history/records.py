@@ -131,6 +131,8 @@ class TripResult:
     quality : Quality
     seconds : float, [s]
         Time the evaluation took.
+    temperature_c : float, [°C]
+        Of the air outside; NaN where the manifest does not say it.
     curves : TripCurves, optional
     """
 
@@ -153,6 +155,7 @@ class TripResult:
     sides: str = ""
     quality: Quality = field(default_factory=Quality)
     seconds: float = 0.0
+    temperature_c: float = np.nan
     curves: TripCurves | None = None
 
     def interval(self, name: str) -> tuple[float, float]:
@@ -190,6 +193,7 @@ class TripResult:
             numbers |= dict(zip(ends, self.si(name), strict=True))
             numbers[f"{column}_healthy"] = self.healthy_si.get(name, np.nan)
         numbers["healthy_since_km"] = self.healthy_since_km
+        numbers["temperature_c"] = self.temperature_c
         return (
             head
             | numbers

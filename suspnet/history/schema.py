@@ -1,23 +1,29 @@
 """Tables of the history, the same in SQLite and PostgreSQL.
 
-A trip is known by its suspension and its key: a hash of name, start and mileage. NaN is NULL.
+A trip is known by its suspension and its key: a hash of name, start and mileage. NaN is NULL. The
+columns that a view of the whole fleet reads come first: SQLite reads a row only as far as it must.
 """
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 from sqlalchemy import (
-    JSON,
     Column,
     Double,
     ForeignKey,
     Integer,
+    LargeBinary,
     MetaData,
     String,
     Table,
     UniqueConstraint,
 )
 
-SCHEMA = 1
+from suspnet.dynamics import PARAMETERS
+from suspnet.history.records import Quality
+
+SCHEMA = 2
 """Version of the tables; a store of another version is refused."""
 
 metadata = MetaData()
@@ -36,40 +42,64 @@ suspensions = Table(
     UniqueConstraint("vehicle", *PLACE),
 )
 
-TEXTS = ("trip", "manifest", "start", "status", "reason", "flags", "sides")
-NUMBERS = ("mileage_km", "healthy_since_km", "seconds")
-"""Columns of a trip's texts and numbers, named as in its result."""
+NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
+TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
+"""Columns of a trip's numbers and texts, named as in its result."""
+QUALITY = {"float": Double, "int": Integer, "str": String}
+"""Type of the column of each field of a trip's quality, by the type of the field."""
+VALUES = {
+    "estimates": "{}",
+    "half_widths": "{}_half_width",
+    "raw": "{}_raw",
+    "truth": "{}_truth",
+    "healthy_si": "{}_healthy_si",
+    "healthy_half_widths": "{}_healthy_half_width",
+}
+"""Numbers of each parameter, named as in a trip's result, and their columns."""
 
 trips = Table(
     "trips",
     metadata,
     Column("id", Integer, primary_key=True),
     Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), nullable=False),
-    Column("key", String(64), nullable=False),
-    *(Column(name, String, nullable=False) for name in TEXTS),
     *(Column(name, Double) for name in NUMBERS),
-    Column("quality", JSON, nullable=False),
+    *(Column(column.format(name), Double) for column in VALUES.values() for name in PARAMETERS),
+    *(Column(name, String, nullable=False) for name in TEXTS),
+    *(Column(one.name, QUALITY[str(one.type)]) for one in fields(Quality)),
+    Column("key", LargeBinary(16), nullable=False),
     UniqueConstraint("suspension_id", "key"),
-)
-
-VALUES = ("estimates", "raw", "truth", "half_widths", "healthy_si", "healthy_half_widths")
-"""Columns of numbers of each parameter, named as in a trip's result."""
-
-estimates = Table(
-    "estimates",
-    metadata,
-    Column("trip_id", ForeignKey("trips.id", ondelete="CASCADE"), primary_key=True),
-    Column("parameter", String, primary_key=True),
-    *(Column(name, Double) for name in VALUES),
 )
 
 events = Table(
     "events",
     metadata,
-    Column("id", Integer, primary_key=True),
-    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), nullable=False),
-    Column("mileage_km", Double, nullable=False),
-    Column("kind", String, nullable=False),
+    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
+    Column("mileage_km", Double, primary_key=True),
+    Column("kind", String, primary_key=True),
     Column("words", String, nullable=False),
-    UniqueConstraint("suspension_id", "mileage_km", "kind"),
+)
+
+alarms = Table(
+    "alarms",
+    metadata,
+    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
+    Column("begin_km", Double, primary_key=True),
+    Column("parameter", String, primary_key=True),
+    Column("cause", String, primary_key=True),
+    Column("severity", Integer, nullable=False),
+    Column("end_km", Double),
+    Column("words", String, nullable=False),
+)
+
+acknowledgements = Table(
+    "acknowledgements",
+    metadata,
+    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
+    Column("at_km", Double, primary_key=True),
+    Column("at", String, primary_key=True),
+    Column("parameter", String, primary_key=True),
+    Column("cause", String, primary_key=True),
+    Column("by", String, primary_key=True),
+    Column("severity", Integer, nullable=False),
+    Column("words", String, nullable=False),
 )

@@ -2,80 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sql
-from sqlalchemy.dialects import postgresql, sqlite
-from sqlalchemy.engine import URL, Connection, Engine, RowMapping, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
+from sqlalchemy.engine import Connection
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from suspnet.history.records import Quality, TripResult
-from suspnet.history.schema import (
-    NUMBERS,
-    PLACE,
-    SCHEMA,
-    TEXTS,
-    VALUES,
-    estimates,
-    events,
-    metadata,
-    suspensions,
-    trips,
-    versions,
-)
+from suspnet.history.database import HistoryError, connect, database_url, prepare, upsert
+from suspnet.history.events import Event
+from suspnet.history.records import TripResult
+from suspnet.history.rows import key_of, or_null, result_of, row_of
+from suspnet.history.schema import acknowledgements, alarms, events, suspensions, trips
+from suspnet.history.series import Series, read_series
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.recordings.manifest import Place
 
-KINDS = ("exchanged", "reprofiled", "other")
-"""Kinds of maintenance: a part exchanged, wheels reprofiled, or what the words say."""
-WAIT_S = 60
-"""Time that a writer waits for another one, [s]."""
-LOCK = 0x73757370
-"""Number of the lock of PostgreSQL under which the tables are made."""
-
-
-class HistoryError(ValueError):
-    """The store cannot be used: another file, another version, a server that does not answer."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """Maintenance of a suspension: what trips show from then on starts anew.
-
-    Attributes
-    ----------
-    mileage_km : float, [km]
-        The first trips of this mileage or more are after it.
-    kind : str
-        One of ``KINDS``.
-    words : str
-        What was done.
-    """
-
-    mileage_km: float
-    kind: str = "other"
-    words: str = ""
-
-    def __post_init__(self) -> None:
-        if not math.isfinite(self.mileage_km):
-            raise ValueError(f"an event needs a mileage in km, got {self.mileage_km}")
-        if self.kind not in KINDS:
-            raise ValueError(f"an event is one of {', '.join(KINDS)}, got {self.kind!r}")
-
-    def __str__(self) -> str:
-        """Return the event in words."""
-        km = f"{self.mileage_km:,.0f}".replace(",", " ")
-        return f"{self.kind if not self.words else self.words} at {km} km"
+Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
+Key = tuple[str, Place]
+"""Vehicle and place: which suspension it is."""
 
 
 class History:
-    """Trips of all suspensions, their estimates, and maintenance events.
+    """Trips of all suspensions, their estimates and alarms, and what people did.
 
     Several programs may read and write at once. Made anew where there is nothing yet.
 
@@ -91,11 +44,11 @@ class History:
     """
 
     def __init__(self, place: str | Path) -> None:
-        self._url = _url(place)
-        self._engine = _engine(self._url)
+        self._url = database_url(place)
+        self._engine = connect(self._url)
         try:
             with self._transaction() as connection:
-                self._check(connection)
+                prepare(connection, str(self))
         except BaseException:
             self.close()
             raise
@@ -118,10 +71,10 @@ class History:
         """Let go of the file or the server."""
         self._engine.dispose()
 
-    def places(self) -> list[tuple[str, Place]]:
+    def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
         with self._transaction() as connection:
-            return self._places(connection)
+            return _places(connection)
 
     def write(self, results: Sequence[TripResult]) -> None:
         """Keep trips, all or none. One that is there already is replaced by what was read last.
@@ -134,27 +87,25 @@ class History:
             If the store cannot be written.
         """
         with self._transaction() as connection:
-            ids = {
-                key: self._suspension(connection, *key)
-                for key in dict.fromkeys((result.vehicle, result.place) for result in results)
-            }
-            for result in results:
-                self._write(connection, ids[result.vehicle, result.place], result)
+            ids = _ids(connection, ((result.vehicle, result.place) for result in results))
+            rows = [row_of(ids[result.vehicle, result.place], result) for result in results]
+            upsert(connection, trips, rows)
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
         chosen = sql.select(trips).join(suspensions).where(_is(vehicle, place))
         with self._transaction() as connection:
             rows = connection.execute(chosen).mappings().all()
-            ids = chosen.with_only_columns(trips.c.id)
-            numbers = connection.execute(
-                sql.select(estimates).where(estimates.c.trip_id.in_(ids))
-            ).mappings()
-            by_trip: dict[int, list[RowMapping]] = {}
-            for number in numbers:
-                by_trip.setdefault(number["trip_id"], []).append(number)
-        found = [_result(vehicle, place, row, by_trip.get(row["id"], [])) for row in rows]
+        found = [result_of(vehicle, place, row) for row in rows]
         return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+
+    def series(self) -> list[Series]:
+        """Return the trips of all suspensions as arrays, sorted by vehicle and place.
+
+        Far quicker than ``read``: for a view of the whole fleet.
+        """
+        with self._transaction() as connection:
+            return read_series(connection, _kept(connection, events, Event))
 
     def add_event(self, vehicle: str, place: Place, event: Event) -> None:
         """Keep a maintenance event; the same one again replaces its words.
@@ -165,34 +116,58 @@ class History:
             If the store knows no trip of the suspension, or cannot be written.
         """
         with self._transaction() as connection:
-            chosen = connection.execute(
-                sql.select(suspensions.c.id).where(_is(vehicle, place))
-            ).scalar()
-            if chosen is None:
-                known = "; ".join(f"{vehicle}: {one}" for vehicle, one in self._places(connection))
-                raise HistoryError(
-                    f"{self}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
-                )
-            row = asdict(event) | {"suspension_id": chosen}
-            self._upsert(connection, events, [row], ("suspension_id", "mileage_km", "kind"))
+            upsert(connection, events, [_row(self._id(connection, vehicle, place), event)])
 
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
-        chosen = (
-            sql.select(events.c.mileage_km, events.c.kind, events.c.words)
-            .join(suspensions)
-            .where(_is(vehicle, place))
-            .order_by(events.c.mileage_km, events.c.kind)
-        )
         with self._transaction() as connection:
-            return [Event(**row) for row in connection.execute(chosen).mappings()]
+            return _kept(connection, events, Event, _is(vehicle, place)).get((vehicle, place), [])
 
-    @staticmethod
-    def _places(connection: Connection) -> list[tuple[str, Place]]:
-        """Return vehicle and place of each suspension, sorted."""
-        rows = connection.execute(sql.select(suspensions)).mappings()
-        found = [(row["vehicle"], Place(**{key: row[key] for key in PLACE})) for row in rows]
-        return sorted(found, key=lambda one: (one[0], str(one[1])))
+    def keep_alarms(self, vehicle: str, place: Place, found: Sequence[Alarm]) -> None:
+        """Keep the alarms of a suspension in place of all that were kept of it before.
+
+        Raises
+        ------
+        HistoryError
+            If the store knows no trip of the suspension, or cannot be written.
+        """
+        with self._transaction() as connection:
+            one = self._id(connection, vehicle, place)
+            connection.execute(alarms.delete().where(alarms.c.suspension_id == one))
+            upsert(connection, alarms, [_row(one, alarm) for alarm in found])
+
+    def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
+        """Return the alarms of a suspension, open or not, by the mileage where they begin."""
+        with self._transaction() as connection:
+            return _kept(connection, alarms, Alarm, _is(vehicle, place)).get((vehicle, place), [])
+
+    def all_alarms(self) -> dict[Key, list[Alarm]]:
+        """Return the alarms of each suspension that has any."""
+        with self._transaction() as connection:
+            return _kept(connection, alarms, Alarm)
+
+    def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
+        """Keep acknowledgements of alarms, for ever; the same one again replaces its words.
+
+        Raises
+        ------
+        HistoryError
+            If the store knows no trip of the suspension, or cannot be written.
+        """
+        with self._transaction() as connection:
+            one = self._id(connection, vehicle, place)
+            upsert(connection, acknowledgements, [_row(one, part) for part in seen])
+
+    def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
+        """Return the acknowledgements of a suspension's alarms, by mileage and time."""
+        with self._transaction() as connection:
+            found = _kept(connection, acknowledgements, Acknowledgement, _is(vehicle, place))
+        return found.get((vehicle, place), [])
+
+    def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
+        """Return the acknowledgements of each suspension that has any."""
+        with self._transaction() as connection:
+            return _kept(connection, acknowledgements, Acknowledgement)
 
     @contextmanager
     def _transaction(self) -> Iterator[Connection]:
@@ -206,111 +181,16 @@ class History:
         except SQLAlchemyError as error:
             raise HistoryError(f"{self}: the store cannot be used ({error})") from None
 
-    def _check(self, connection: Connection) -> None:
-        """Make the tables where there are none; HistoryError if they are of another version."""
-        if connection.dialect.name == "postgresql":  # two programs may be the first at once
-            connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-        there = set(sql.inspect(connection).get_table_names())
-        if versions.name not in there:
-            if there & set(metadata.tables):
-                raise HistoryError(f"{self}: this is no store of suspnet, but has tables like it")
-            metadata.create_all(connection)
-            connection.execute(versions.insert().values(schema=SCHEMA))
-            return
-        version = connection.execute(sql.select(versions.c.schema)).scalar()
-        if version != SCHEMA:
+    def _id(self, connection: Connection, vehicle: str, place: Place) -> int:
+        """Return the number of a suspension that is known, for this transaction's writing alone."""
+        chosen = sql.select(suspensions.c.id).where(_is(vehicle, place)).with_for_update()
+        one = connection.execute(chosen).scalar()
+        if one is None:
+            known = "; ".join(f"{vehicle}: {one}" for vehicle, one in _places(connection))
             raise HistoryError(
-                f"{self}: a store of version {version}, this suspnet reads version {SCHEMA}; use "
-                "the suspnet that wrote it, or begin a new store and evaluate the trips again"
+                f"{self}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
             )
-
-    def _suspension(self, connection: Connection, vehicle: str, place: Place) -> int:
-        """Return the number of a suspension, which is added if it is new."""
-        row = {"vehicle": vehicle} | asdict(place)
-        self._upsert(connection, suspensions, [row], ("vehicle", *PLACE))
-        chosen = sql.select(suspensions.c.id).where(_is(vehicle, place))
-        return int(connection.execute(chosen).scalar_one())
-
-    def _write(self, connection: Connection, suspension: int, result: TripResult) -> None:
-        """Keep one trip."""
-        row = {name: getattr(result, name) for name in TEXTS}
-        row |= {name: _known(getattr(result, name)) for name in NUMBERS}
-        row |= {"suspension_id": suspension, "key": trip_key(result)}
-        row |= {"quality": {k: _known(v) for k, v in asdict(result.quality).items()}}
-        self._upsert(connection, trips, [row], ("suspension_id", "key"))
-        where = (trips.c.suspension_id == suspension) & (trips.c.key == row["key"])
-        trip = connection.execute(sql.select(trips.c.id).where(where)).scalar_one()
-        connection.execute(estimates.delete().where(estimates.c.trip_id == trip))
-        values = {name: getattr(result, name) for name in VALUES}
-        parameters = dict.fromkeys(p for part in values.values() for p in part)
-        rows = [
-            {"trip_id": trip, "parameter": parameter}
-            | {name: _known(part.get(parameter, math.nan)) for name, part in values.items()}
-            for parameter in parameters
-        ]
-        if rows:
-            connection.execute(estimates.insert(), rows)
-
-    @staticmethod
-    def _upsert(
-        connection: Connection, table: sql.Table, rows: list[dict[str, Any]], key: Sequence[str]
-    ) -> None:
-        """Insert rows; one whose key is there already takes its other values."""
-        dialect = postgresql if connection.dialect.name == "postgresql" else sqlite
-        statement = dialect.insert(table)
-        others = {name: statement.excluded[name] for name in rows[0] if name not in key}
-        if others:
-            statement = statement.on_conflict_do_update(index_elements=key, set_=others)
-        else:
-            statement = statement.on_conflict_do_nothing(index_elements=key)
-        connection.execute(statement, rows)
-
-
-def _url(place: str | Path) -> URL:
-    """Return the URL of a store that is named by a file or a URL."""
-    text = str(place)
-    if "://" not in text:
-        return URL.create("sqlite", database=text)
-    try:
-        url = make_url(text)
-    except ArgumentError:
-        raise HistoryError(f"{text!r} is no URL of a database") from None
-    if url.drivername in ("postgresql", "postgres"):
-        url = url.set(drivername="postgresql+psycopg")
-    if url.get_backend_name() not in ("sqlite", "postgresql"):
-        raise HistoryError(
-            f"a store is a file or postgresql://user:password@host/database, not "
-            f"{url.drivername}://"
-        )
-    return url
-
-
-def _engine(url: URL) -> Engine:
-    """Return the engine of a store; SQLite waits for other writers from the first statement on."""
-    if url.get_backend_name() == "postgresql":
-        try:
-            return sql.create_engine(url, pool_size=1)
-        except (ImportError, NoSuchModuleError):
-            raise HistoryError(
-                'PostgreSQL needs its driver: pip install "suspnet[postgres]"'
-            ) from None
-    if not url.database or url.database == ":memory:":
-        raise HistoryError("a store needs the path of a file")
-    folder = Path(url.database).absolute().parent
-    if not folder.is_dir():
-        raise HistoryError(f"{url.database}: there is no folder {folder}")
-    engine = sql.create_engine(url, connect_args={"timeout": WAIT_S})
-
-    @sql.event.listens_for(engine, "connect")
-    def _connected(connection: Any, _: Any) -> None:
-        connection.isolation_level = None  # transactions are begun below, not by the driver
-        connection.execute("PRAGMA foreign_keys = ON")
-
-    @sql.event.listens_for(engine, "begin")
-    def _begun(connection: Connection) -> None:
-        connection.exec_driver_sql("BEGIN IMMEDIATE")
-
-    return engine
+        return int(one)
 
 
 def _is(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
@@ -319,30 +199,45 @@ def _is(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
     return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
 
 
-def trip_key(result: TripResult) -> str:
-    """Return what tells a trip from the others of its suspension: a hash of 64 letters."""
-    content = [result.trip, result.start, repr(float(result.mileage_km))]
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+def _ids(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
+    """Return the number of each suspension; new ones are added."""
+    wanted = list(dict.fromkeys(keys))
+    upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
+    chosen = (sql.select(suspensions.c.id).where(_is(*key)) for key in wanted)
+    found = (connection.execute(one).scalar_one() for one in chosen)
+    return dict(zip(wanted, map(int, found), strict=True))
 
 
-def _known(value: Any) -> Any:
-    """Return a value, None in place of NaN."""
-    return None if isinstance(value, float) and math.isnan(value) else value
+def _places(connection: Connection) -> list[Key]:
+    """Return vehicle and place of each suspension, sorted."""
+    rows = connection.execute(sql.select(suspensions)).mappings()
+    return sorted((key_of(row) for row in rows), key=lambda one: (one[0], str(one[1])))
 
 
-def _number(value: float | None) -> float:
-    """Return a number of the store, NaN in place of NULL."""
-    return math.nan if value is None else float(value)
+def _kept(
+    connection: Connection,
+    table: sql.Table,
+    kind: type[Kept],
+    where: sql.ColumnElement[bool] | None = None,
+) -> dict[Key, list[Kept]]:
+    """Return what a table holds of each suspension, or of those chosen, in order of its key."""
+    names = [one.name for one in fields(kind)]
+    chosen = (
+        sql.select(suspensions, *(table.c[name] for name in names))
+        .join_from(table, suspensions)
+        .where(sql.true() if where is None else where)
+        .order_by(*table.primary_key.columns)
+    )
+    found: dict[Key, list[Kept]] = {}
+    for row in connection.execute(chosen).mappings():
+        values: dict[str, Any] = {
+            name: math.nan if row[name] is None else row[name] for name in names
+        }
+        found.setdefault(key_of(row), []).append(kind(**values))
+    return found
 
 
-def _result(
-    vehicle: str, place: Place, row: RowMapping, numbers: Sequence[RowMapping]
-) -> TripResult:
-    """Return the trip of a row."""
-    fields: dict[str, Any] = {name: row[name] for name in TEXTS}
-    fields |= {name: _number(row[name]) for name in NUMBERS}
-    for name in VALUES:
-        known = [one for one in numbers if one[name] is not None]
-        fields[name] = {one["parameter"]: float(one[name]) for one in known}
-    quality: dict[str, Any] = {k: _number(v) if v is None else v for k, v in row["quality"].items()}
-    return TripResult(vehicle=vehicle, place=place, quality=Quality(**quality), **fields)
+def _row(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+    """Return the row of what is kept of a suspension beside its trips."""
+    values = {name: or_null(value) for name, value in asdict(kept).items()}
+    return values | {"suspension_id": suspension}

@@ -71,6 +71,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         "# car: '7'",
         f"mileage_km:       # {BLANK}: of the vehicle at this trip",
         "# start: 2015-08-03T08:00:00",
+        "# temperature_c: 20.0  # of the air outside",
         "",
     ]
     writer.blanks = ["vehicle", "suspension", *writer.blanks, "mileage_km"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -121,3 +122,9 @@ class Acknowledgement:
         there = alarm.begin_km <= self.at_km and not self.at_km > alarm.end_km
         same = (self.parameter, self.cause) == (alarm.parameter, alarm.cause)
         return same and there and alarm.severity <= self.severity
+
+
+def newest_of(alarm: Alarm, seen: Iterable[Acknowledgement]) -> Acknowledgement | None:
+    """Return the newest of the acknowledgements that cover an alarm; None if there is none."""
+    covering = (one for one in seen if one.covers(alarm))
+    return max(covering, key=lambda one: datetime.fromisoformat(one.at), default=None)

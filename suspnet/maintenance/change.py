@@ -6,20 +6,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
-from suspnet.checks import check_number
+from suspnet.checks import LARGEST, check_number
 from suspnet.maintenance.cusum import CLIP, MAX_CORRELATION, Residuals, cusum, residuals, threshold
-from suspnet.types import FloatArray, IntArray
+from suspnet.types import BoolArray, FloatArray, IntArray
 
 N_BACK = 5
-"""Trips whose median must be back near the reference for a change to have ended."""
+"""Least number of trips whose median must be back near the reference for a change to have ended."""
 BACK = 0.25
 """Share of a change that may be left when it has ended."""
+SURE = 8.0
+"""As many trips must be back that their mean is known to the size of the change over this."""
 STEP = 1.05
 """Rates of false alarms are powers of this, so that suspensions share their thresholds."""
+LONGEST_GAP = 2e4
+"""Mileage in km that counts between two trips at most: a long pause allows no false alarm."""
 VARIES = 0.01
-"""Relative standard deviation from which a covariate varies."""
+"""Relative standard deviation from which a covariate varies; also of what others do not tell."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +96,9 @@ class Changes:
     n_needed : int
         Without so many there is no detection.
     threshold : float, [-]
-        Of the CUSUM; NaN if there is no detection.
+        Of the CUSUM at the last trip; NaN if there is no detection.
     n_unlike : int
-        Trips that were not judged, as their covariates are unlike those of the reference.
+        Trips that were not judged, as their covariates are unlike those of the reference or lack.
     why_not : str
         Why nothing can be detected; empty if it can.
     """
@@ -121,10 +126,13 @@ def find_changes(
 
     The logarithms of the parameters are compared with those of the first trips and of later ones
     that are older than ten trips (``residuals``); a CUSUM of their pre-whitened deviations raises
-    an alarm at the ``threshold`` of a rate of false alarms that is shared by all parameters. Of a
-    trip whose interval is wider than the median of the reference's, the deviation is divided by
-    their ratio. A change has ended when the median of ``N_BACK`` trips is less than ``BACK`` of it;
-    the detector starts anew then, and forgets the trips of the change.
+    an alarm at the ``threshold`` of a rate of false alarms that is shared by all parameters. That
+    rate is per trip, by the mean spacing of as many trips as the reference has, up to the trip
+    judged: no later trip changes whether, and when, an alarm is raised. Of a trip whose interval is
+    wider than the median of the reference's, the deviation is divided by their ratio. A change has
+    ended when the median of ``N_BACK`` trips, or of more if its size over ``SURE`` is less than
+    their uncertainty, is less than ``BACK`` of it; the detector starts anew then, and forgets the
+    trips of the change.
 
     Parameters
     ----------
@@ -133,8 +141,9 @@ def find_changes(
     values : mapping from parameter to array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
     covariates : mapping from name to array of shape (n_trips,)
-        Pay-load, speed, temperature, say. One that does not vary in the reference, or that a trip
-        lacks, is left out.
+        Pay-load, speed, temperature, say. One that does not vary in the reference, that others
+        determine there, or that a trip of it lacks, is left out. Later trips that lack one are not
+        judged.
     settings : ChangeSettings
     usable : bool array of shape (n_trips,), optional
         Trips that count: those without flags. All by default.
@@ -146,10 +155,12 @@ def find_changes(
     Raises
     ------
     ValueError
-        If shapes differ, or the mileage falls.
+        If shapes differ, no parameter is given, or the mileage falls.
     """
     km = np.asarray(mileage_km, dtype=float)
     names = tuple(values)
+    if not names:
+        raise ValueError("`values` must have one parameter at least")
     estimates = np.stack([np.asarray(values[name], dtype=float) for name in names], axis=-1)
     if km.ndim != 1 or estimates.shape[:-1] != km.shape:
         raise ValueError(f"`values` must have {len(km)} trips each, got {estimates.shape[:-1]}")
@@ -163,25 +174,37 @@ def find_changes(
     if len(trips) < needed:
         why = f"{len(trips)} of {needed} trips for the reference so far"
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
-    spacing = float(np.median(np.diff(km[trips])))
-    if spacing <= 0:
-        why = "the trips of the reference have one mileage"
-        return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
-    kept, z = _covariates(covariates, trips, needed)
-    rate = min(spacing / settings.km_per_false_alarm / len(names), 0.05)
-    rate = STEP ** np.floor(np.log(rate) / np.log(STEP))
-    limit = threshold(float(rate), needed, settings.correlation, settings.seed)
+    kept, z, known = _covariates(covariates, trips, needed)
+    n_lacking = int((~known).sum())
+    trips, z = trips[known], z[known]
+    limits = _limits(km[trips], len(names), settings)
     logs = np.log(estimates[trips])
-    rest = residuals(
-        logs - logs[:needed].mean(axis=0), np.repeat(z[:, None], len(names), 1), needed
-    )
+    rest = residuals(logs, np.repeat(z[:, None], len(names), 1), needed)
     found = {}
     for i, name in enumerate(names):
         ratio = _relative_widths((widths or {}).get(name), trips, needed)
         least = (least_percent or {}).get(name, 0.0)
-        found[name] = _of_one(logs[:, i], z, ratio, trips, _column(rest, i), limit, needed, least)
-    n_unlike = int((rest.leverage > 1).any(axis=-1).sum())
-    return Changes(found, kept, len(trips), needed, limit, n_unlike)
+        found[name] = _of_one(logs[:, i], z, ratio, trips, _column(rest, i), limits, needed, least)
+    n_unlike = n_lacking + int((rest.leverage > 1).any(axis=-1).sum())
+    return Changes(found, kept, len(trips), needed, float(limits[-1]), n_unlike)
+
+
+def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> FloatArray:
+    """Return the threshold at each trip from the last one of the reference on.
+
+    Each gap between two trips counts in as many means as a mean has gaps: the expected number of
+    false alarms is that of the mileage, however trips are spaced.
+    """
+    n_gaps = settings.n_reference - 1
+    counted = np.cumsum(np.minimum(np.diff(km, prepend=km[0]), LONGEST_GAP))
+    spacing = np.maximum((counted[n_gaps:] - counted[:-n_gaps]) / n_gaps, 1.0)
+    rates = np.minimum(spacing / settings.km_per_false_alarm / n_parameters, 0.05)
+    powers, where = np.unique(np.floor(np.log(rates) / np.log(STEP)), return_inverse=True)
+    limits = [
+        threshold(float(STEP**power), settings.n_reference, settings.correlation, settings.seed)
+        for power in powers
+    ]
+    return np.array(limits)[where]
 
 
 def _of_one(
@@ -190,7 +213,7 @@ def _of_one(
     widths: FloatArray,
     trips: IntArray,
     rest: Residuals,
-    limit: float,
+    limits: FloatArray,
     needed: int,
     least: float,
 ) -> list[Change]:
@@ -201,30 +224,27 @@ def _of_one(
     for _ in range(len(logs)):  # each turn ends, or leaves out a trip
         standard = np.where(rest.leverage > 1, 0, rest.standard)[start - needed :]
         alarm = _first(
-            standard / widths[used[start:]], rest.deviations[start - needed :], limit, least
+            standard / widths[used[start:]],
+            rest.deviations[start - needed :],
+            limits[used[start:] - needed + 1],
+            least,
         )
         if alarm is None:
             break
         onset, begin, size = alarm[0] + start, alarm[1] + start, alarm[2]
         known = max(needed, min(onset, int(rest.n_reference[begin - needed])))
+        usual = np.concatenate([np.ones(needed, bool), rest.usual])[:known]
         x = np.concatenate([np.ones((len(used), 1)), covariates[used]], axis=1)
-        fit = np.linalg.lstsq(x[:known], logs[used][:known], rcond=None)[0]
-        away = (logs[used] - x @ fit)[begin:]
-        end = next(
-            (
-                i + N_BACK
-                for i in range(1, len(away) - N_BACK + 1)
-                if abs(np.median(away[i : i + N_BACK])) < BACK * abs(size)
-            ),
-            None,
-        )
-        last = None if end is None else begin + end - 1
+        fit = np.linalg.lstsq(x[:known][usual], logs[used][:known][usual], rcond=None)[0]
+        away = logs[used] - x @ fit
+        spread = float(away[:known][usual].std())
+        last = _end(away, begin, size, spread, float(rest.correlation[begin - needed]))
         found.append(
             Change(
                 int(trips[used[onset]]),
                 int(trips[used[begin]]),
                 None if last is None else int(trips[used[last]]),
-                100 * float(np.expm1(size)),
+                100 * float(np.expm1(min(size, 700))),  # of a double
             )
         )
         if last is None:
@@ -233,17 +253,26 @@ def _of_one(
         start = onset
         if start >= len(used):
             break
-        rest = _column(
-            residuals(
-                (logs - logs[:needed].mean())[used][:, None], covariates[used][:, None], needed
-            ),
-            0,
-        )
+        rest = _column(residuals(logs[used][:, None], covariates[used][:, None], needed), 0)
     return found
 
 
+def _end(away: FloatArray, begin: int, size: float, spread: float, phi: float) -> int | None:
+    """Return the trip after `begin` at which a change was back, of deviations of trips.
+
+    The mean of n trips has the variance spread^2 (1 + phi) / (1 - phi) / n.
+    """
+    n_sure = (SURE * spread / max(abs(size), 1e-9)) ** 2 * (1 + phi) / (1 - phi)
+    n_back = max(N_BACK, int(np.ceil(min(n_sure, len(away)))))
+    if len(away) - begin <= n_back:
+        return None
+    medians = np.median(sliding_window_view(away[begin + 1 :], n_back), axis=-1)
+    back = np.flatnonzero(np.abs(medians) < BACK * abs(size))
+    return begin + int(back[0]) + n_back if len(back) else None
+
+
 def _first(
-    standard: FloatArray, deviations: FloatArray, limit: float, least: float
+    standard: FloatArray, deviations: FloatArray, limits: FloatArray, least: float
 ) -> tuple[int, int, float] | None:
     """Return onset, alarm and size (in logarithms) of the first change that is large enough.
 
@@ -251,42 +280,57 @@ def _first(
     """
     sums = cusum(standard)
     z = np.clip(standard, -CLIP, CLIP)
-    for begin in np.flatnonzero((sums > limit).any(axis=0)):
+    for begin in np.flatnonzero((sums > limits).any(axis=0)):
         side = int(np.argmax(sums[:, begin]))
         zeros = np.flatnonzero(sums[side, :begin] == 0)
         since = int(zeros[-1]) + 1 if len(zeros) else 0
         totals = np.cumsum(z[since : begin + 1][::-1])
         onset = int(begin - np.argmax(totals**2 / np.arange(1, len(totals) + 1)))
         size = float(np.median(deviations[onset : begin + 1]))
-        if abs(100 * np.expm1(size)) >= least:
+        if abs(100 * np.expm1(min(size, 700))) >= least:
             return onset, int(begin), size
     return None
 
 
 def _covariates(
     given: Mapping[str, ArrayLike], trips: IntArray, needed: int
-) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the covariates that every trip has and that vary in the reference, standardised."""
-    kept, columns = [], []
+) -> tuple[tuple[str, ...], FloatArray, BoolArray]:
+    """Return the covariates that tell trips of the reference apart, and which trips have them all.
+
+    They are standardised by the reference.
+    """
+    kept, columns, has_all = [], [np.ones(len(trips))], np.ones(len(trips), dtype=bool)
     for name, values in given.items():
         column = np.asarray(values, dtype=float)[trips]
-        reference = column[:needed]
-        spread = float(reference.std())
-        if np.isfinite(column).all() and spread > VARIES * max(abs(float(reference.mean())), 1e-9):
+        known = np.abs(column) < LARGEST  # False for NaN
+        if not known[:needed].all():
+            continue
+        mean, spread = float(column[:needed].mean()), float(column[:needed].std())
+        if spread <= VARIES * max(abs(mean), 1e-9):
+            continue
+        column = np.where(known, (column - mean) / spread, 0)
+        others = np.stack(columns, axis=-1)[:needed]
+        fit = np.linalg.lstsq(others, column[:needed], rcond=None)[0]
+        if (column[:needed] - others @ fit).std() > VARIES:
             kept.append(name)
-            columns.append((column - reference.mean()) / spread)
-    return tuple(kept), np.stack(columns, axis=-1) if columns else np.empty((len(trips), 0))
+            columns.append(column)
+            has_all &= known
+    return (
+        tuple(kept),
+        np.stack(columns[1:], axis=-1) if kept else np.empty((len(trips), 0)),
+        has_all,
+    )
 
 
 def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> FloatArray:
     """Return how much wider than the reference's each trip's interval is; at least 1."""
     if widths is None:
         return np.ones(len(trips))
-    known = np.asarray(widths, dtype=float)[trips]
+    known = np.clip(np.asarray(widths, dtype=float)[trips], 1e-12, LARGEST)
     if not np.isfinite(known[:needed]).any():
         return np.ones(len(trips))
-    usual = max(float(np.nanmedian(known[:needed])), 1e-12)
-    return np.maximum(np.nan_to_num(known / usual, nan=1.0, posinf=1e6), 1.0)
+    usual = float(np.nanmedian(known[:needed]))
+    return np.asarray(np.maximum(np.nan_to_num(known / usual, nan=1.0), 1.0))
 
 
 def _column(rest: Residuals, i: int) -> Residuals:
@@ -297,4 +341,5 @@ def _column(rest: Residuals, i: int) -> Residuals:
         rest.leverage[:, i],
         rest.n_reference,
         rest.correlation[:, i],
+        rest.usual[:, i],
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.checks import check_number
-from suspnet.types import FloatArray, IntArray
+from suspnet.types import BoolArray, FloatArray, IntArray
 
 ALLOWANCE = 0.5
 """k of the CUSUM, in standard deviations: half of the smallest change that it is best for."""
@@ -22,7 +22,8 @@ DELAY = 10
 """Trips that pass before a trip becomes part of the reference: a change is seen before that."""
 MAX_CORRELATION = 0.6
 """Largest correlation of successive trips that pre-whitening takes away."""
-TINY = np.finfo(float).tiny
+LEAST_SPREAD = 1e-6
+"""Standard deviation that trips have at least, in the unit of the values: smaller is rounding."""
 N_SIMULATED = 8000
 N_MONITORED = 200
 """Healthy histories, and their trips after the reference, from which a threshold is found."""
@@ -45,9 +46,11 @@ class Residuals:
         Variance of that expectation over the variance of a trip: above 1, the covariates are so
         unlike those of the reference that nothing can be expected.
     n_reference : int array of shape (n_trips - n_reference,)
-        Trips in the reference.
+        Trips that are old enough for the reference.
     correlation : array of the shape of `standard`, [-]
         phi.
+    usual : bool array of the shape of `standard`
+        Whether the trip may become part of the reference: |z| is at most ``CLIP``.
     """
 
     standard: FloatArray
@@ -55,19 +58,27 @@ class Residuals:
     leverage: FloatArray
     n_reference: IntArray
     correlation: FloatArray
+    usual: BoolArray
 
 
 def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
     """Return the deviation of each trip from a reference that grows with the history.
 
-    Trip t is compared with the trips before t - ``DELAY``, with the first `n_reference` at least.
+    Trip t is compared with the j trips before t - ``DELAY``, with the first `n_reference` at least.
     With x the row (1, covariates), trips follow y_t = x_t' b + r_t and r_t = phi r_(t-1) + e_t:
 
     - phi is the posterior mean, with equal prior weights on 0 to ``MAX_CORRELATION``, given the
-      first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j;
-    - b and the variance s^2 of e are those of least squares on x_t - phi x_(t-1);
-    - the standardised e_t, over s and the uncertainty of b, follows Student's t and is turned into
-      a standard normal by z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), nu degrees of freedom.
+      first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j and
+      whose variance is (1 - phi^2) / j;
+    - b and the variance s^2 of e are those of least squares on x_t - phi x_(t-1), s^2 at least
+      ``LEAST_SPREAD``^2 j / nu;
+    - e_t over s and the uncertainty of b follows Student's t and is turned into a standard normal
+      by z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), nu = j - 1 less the length of x (Abramowitz
+      and Stegun, 26.7.8).
+
+    A later trip with |z| above ``CLIP`` never becomes part of the reference, as one outlier there
+    would hide changes: its x and y count as zeros, and not in j. A change of that size has raised
+    its alarm before.
 
     Parameters
     ----------
@@ -88,23 +99,37 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     """
     n_covariates = covariates.shape[-1]
     check_number("n_reference", n_reference, low=max(8, n_covariates + 4), whole=True)
-    ones = np.ones((*values.shape, 1))
-    rows = np.concatenate([ones, covariates, values[..., None]], axis=-1)
-    squares = np.cumsum(rows[..., :, None] * rows[..., None, :], axis=0)
-    products = np.zeros_like(squares)
-    products[1:] = np.cumsum(rows[1:, ..., :, None] * rows[:-1, ..., None, :], axis=0)
-    now = np.arange(n_reference, len(values))
+    centred = values - values[:n_reference].mean(axis=0)
+    rows = np.concatenate([np.ones((*values.shape, 1)), covariates, centred[..., None]], axis=-1)
+    kept = np.ones(values.shape, dtype=bool)
+    # z of a trip needs `kept` of trips DELAY older alone: each turn settles DELAY trips more
+    for _ in range(len(values) // DELAY + 2):
+        rest = _compare(rows, kept, n_reference)
+        if (rest.usual == kept[n_reference:]).all():
+            break
+        kept[n_reference:] = rest.usual
+    return rest
+
+
+def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
+    """Return the residuals of rows (x, y) against those `kept`."""
+    used = rows * kept[..., None]
+    squares = np.cumsum(_outer(used, used), axis=0)
+    products = np.cumsum(_outer(used[1:], used[:-1]), axis=0)
+    now = np.arange(n_reference, len(rows))
     j = np.maximum(n_reference, now - DELAY)
     ends, where = np.unique(j, return_inverse=True)
-    size = ends.reshape(-1, *[1] * (values.ndim - 1)).astype(float)
-    first, last = _outer(rows[:1]), _outer(rows[ends - 1])
-    squares, products = squares[ends - 1], products[ends - 1]
+    size = np.cumsum(kept, axis=0)[ends - 1].astype(float)
+    first, last = _outer(used[:1], used[:1]), _outer(used[ends - 1], used[ends - 1])
+    squares, products = squares[ends - 1], products[ends - 2]
+    least = size * LEAST_SPREAD**2
     try:
         plain = _contrast(squares)
-        lagged = _form(products, plain) / np.maximum(_form(squares, plain), TINY)
-        phi = _posterior_mean(lagged, size)
-        both = products + np.swapaxes(products, -1, -2)
+        phi = _posterior_mean(
+            _form(products, plain) / np.maximum(_form(squares, plain), least), size
+        )
         p = phi[..., None, None]
+        both = products + np.swapaxes(products, -1, -2)
         whitened = (squares - first) - p * both + p**2 * (squares - last)
         contrast = _contrast(whitened)
         inverse = np.linalg.inv(whitened[..., :-1, :-1])
@@ -112,17 +137,16 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
         raise ValueError(
             "covariates of the reference trips must not determine each other"
         ) from None
-    freedom = size - 2 - n_covariates
-    variance = _form(whitened, contrast) / freedom
-    phi = phi[where]
+    freedom = size - rows.shape[-1]
+    variance = np.maximum(_form(whitened, contrast), least) / freedom
+    phi, nu = phi[where], freedom[where]
     step = rows[now] - phi[..., None] * rows[now - 1]
     leverage = _form(inverse[where], step[..., :-1])
-    raw = np.einsum("...i,...i", step, contrast[where])
-    z = raw / np.sqrt(np.maximum(variance[where] * (1 + leverage), TINY))
-    nu = freedom[where]
-    z = z * (1 - 0.25 / nu) / np.sqrt(1 + np.minimum(z, 1e9) ** 2 / (2 * nu))
+    z = np.einsum("...i,...i", step, contrast[where])
+    z = z / np.sqrt(variance[where] * (1 + leverage))
+    standard = z * (1 - 0.25 / nu) / np.sqrt(1 + z**2 / (2 * nu))
     deviations = np.einsum("...i,...i", rows[now], contrast[where])
-    return Residuals(z, deviations, leverage, j, phi)
+    return Residuals(standard, deviations, leverage, j, phi, np.abs(z) <= CLIP)
 
 
 def cusum(standard: FloatArray) -> FloatArray:
@@ -175,7 +199,7 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     peaks = _healthy_peaks(n_reference, float(correlation), seed)
     low, high = CLIP, float(peaks[-1].max())
     shown = max(rate, 20 / (N_SIMULATED * HORIZONS[-1]))
-    for _ in range(40):  # the rate falls with the threshold: bisection to 1e-10 of the range
+    for _ in range(24):  # the rate falls with the threshold: bisection to 1e-7 of the range
         middle = (low + high) / 2
         low, high = (middle, high) if _false_alarms(peaks, middle) > shown else (low, middle)
     return float(high + np.log(shown / rate) / (2 * ALLOWANCE))
@@ -183,9 +207,10 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
 
 def _false_alarms(peaks: NDArray[np.float32], threshold: float) -> float:
     """Return the largest rate of first alarms over the horizons, of the peaks at each trip."""
-    beyond = peaks > threshold
-    monitored = np.cumsum(np.concatenate([np.ones((1, beyond.shape[1]), bool), ~beyond[:-1]]), 0)
-    return max(float(beyond[trips - 1].mean() / monitored[trips - 1].mean()) for trips in HORIZONS)
+    quiet = (peaks <= threshold).sum(axis=0)  # trips before the first alarm
+    return max(
+        float((quiet < trips).mean() / np.minimum(quiet + 1, trips).mean()) for trips in HORIZONS
+    )
 
 
 @functools.lru_cache(maxsize=8)
@@ -224,9 +249,9 @@ def _posterior_mean(lagged: FloatArray, size: FloatArray) -> FloatArray:
     return np.asarray((grid * weights).sum(axis=0) / weights.sum(axis=0))
 
 
-def _outer(rows: FloatArray) -> FloatArray:
-    """Return the product of each row with itself."""
-    return rows[..., :, None] * rows[..., None, :]
+def _outer(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the products of the elements of each two rows."""
+    return left[..., :, None] * right[..., None, :]
 
 
 def _contrast(moments: FloatArray) -> FloatArray:

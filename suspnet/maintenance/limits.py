@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.checks import check_number
-from suspnet.dynamics import PARAMETERS
+from suspnet.dynamics.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.types import BoolArray, IntArray
+
+__all__ = [
+    "DEFAULT_LIMITS",
+    "N_CONFIRMING",
+    "N_LAST",
+    "Judged",
+    "Limits",
+    "Severity",
+    "judge",
+    "read_limits",
+]
 
 N_LAST = 5
 """Number of last trips that are compared with the limits."""
@@ -34,77 +42,6 @@ class Severity(IntEnum):
     def __str__(self) -> str:
         """Return the name in small letters, as it stands in tables."""
         return self.name.lower()
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Values between which a parameter raises no alarm.
-
-    Parameters
-    ----------
-    notice, act : (lower, upper), [-]
-        Relative to healthy; 1 lies between, and `notice` lies within `act`. Lower 0 or upper
-        infinity is no limit on that side.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If they are not such pairs of numbers.
-    """
-
-    notice: tuple[float, float]
-    act: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        for name in ("notice", "act"):
-            pair = tuple(getattr(self, name))
-            if len(pair) != 2:
-                raise TypeError(f"`{name}` must be two numbers, lower and upper, got {pair}")
-            check_number(f"{name}[0]", pair[0], low=0, below=1)
-            if pair[1] != np.inf:
-                check_number(f"{name}[1]", pair[1], above=1)
-            object.__setattr__(self, name, pair)
-        if not (self.act[0] <= self.notice[0] and self.notice[1] <= self.act[1]):
-            raise ValueError(f"limits `notice` {self.notice} must lie within `act` {self.act}")
-
-    def __str__(self) -> str:
-        """Return both in % of healthy."""
-        notice, act = (
-            " to ".join(f"{100 * one:g}" for one in pair) for pair in (self.notice, self.act)
-        )
-        return f"notice beyond {notice} %, act beyond {act} %"
-
-
-SPRING = Limits(notice=(0.9, 1.1), act=(0.8, 1.25))
-DAMPER = Limits(notice=(0.8, 1.25), act=(0.7, 1.4))
-DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
-"""Limits of each parameter; configs/evaluate.yaml holds the same and says why."""
-
-
-def read_limits(given: Mapping[str, Any]) -> dict[str, Limits]:
-    """Return the limits of each parameter of a configuration; null means that it has none.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a name is unknown or an entry is not a pair of limits; the message names the parameter.
-    """
-    limits: dict[str, Limits] = {}
-    for name, entry in given.items():
-        if name not in PARAMETERS:
-            raise ValueError(f"`limits` must be named as in {PARAMETERS}, got {name!r}")
-        if entry is None:
-            continue
-        if isinstance(entry, Limits):
-            limits[name] = entry
-            continue
-        if not isinstance(entry, Mapping) or set(entry) != {"notice", "act"}:
-            raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
-        try:
-            limits[str(name)] = Limits(*(entry[key] for key in ("notice", "act")))
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"`limits.{name}`: {error}") from None
-    return limits
 
 
 @dataclass(frozen=True)

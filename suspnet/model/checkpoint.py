@@ -102,6 +102,8 @@ def _described(model: TrainedModel) -> dict[str, Any]:
         "training": model.training,
     }
     plain: dict[str, Any] = _plain(description)
+    if model.vehicle.limits is None:
+        del plain["generator"]["vehicle"]["limits"]  # as models of before have none
     return plain
 
 

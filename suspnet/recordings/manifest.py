@@ -59,6 +59,9 @@ MIDDLE = "middle"
 HIGHEST_KM = 1e9
 """Mileage that no vehicle reaches [km]."""
 
+TEMPERATURES_C = (-60.0, 60.0)
+"""Temperatures outside that a train meets [°C]."""
+
 
 @dataclass(frozen=True, order=True)
 class Place:
@@ -201,6 +204,8 @@ class TripManifest:
         One of ``BOGIES`` and one of ``SIDES``; None where it is not said.
     train, car : str, optional
         In free text.
+    temperature_c : float, optional, [°C]
+        Of the air outside, along the trip.
     """
 
     path: Path
@@ -216,6 +221,7 @@ class TripManifest:
     side: str | None = None
     train: str | None = None
     car: str | None = None
+    temperature_c: float | None = None
 
     @property
     def place(self) -> Place:

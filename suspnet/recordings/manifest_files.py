@@ -26,6 +26,7 @@ from suspnet.recordings.manifest import (
     MIDDLE,
     SIDES,
     SPEED_UNITS,
+    TEMPERATURES_C,
     TIME_UNITS,
     Channel,
     CsvDialect,
@@ -129,6 +130,7 @@ def write_manifest(manifest: TripManifest) -> Path:
         "car": manifest.car,
         "mileage_km": manifest.mileage_km,
         "start": manifest.start,
+        "temperature_c": manifest.temperature_c,
         "speed": _without_none(asdict(speed)) if isinstance(speed, SpeedSource) else speed,
         "channels": channels,
         "truth": manifest.truth or None,
@@ -179,7 +181,7 @@ _SOURCE = ("unit", "column", "rate_hz", "time", "start_s", "time_unit", "time_zo
 def _parse(path: Path, content: Any) -> TripManifest:
     """Return the manifest of a YAML file's content."""
     required = ("format", "vehicle", "suspension", "mileage_km", "speed", "channels")
-    optional = ("start", "truth", "bogie", "side", "train", "car")
+    optional = ("start", "truth", "bogie", "side", "train", "car", "temperature_c")
     top = CheckedMapping(path, "", content, required, optional)
     found = top.read(
         {
@@ -195,6 +197,7 @@ def _parse(path: Path, content: Any) -> TripManifest:
             "side": lambda: top.choice("side", SIDES),
             "train": lambda: top.text("train").strip(),
             "car": lambda: top.text("car").strip(),
+            "temperature_c": lambda: _parse_temperature(top),
         }
     )
     del found["format"]
@@ -231,6 +234,16 @@ def _parse_mileage(top: CheckedMapping) -> float:
     if mileage >= HIGHEST_KM:
         raise top.refuse("mileage_km", f"below {HIGHEST_KM:g}")
     return mileage
+
+
+def _parse_temperature(top: CheckedMapping) -> float:
+    """Return the temperature outside [°C]."""
+    low, high = TEMPERATURES_C
+    rule = f"a number from {low:g} to {high:g}"
+    temperature = top.number("temperature_c", rule)
+    if not low <= temperature <= high:
+        raise top.refuse("temperature_c", rule)
+    return temperature
 
 
 def _parse_start(top: CheckedMapping) -> datetime:

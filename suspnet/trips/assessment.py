@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
+from suspnet.maintenance.watch import beside
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
 
@@ -57,12 +60,18 @@ class Assessment:
         The reason.
     limited : bool
         The parameter has limits.
+    alarms : tuple of Alarm
+        That stand.
+    life : Life, optional
+        Mileage until the act limit; None if too few trips tell it.
     """
 
     trend: Trend
     severity: Severity
     words: str
     limited: bool = True
+    alarms: tuple[Alarm, ...] = ()
+    life: Life | None = None
 
     @property
     def parameter(self) -> str:
@@ -99,11 +108,14 @@ def last_trips(
     return LastTrips(centre[last], low, high, doubtful[last], everywhere)
 
 
-def assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
+def assess(
+    trend: Trend, last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm] = ()
+) -> Assessment:
     """Return how severe it is what the trips show of one parameter, and why.
 
-    The severity is that of ``judge``, of the last trips alone. If all trips are flagged, they speak
-    against the model rather than the vehicle: then it is a notice at most, and unknown at least.
+    The severity is that of ``judge``, of the last trips alone, or that of an alarm that stands if
+    that is worse. If all trips are flagged, they speak against the model rather than the vehicle:
+    then it is a notice at most, and unknown at least.
 
     Parameters
     ----------
@@ -112,7 +124,22 @@ def assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
     last : LastTrips
     limits : Limits or None
         None: no value is alarming, as of the pay-load.
+    alarms : sequence of Alarm
+        Of the parameter, that stand.
     """
+    found = _assess(trend, last, limits)
+    worst = max((one.severity for one in alarms), default=Severity.NONE)
+    if worst <= found.severity:
+        return replace(found, alarms=tuple(alarms))
+    why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
+    since = f"alarm since {_thousands(why.begin_km)}"
+    told = why.cause == Cause.CHANGE and trend.changed
+    words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
+    return replace(found, severity=worst, words=words, alarms=tuple(alarms))
+
+
+def _assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
+    """Return the assessment by the limits."""
     if len(last.values) == 0:
         severity = Severity.UNKNOWN if limits else Severity.NONE
         return Assessment(trend, severity, "no trip with an estimate", bool(limits))
@@ -180,13 +207,13 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
     if count >= N_CONFIRMING and run < count:
         out = last.values[side * (last.values - limit) > 0]
-        where = _at(np.median(out), limit)
+        where = beside(np.median(out), limit)
         words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
-        return words if run else f"{words}; the last trip is {_at(last.values[-1], limit)}"
+        return words if run else f"{words}; the last trip is {beside(last.values[-1], limit)}"
     trips, it, are, its = ("trip", "it", "is", "its interval reaches")
     if run > 1:
         trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
-    where = _at(np.median(last.values[n_last - run :]), limit)
+    where = beside(np.median(last.values[n_last - run :]), limit)
     words = f"the last {trips} {are} {where} of healthy, {beyond}"
     if judged.weak and last.flagged[n_last - run :].any():
         return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
@@ -292,14 +319,6 @@ def _is(n: int) -> str:
     return "is" if n == 1 else "are"
 
 
-def _at(value: float, limit: float) -> str:
-    """Return a level in %, with as many digits as tell it from a limit."""
-    digits = 0
-    while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
-        digits += 1
-    return f"at {100 * value:.{digits}f} %"
-
-
 def _percent(value: float) -> str:
     """Return the size of a change in %, with digits by its size."""
     size = abs(value)
@@ -310,4 +329,9 @@ def _percent(value: float) -> str:
 def _km(step: Step) -> str:
     """Return the mileage, rounded to the power of ten below the distance between the trips."""
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return f"{round(step.mileage_km, -digits):,.0f} km".replace(",", " ")
+    return _thousands(round(step.mileage_km, -digits))
+
+
+def _thousands(km: float) -> str:
+    """Return a mileage in words."""
+    return f"{km:,.0f} km".replace(",", " ")

@@ -10,7 +10,7 @@ import numpy as np
 
 from suspnet.history import Event, History
 from suspnet.history.records import ERROR, OK, TripResult
-from suspnet.history.store import trip_key
+from suspnet.history.rows import trip_key
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import Place
 from suspnet.trips.commissionings import since_km

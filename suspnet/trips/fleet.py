@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import operator
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,9 +18,14 @@ from tqdm import tqdm
 from suspnet._version import __version__
 from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
+from suspnet.dynamics.limits import PARAMETERS, TIGHTEST, limits_words
 from suspnet.history import Event, History
-from suspnet.history.records import TripResult, first_trips, relative_to_first
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity, read_limits
+from suspnet.history.records import ERROR, TripResult, first_trips, relative_to_first
+from suspnet.maintenance.alarms import Acknowledgement
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.forecast import remaining_lives
+from suspnet.maintenance.limits import Limits, Severity, read_limits
+from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
@@ -41,6 +47,7 @@ from suspnet.trips.overview import Evaluated, write_overview
 from suspnet.trips.places import Group, find_groups
 from suspnet.trips.trend import LEAST_PERCENT, flagged_trend
 from suspnet.trips.trip import evaluate_trip, lost_trip
+from suspnet.trips.watching import watch_trips
 from suspnet.workers import LostWorkerError, each
 
 try:
@@ -53,6 +60,8 @@ else:
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
+OVERRIDDEN = "set for this evaluation"
+"""Reason of limits that are given as a setting without one."""
 UNKNOWN_HEALTHY = "healthy is not known yet"
 
 
@@ -67,9 +76,12 @@ class FleetSettings:
         Healthy values: the vehicle's parameters, or the median of its first trips.
     n_reference : int
         Number of first trips.
-    limits : mapping
-        From a parameter to its `notice` and `act`, each [lower, upper] relative to healthy; a
-        parameter that is not there, or null, raises no alarm.
+    limits : mapping, optional
+        In place of the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
+        relative to healthy, and `why`. What is not there or None is as the vehicle's; a parameter
+        that is None raises no alarm.
+    changes : ChangeSettings
+        How changes are looked for.
     workers : int
         Local processes.
     cluster : str, optional
@@ -87,15 +99,30 @@ class FleetSettings:
     n_reference: int = 5
     workers: int = 1
     cluster: str | None = None
-    limits: Mapping[str, Any] = field(default_factory=lambda: dict(DEFAULT_LIMITS))
+    limits: Mapping[str, Any] | None = None
+    changes: ChangeSettings = field(default_factory=ChangeSettings)
 
     def __post_init__(self) -> None:
         check_choice("reference", self.reference, ("vehicle", "first_trips"))
         for name in ("n_reference", "workers"):
             check_number(name, getattr(self, name), low=1, most=1024, whole=True)
-        object.__setattr__(self, "limits", read_limits(self.limits))
+        any_limits = dict.fromkeys(PARAMETERS, TIGHTEST)
+        read_limits(self.limits or {}, any_limits)  # whatever the vehicle's are
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
+
+    def limits_of(self, models: Sequence[TrainedModel]) -> dict[str, Limits]:
+        """Return the limits of each parameter that has any: these, or the vehicle's.
+
+        Of models of several commissionings, those of the last one count.
+
+        Raises
+        ------
+        ValueError
+            If these and those do not go together.
+        """
+        vehicle = eras(models)[-1][0].vehicle
+        return read_limits(self.limits or {}, vehicle.known_limits, OVERRIDDEN)
 
 
 def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
@@ -202,8 +229,9 @@ def evaluate_fleet(
     ModelFileError
         If a model cannot read trips.
     ValueError
-        If no suspension could be read.
+        If no suspension could be read, or the limits do not go together.
     """
+    settings.limits_of(models)
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
         return [_evaluate_group(groups[0], models, output, settings, progress, store)]
@@ -239,6 +267,7 @@ def _evaluate_group(
 ) -> Evaluated:
     """Evaluate one suspension's trips and write tables, figures and report."""
     fitting = models_of(models, group.place)
+    limits = settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
     outputs = fitting[0].task.outputs
@@ -257,22 +286,31 @@ def _evaluate_group(
     states = commissionings(fitting, results)
     results = with_truth_of_each(results, states)
     write_tables(results, outputs, output)
-    recent = between(events, of_last_era(results, states))[-1]
-    found = _assessments(recent, outputs, fitting, settings.limits)
+    era = of_last_era(results, states)
+    recent = between(events, era)[-1]
+    least = _least_percent(outputs, fitting)
+    watched = watch_trips(era, events, outputs, limits, settings.changes, least)
+    seen: list[Acknowledgement] = []
+    if store is not None and any(r.status != ERROR for r in results):
+        store.keep_alarms(fitting[0].vehicle.name, group.place, watched.alarms)
+        seen = store.acknowledgements(fitting[0].vehicle.name, group.place)
+    found = _assessments(recent, outputs, least, limits, watched)
     missing = _missing_reference(settings, recent)
     if missing:
         log.warning("%s: %s", group.folder, missing)
         found = [_without_reference(one) for one in found]
     details = _details(group.folder, fitting, settings, results)
+    details["alarms of changes"] = armed = detector_words(watched.changes, settings.changes)
     partial = partial_words(group.folder)
     if partial:
         log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
         details["trips"] += f" ({partial})"
     if store is not None:
         details["history"] = printable(str(store))
-    options = settings.trips.level, settings.limits, states, events
+    options = settings.trips.level, limits, states, events, watched.alarms, seen
     write_pages(results, outputs, found, output, details, *options)
-    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, spoken(found), output)
+    words = f"{spoken(found)}\nAlarms of changes: {armed}."
+    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
     return Evaluated(group.name, group.place, results, found)
 
 
@@ -332,23 +370,37 @@ def _read_by_workers(
                 yield trips[future], LostWorkerError(str(error))
 
 
+def _least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
+    """Return the smallest change of each parameter, in %, that the models can resolve."""
+    rms = {
+        name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
+        for name in outputs
+    }
+    return {name: max(LEAST_PERCENT, RESOLVED * one) for name, one in rms.items()}
+
+
 def _assessments(
     results: Sequence[TripResult],
     outputs: tuple[str, ...],
-    models: Sequence[TrainedModel],
+    least_percent: Mapping[str, float],
     limits: Mapping[str, Limits],
+    watched: Watched,
 ) -> list[Assessment]:
     """Return each parameter's assessment; a change that the models cannot resolve is none."""
     mileage = np.array([r.mileage_km for r in results])
     flagged = np.array([bool(r.flags) for r in results])
+    estimates, half_widths = (
+        {name: [part(r).get(name, np.nan) for r in results] for name in outputs}
+        for part in (operator.attrgetter("estimates"), operator.attrgetter("half_widths"))
+    )
+    lives = remaining_lives(mileage, estimates, half_widths, flagged, limits, watched.passed)
     found = []
     for name in outputs:
-        rms = max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
-        least = max(LEAST_PERCENT, RESOLVED * rms)
-        values = np.array([r.estimates.get(name, np.nan) for r in results])
-        trend = flagged_trend(name, mileage, values, flagged, least_percent=least)
+        values = np.array(estimates[name])
+        trend = flagged_trend(name, mileage, values, flagged, least_percent=least_percent[name])
         last = last_trips(mileage, values, [r.interval(name) for r in results], flagged)
-        found.append(assess(trend, last, limits.get(name)))
+        one = assess(trend, last, limits.get(name), watched.standing(name))
+        found.append(replace(one, life=lives.get(name)))
     return found
 
 
@@ -383,7 +435,7 @@ def _details(
         f"{trained.segment_s:g} s",
         "healthy is": reference,
         "intervals": _interval_words(first, settings.trips.level),
-        "limits": "; ".join(f"{name}: {one}" for name, one in settings.limits.items()) or "none",
+        "limits": limits_words(settings.limits_of(models)),
     }
 
 

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 
 from suspnet.history import Event
 from suspnet.history.records import TripResult
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
 from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
@@ -26,6 +28,8 @@ ANEW = "commissioned anew; % is of the first healthy values"
 MAINTENANCE = "maintenance"
 LEAST_SPAN_PERCENT = 2.0
 """Least span of a parameter's axis, in %, so that spread does not look like change."""
+AHEAD = 0.5
+"""Share of the mileage so far that a figure shows of what is to come, at most."""
 MARGIN = 0.05
 """Share of the span that stays free above and below."""
 
@@ -37,6 +41,8 @@ def health_trend(
     limits: Mapping[str, Limits] | None = None,
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
+    lives: Mapping[str, Life] | None = None,
 ) -> Figure:
     """Each parameter in % of healthy along the mileage (Fig. 10).
 
@@ -61,6 +67,11 @@ def health_trend(
         relative to the first, and limits are those of the last.
     events : sequence of Event
         Maintenance: a dotted vertical line each.
+    alarms : sequence of Alarm
+        A triangle at the top where each began, in the colour of its severity's limit.
+    lives : mapping of Life, optional
+        A bar at the bottom, from where to where the act limit is passed with 80 % probability, as
+        far as it reaches into the figure, which grows by half of its mileage at most.
     """
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * len(outputs)), layout="constrained")
     axes: list[Axes] = list(figure.subplots(len(outputs), 1, sharex=True, squeeze=False)[:, 0])
@@ -82,6 +93,9 @@ def health_trend(
             axis.axvline(state.since_km / 1000, color="0.3", lw=0.9, ls="-.", label=ANEW)
         for event in events:
             axis.axvline(event.mileage_km / 1000, color="0.3", lw=0.9, ls=":", label=MAINTENANCE)
+        _mark_alarms(axis, [one for one in alarms if one.parameter == name])
+    if len(mileage):
+        _draw_lives(dict(zip(outputs, axes, strict=True)), mileage, lives or {})
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
     _legend(figure, axes, len(results) - len(placed))
@@ -210,6 +224,43 @@ def _mark_missing(axis: Axes, mileage: FloatArray) -> None:
             clip_on=False,
             label="trip without an estimate",
         )
+
+
+def _mark_alarms(axis: Axes, alarms: Sequence[Alarm]) -> None:
+    """Mark the begin of each alarm at the top of the axis."""
+    for one in alarms:
+        axis.plot(
+            one.begin_km / 1000,
+            1,
+            "v",
+            ms=7,
+            color=LIMIT_COLOURS[str(one.severity)],
+            transform=axis.get_xaxis_transform(),
+            clip_on=False,
+            label=f"{one.severity}: an alarm begins",
+        )
+
+
+def _draw_lives(axes: Mapping[str, Axes], mileage: FloatArray, lives: Mapping[str, Life]) -> None:
+    """Draw when the act limits will be passed, and make room for it."""
+    last = float(mileage.max())
+    most = last + AHEAD * (last - float(mileage.min()))
+    ends = {name: last + np.array(life.interval_km()) / 1000 for name, life in lives.items()}
+    shown = {name: end for name, end in ends.items() if last < end[1] and end[0] < most}
+    for name, (low, high) in shown.items():
+        axes[name].plot(
+            [low, min(high, most)],
+            [0.06, 0.06],
+            color=LIMIT_COLOURS["act"],
+            lw=5,
+            alpha=0.5,
+            solid_capstyle="butt",
+            transform=axes[name].get_xaxis_transform(),
+            label="act limit will be passed (80 %)",
+        )
+    if shown:
+        for axis in axes.values():
+            axis.set_xlim(right=min(most, max(min(end[1], most) for end in shown.values())))
 
 
 def _percent(ratios: Sequence[Any]) -> FloatArray:

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +17,8 @@ from tabulate import tabulate
 
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
@@ -156,6 +159,8 @@ def write_pages(
     limits: Mapping[str, Limits],
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
+    seen: Sequence[Acknowledgement] = (),
 ) -> None:
     """Write figures, TensorBoard events, metrics.json and report.html.
 
@@ -164,7 +169,14 @@ def write_pages(
     done = [r for r in results if r.status == OK]
     drawn = {
         "trend": health_trend(
-            relative_to_first_healthy(results, states), outputs, level, limits, states, events
+            relative_to_first_healthy(results, states),
+            outputs,
+            level,
+            limits,
+            states,
+            events,
+            alarms,
+            {one.parameter: one.life for one in assessments if one.life},
         ),
         "responses": figures.trip_responses(results),
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
@@ -189,13 +201,20 @@ def write_pages(
         "n_flagged": sum(bool(r.flags) for r in results),
         "rms_error_percent": errors,
         "coverage_percent": coverage_percent(results, outputs),
+        "limits": {name: one.to_dict() for name, one in limits.items()},
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
+            | {"life": _life_row(one.life)}
             for one in assessments
         ],
         "commissionings": [asdict(one) for one in states],
         "maintenance": [asdict(one) for one in events],
+        "alarms": [
+            asdict(one)
+            | {"severity": str(one.severity), "end_km": None if one.is_open else one.end_km}
+            for one in alarms
+        ],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
@@ -211,4 +230,17 @@ def write_pages(
         limits,
         states,
         events,
+        alarms,
+        seen,
     )
+
+
+def _life_row(life: Life | None) -> dict[str, Any] | None:
+    """Return a remaining life as JSON holds it, null where it has no end."""
+    if life is None:
+        return None
+    ends = dict(zip(("low", "high"), life.interval_km(), strict=True))
+    ends["median"] = life.quantile_km(0.5)
+    return {"model": life.model} | {
+        f"{name}_km": km if np.isfinite(km) else None for name, km in ends.items()
+    }

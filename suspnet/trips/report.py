@@ -21,6 +21,8 @@ from matplotlib.figure import Figure
 from suspnet.dynamics.vehicle import UNITS
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits, Severity
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
@@ -107,6 +109,8 @@ def write_report(
     limits: Mapping[str, Limits] | None = None,
     states: Sequence[Commissioning] = (),
     events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
+    seen: Sequence[Acknowledgement] = (),
 ) -> Path:
     """Write one HTML file that needs no other file and no network.
 
@@ -133,6 +137,10 @@ def write_report(
         Several healthy states; `assessments` are of the trips since the last.
     events : sequence of Event
         Maintenance; `assessments` are of the trips since the last.
+    alarms : sequence of Alarm
+        Those that stand and those that ended.
+    seen : sequence of Acknowledgement
+        Of these.
 
     Returns
     -------
@@ -166,6 +174,10 @@ def write_report(
         told=told,
         assessments=assessments,
         limits=limits or {},
+        alarms=[
+            (one, newest_of(one, seen))
+            for one in sorted(alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
+        ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         trips=trips,
         anew=_anew(states, events),
@@ -209,6 +221,8 @@ def render(template: str, package: str = "suspnet.trips", **values: Any) -> str:
         "range": _range,
         "si": _si,
         "unbroken": _unbroken,
+        "to_go": _to_go,
+        "rounded": _rounded,
     }
     labels = {str(severity): label for severity, label in SEVERITIES.items()}
     return environment.get_template(template).render(labels=labels, **values)
@@ -351,6 +365,24 @@ def _thousands(value: float) -> str:
     if not math.isfinite(value):
         return NO_NUMBER
     return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+
+
+def _to_go(life: Life | None) -> Markup:
+    """Return how far it is to the act limit, with the 80 % interval in small print; or a dash."""
+    if life is None:
+        return Markup(NO_NUMBER)
+    low, high = life.interval_km()
+    if not math.isfinite(low):
+        return Markup("no end in sight")
+    if high == 0:
+        return Markup("passed")
+    ends = [_rounded(km) for km in (life.quantile_km(0.5), low, high)]
+    return Markup("{}<small>{} to {}</small>").format(*ends)
+
+
+def _rounded(km: float) -> str:
+    """Return a mileage in words, with two digits that count."""
+    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 
 def _symbol(name: str) -> Markup:

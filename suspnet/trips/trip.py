@@ -81,6 +81,7 @@ def _described(result: TripResult, manifest: TripManifest) -> TripResult:
         mileage_km=manifest.mileage_km,
         start=manifest.start.isoformat() if manifest.start else "",
         truth=dict(manifest.truth),
+        temperature_c=np.nan if manifest.temperature_c is None else manifest.temperature_c,
     )
 
 

@@ -24,8 +24,8 @@ WITH_PROTOCOL = ("group", "groups", "tuned")
 """Keys beside `protocol` that the options of that group set."""
 OF_OTHER_GROUPS = ("experiment", "ablation")
 """Groups whose options set keys of other groups only."""
-NOT_COMPARED = ("name", "source")
-"""Last names of keys that differ between options anyhow."""
+NOT_COMPARED = ("name", "source", "limits")
+"""Names of keys that differ between options anyhow, or are explained as a whole."""
 LAUNCHER = CONFIGS / "hydra" / "launcher" / "slurm.yaml"
 
 
@@ -190,7 +190,7 @@ def differing(options: Mapping[str, tuple[Reference, list[Key]]]) -> list[list[s
     return [
         [f"`{row[0]}`", *map(code, row[1:])]
         for row in rows
-        if len(set(row[1:])) > 1 and row[0].rpartition(".")[2] not in NOT_COMPARED
+        if len(set(row[1:])) > 1 and not set(row[0].split(".")) & set(NOT_COMPARED)
     ]
 
 

@@ -90,7 +90,7 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
         parameters.pop("folder", None)  # which the program gives a study
-        optional = GEOMETRY if target is Vehicle else ()
+        optional = (*GEOMETRY, "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:
             continue
@@ -100,6 +100,8 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
                 continue
             if isinstance(value, dict) and not defaults[key]:
                 continue  # spelled out; nothing stands for the same, see the next tests
+            if isinstance(value, dict) and "_target_" in value:
+                continue  # an object of its own, which is checked by itself
             if target is VerticalVehicle and key == "parts" and value:
                 continue  # what generator=family is there to change, see below
             if (target.__name__, key) != ("FleetSettings", "workers"):  # none unasked in a library

@@ -6,9 +6,12 @@ from trip_records import fleet, trip
 
 from suspnet.cli.history import history, main, parser
 from suspnet.history import History, HistoryError
+from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import Place
 
 PLACE = Place("bogie 1, left")
+OTHER = Place("x", "leading", train="4", car="7")
 WHERE = ["--vehicle", "AM96 217", "--suspension", PLACE.suspension]
 
 
@@ -17,7 +20,7 @@ def path(tmp_path):
     found = tmp_path / "history.db"
     with History(found) as store:
         store.write([*fleet(5, missing=(2,), with_curves=False)])
-        store.write([trip(0, with_curves=False, place=Place("x", "leading", train="4", car="7"))])
+        store.write([trip(0, with_curves=False, place=OTHER)])
     return found
 
 
@@ -35,10 +38,66 @@ def test_list_names_each_suspension_with_trips_and_maintenance(path, capsys):
     assert "train 4, car 7, x, leading bogie" in said
 
 
-def test_export_writes_every_trip_and_event(path, tmp_path, capsys):
+@pytest.fixture
+def alarmed(path):
+    """A store with an alarm that is over, one that is open, and a worse one elsewhere."""
+    with History(path) as store:
+        over = Alarm("c_p", Cause.LIMIT, Severity.NOTICE, 1e4, 2e4, "below")
+        store.keep_alarms(
+            "AM96 217",
+            PLACE,
+            [over, Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 3e4, words="fell")],
+        )
+        worse = Alarm("k_p", Cause.LIMIT, Severity.ACT, 1e4, words="far below")
+        store.keep_alarms("AM96 217", OTHER, [worse])
+    return path
+
+
+def test_alarms_are_listed_worst_first_with_who_has_seen_them(alarmed, capsys):
+    seen = ("acknowledge", *WHERE, "--parameter", "k_p", "--by", "Kim", "--words", "ordered")
+    run(alarmed, *seen, "--cause", "change")
+    assert capsys.readouterr().out == (
+        "bogie 1, left: k_p (change, notice) acknowledged by Kim at 50 000 km\n"
+    )
+    run(alarmed, "alarms")
+    _, _, *rows = capsys.readouterr().out.splitlines()
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert [row[0] for row in cells] == ["act", "notice"]
+    assert cells[0][2:7] == [str(OTHER), "k_p", "limit", "10 000", "far below"]
+    assert cells[0][7] == ""
+    assert cells[1][5:7] == ["30 000", "fell"]
+    assert cells[1][7].startswith("Kim, 20")
+    assert cells[1][7].endswith(": ordered")
+    run(alarmed, "alarms", "--all")
+    assert "| 10 000 to 20 000 | below" in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_no_alarm_is_said(path, capsys):
+    run(path, "alarms")
+    assert capsys.readouterr().out == "no open alarm\n"
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        (["--parameter", "c_p"], "bogie 1, left has no open alarm of c_p; suspnet-history"),
+        (["--parameter", "k_p", "--cause", "limit"], "open alarm of k_p with cause limit"),
+    ],
+)
+def test_an_alarm_that_is_not_open_cannot_be_acknowledged(chosen, message, alarmed):
+    with pytest.raises(HistoryError, match=message):
+        run(alarmed, "acknowledge", *WHERE, *chosen, "--by", "Kim")
+    with History(alarmed) as store:
+        assert store.all_acknowledgements() == {}
+
+
+def test_export_writes_all_that_is_kept(alarmed, tmp_path, capsys):
+    path = alarmed
     run(path, "event", *WHERE, "--at-km", "30000", "--kind", "reprofiled")
+    run(path, "acknowledge", *WHERE, "--parameter", "k_p", "--by", "Kim")
+    capsys.readouterr()
     run(path, "export", str(tmp_path / "tables"))
-    assert "6 trips and 1 events" in capsys.readouterr().out
+    assert "6 trips, 1 events, 3 alarms and 1 acknowledgements -> " in capsys.readouterr().out
     trips = pq.read_table(tmp_path / "tables" / "trips.parquet").to_pylist()
     with History(path) as store:
         expected = [r.estimates.get("k_p") for r in store.read("AM96 217", PLACE)]
@@ -47,6 +106,10 @@ def test_export_writes_every_trip_and_event(path, tmp_path, capsys):
     assert {row["train"] for row in trips} == {"", "4"}
     (event,) = pq.read_table(tmp_path / "tables" / "events.parquet").to_pylist()
     assert (event["kind"], event["mileage_km"]) == ("reprofiled", 30_000.0)
+    alarms = pq.read_table(tmp_path / "tables" / "alarms.parquet").to_pylist()
+    assert [row["severity"] for row in alarms] == ["notice", "notice", "act"]
+    (seen,) = pq.read_table(tmp_path / "tables" / "acknowledgements.parquet").to_pylist()
+    assert (seen["by"], seen["cause"], seen["at_km"]) == ("Kim", "change", 50_000.0)
 
 
 def test_maintenance_of_an_unknown_suspension_is_refused(path):

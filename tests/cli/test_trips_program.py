@@ -267,6 +267,13 @@ def test_limits_are_set_from_the_command_line(run, fleets, tmp_path):
     assert words.startswith("error: `limits.k_s`: `act[0]` must be a finite number")
 
 
+def test_wrong_limits_of_a_vehicle_name_file_and_key(tmp_path):
+    given = ["experiment=trips", "vehicle.limits.k_s.act=[1.2,1.6]"]
+    words = run_program(train, tmp_path / "run", *given)
+    assert words.startswith("error: vehicle/am96.yaml: `limits.k_s`: `act[0]` must be a finite")
+    assert not (tmp_path / "run" / "config.yaml").exists()
+
+
 @pytest.mark.parametrize(
     ("names", "codes", "worst"),
     [

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle
+from suspnet.dynamics.limits import DEFAULT_LIMITS
 
 NUMBERS = {
     "bogie_mass_kg": 1725.0,
@@ -162,3 +163,30 @@ def test_degraded_rejects_unknown_names(am96):
 def test_degraded_rejects_a_negative_ratio(am96):
     with pytest.raises(ValueError, match="`primary_stiffness_n_per_m` must be a finite number > 0"):
         am96.degraded(k_p=-0.5)
+
+
+def test_limits_are_checked_and_named():
+    with pytest.raises(ValueError, match=r"`limits\.k_p`: `act\[0\]` must be a finite number >= 0"):
+        Vehicle("wrong", **NUMBERS, limits={"k_p": {"act": [1.2, 1.6]}})
+    with pytest.raises(TypeError, match="`limits` must map parameters to their limits"):
+        Vehicle("wrong", **NUMBERS, limits=[0.9, 1.1])
+
+
+def test_limits_are_plain_and_no_part_of_what_a_vehicle_is():
+    rules = {
+        "k_p": {"notice": [0.95, 1.05], "why": "rule 7"},
+        "c_p": {"act": [0.5, None]},
+        "k_s": None,
+    }
+    plain, limited = Vehicle("one", **NUMBERS), Vehicle("one", **NUMBERS, limits=rules)
+    assert plain == limited
+    assert hash(plain) == hash(limited)
+    assert limited.limits["k_p"] == {"notice": [0.95, 1.05], "act": [0.8, 1.25], "why": "rule 7"}
+    assert limited.limits["c_p"]["act"] == [0.5, None]
+    assert limited.limits["k_s"] is None
+    assert list(limited.known_limits) == ["k_p", "c_p", "c_s"]
+    assert limited.known_limits["c_p"].why == "the file of vehicle one"
+    assert plain.known_limits == DEFAULT_LIMITS
+    again = Vehicle("one", **NUMBERS, limits=limited.limits)
+    assert again.limits == limited.limits
+    assert limited.degraded(k_p=0.5).limits == limited.limits

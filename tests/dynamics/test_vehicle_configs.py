@@ -7,6 +7,7 @@ import pytest
 
 from suspnet.cli.configs import CONFIGS, read_vehicles
 from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.dynamics.limits import DEFAULT_LIMITS
 from suspnet.dynamics.vehicle import GEOMETRY
 
 VEHICLES = read_vehicles()
@@ -50,6 +51,14 @@ def test_reduced_vehicles_state_what_they_are_reduced_from():
 def test_vehicle_is_named_as_its_file_and_sourced(name):
     assert VEHICLES[name].name == name
     assert VEHICLES[name].source.strip()
+
+
+def test_shipped_limits_are_the_defaults_with_a_reason(name):
+    found = VEHICLES[name].known_limits
+    pairs = {key: (one.notice, one.act) for key, one in found.items()}
+    assert pairs == {key: (one.notice, one.act) for key, one in DEFAULT_LIMITS.items()}
+    assert all(one.why for one in found.values())
+    assert (VEHICLES[name].limits is None) == (name != "am96")
 
 
 def test_geometry_is_complete_or_absent(name):

@@ -16,12 +16,20 @@ from trip_records import fleet, trip
 from suspnet.history import Event, History, HistoryError
 from suspnet.history.records import TripResult
 from suspnet.history.schema import metadata
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import Place
 
 SERVER = "SUSPNET_TEST_POSTGRESQL"
 """Environment variable with the URL of a database that the tests may empty."""
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"
+ALARMS = [
+    Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 10_000.0, words="k_p fell"),
+    Alarm("k_p", Cause.LIMIT, Severity.ACT, 20_000.0, 30_000.0),
+    Alarm("c_s", Cause.LIMIT, Severity.ACT, 20_000.0),
+]
+SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -55,10 +63,15 @@ def same(one, other):
     return repr(texts[0]) == repr(texts[1])
 
 
-def write_many(path, worker, n_trips):
-    with History(path) as store:
+def write_many(place, worker, n_trips):
+    """Write trips of its own, those of the other worker, alarms and acknowledgements."""
+    both = [trip(1000 * w, with_curves=False, place=Place(str(w))) for w in range(2)]
+    with History(place) as store:
         for i in range(n_trips):
             store.write([trip(1000 * worker + i, with_curves=False)])
+            store.write(both[:: 1 - 2 * worker])
+            store.keep_alarms(VEHICLE, PLACE, ALARMS)
+            store.acknowledge(VEHICLE, PLACE, [replace(SEEN, by=f"{worker}", at_km=float(i))])
 
 
 # reference
@@ -130,19 +143,22 @@ def test_trips_of_the_same_name_on_other_days_are_others(store):
     assert len(store.read(VEHICLE, PLACE)) == 3
 
 
-def test_programs_that_write_at_once_lose_nothing(tmp_path):
-    path, context = tmp_path / "history.db", multiprocessing.get_context("spawn")
-    workers = [context.Process(target=write_many, args=(path, i, 10)) for i in range(2)]
+def test_programs_that_write_at_once_lose_nothing(store):
+    place = store._url.render_as_string(hide_password=False).removeprefix("sqlite:///")
+    context = multiprocessing.get_context("spawn")
+    workers = [context.Process(target=write_many, args=(place, i, 10)) for i in range(2)]
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join(120)
         assert worker.exitcode == 0
-    with History(path) as store:
-        found = store.read(VEHICLE, PLACE)
+    found = store.read(VEHICLE, PLACE)
     expected = [trip(1000 * w + i, with_curves=False) for w in range(2) for i in range(10)]
     assert {r.trip for r in found} == {r.trip for r in expected}
     assert len(found) == 20
+    assert len(store.places()) == 3
+    assert len(store.alarms(VEHICLE, PLACE)) == len(ALARMS)
+    assert len(store.acknowledgements(VEHICLE, PLACE)) == 20
 
 
 def test_all_or_none_of_some_trips_are_kept(store):
@@ -167,6 +183,34 @@ def test_events_are_kept_by_mileage_and_once(store):
     assert str(found[0]) == "new primary dampers at 50 000 km"
 
 
+def test_alarms_are_replaced_as_a_whole(store):
+    store.write([trip(0, with_curves=False)])
+    for _ in range(2):
+        store.keep_alarms(VEHICLE, PLACE, ALARMS[::-1])
+    found = store.alarms(VEHICLE, PLACE)
+    assert [one.begin_km for one in found] == [1e4, 2e4, 2e4]
+    assert repr(sorted(found, key=repr)) == repr(sorted(ALARMS, key=repr))
+    assert repr(store.all_alarms()) == repr({(VEHICLE, PLACE): found})
+    store.keep_alarms(VEHICLE, PLACE, ALARMS[1:2])
+    assert store.alarms(VEHICLE, PLACE) == ALARMS[1:2]
+    store.keep_alarms(VEHICLE, PLACE, [])
+    assert store.alarms(VEHICLE, PLACE) == []
+    assert store.all_alarms() == {}
+
+
+def test_acknowledgements_outlive_their_alarms(store):
+    store.write([trip(0, with_curves=False)])
+    store.keep_alarms(VEHICLE, PLACE, ALARMS)
+    later = replace(SEEN, at="2026-11-22T14:00:00Z", words="ordered")
+    store.acknowledge(VEHICLE, PLACE, [later, SEEN])
+    store.keep_alarms(VEHICLE, PLACE, [])
+    store.acknowledge(VEHICLE, PLACE, [replace(later, words="mounted")])
+    expected = [SEEN, replace(later, words="mounted")]
+    assert store.acknowledgements(VEHICLE, PLACE) == expected
+    assert store.all_acknowledgements() == {(VEHICLE, PLACE): expected}
+    assert store.acknowledgements(VEHICLE, Place("other")) == []
+
+
 # failure
 
 
@@ -174,6 +218,13 @@ def test_an_event_of_an_unknown_suspension_names_the_known_ones(store):
     store.write([trip(0, with_curves=False)])
     with pytest.raises(HistoryError, match=r"no trip of am96: x is kept.*AM96 217: bogie 1, left"):
         store.add_event("am96", Place("x"), Event(1.0))
+
+
+def test_alarms_of_an_unknown_suspension_are_refused(store):
+    with pytest.raises(HistoryError, match="no trip of am96: x is kept here; known: none"):
+        store.keep_alarms("am96", Place("x"), ALARMS)
+    with pytest.raises(HistoryError, match="no trip of am96: x is kept here"):
+        store.acknowledge("am96", Place("x"), [SEEN])
 
 
 @pytest.mark.parametrize(
@@ -207,7 +258,7 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE suspnet_version SET schema = 99")
     connection.close()
-    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 1"):
+    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 2"):
         History(path)
 
 

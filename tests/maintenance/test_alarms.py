@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
 from suspnet.maintenance.limits import Severity
 
 AT = "2026-11-22T13:00:00+00:00"
@@ -45,6 +45,14 @@ def test_values_of_a_store_become_those_of_the_types():
 )
 def test_an_acknowledgement_covers_its_alarm_until_it_is_worse(acknowledgement, one, expected):
     assert acknowledgement.covers(one) is expected
+
+
+def test_the_newest_acknowledgement_of_an_alarm_is_found_across_zones():
+    first = seen(at="2026-11-22T13:00:00+02:00")
+    later = seen(at="2026-11-22T12:00:00+00:00")
+    other = seen(at="2026-11-23T12:00:00+00:00", parameter="c_p")
+    assert newest_of(alarm(), [first, later, other]) is later
+    assert newest_of(alarm(severity=Severity.ACT), [first, later, other]) is None
 
 
 @pytest.mark.parametrize(

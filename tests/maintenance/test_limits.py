@@ -9,6 +9,7 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.dynamics.limits import limits_words
 from suspnet.maintenance.limits import (
     DEFAULT_LIMITS,
     N_CONFIRMING,
@@ -263,6 +264,41 @@ def test_limits_are_read_from_plain_values():
         read_limits({"kp": None})
 
 
-def test_shipped_limits_are_the_defaults():
-    shipped = yaml.safe_load((CONFIGS / "evaluate.yaml").read_text())["monitor"]["limits"]
-    assert read_limits(shipped) == DEFAULT_LIMITS
+def test_limits_are_the_defaults_unless_others_are_given():
+    settings = yaml.safe_load((CONFIGS / "evaluate.yaml").read_text())["monitor"]["limits"]
+    assert read_limits(settings, DEFAULT_LIMITS, "a setting") == DEFAULT_LIMITS
+    given = {"k_p": None, "c_p": {"act": [0.5, None]}, "M_s": {"notice": [0, 2], "act": [0, 3]}}
+    found = read_limits(given, DEFAULT_LIMITS, "a setting")
+    assert list(found) == ["c_p", "k_s", "c_s", "M_s"]
+    assert found["c_p"] == Limits((0.8, 1.25), (0.5, np.inf), "a setting")
+    assert found["k_s"] is DEFAULT_LIMITS["k_s"]
+    own = {"k_s": {"why": "our rule 7", "notice": [0.95, 1.05]}}
+    assert read_limits(own, DEFAULT_LIMITS)["k_s"] == Limits(
+        (0.95, 1.05), (0.8, 1.25), "our rule 7"
+    )
+
+
+def test_every_default_has_a_reason_and_words_tell_it_once():
+    assert all(one.why for one in DEFAULT_LIMITS.values())
+    words = limits_words(DEFAULT_LIMITS)
+    assert words.startswith(
+        "k_p, k_s: notice beyond 90 to 110 %, act beyond 80 to 125 % (assumed: "
+    )
+    assert words.count("emergency spring") == words.count("; c_p, c_s: notice beyond 80 to") == 1
+    assert limits_words({}) == "none"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "`limits` must map parameters to their limits"),
+        ({"k_p": {"act": [0.95, 1.2]}}, r"`limits.k_p`: limits `notice` .* must lie within `act`"),
+        ({"k_p": {"why": 7}}, r"`limits.k_p`: `why` must be text, got 7"),
+        ({"k_p": {"notice": 0.9}}, r"`limits.k_p`: `notice` must be two numbers, .* got 0.9"),
+        ({"k_p": {"notices": [0.9, 1.1]}}, r"`limits\.k_p` must have `notice` and `act`"),
+        ({"M_s": {"act": [0.5, 2]}}, r"`limits\.M_s` must have `notice` and `act`"),
+    ],
+)
+def test_limits_that_do_not_go_with_the_defaults_are_refused(given, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        read_limits(given, DEFAULT_LIMITS)

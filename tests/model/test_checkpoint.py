@@ -14,6 +14,7 @@ from suspnet.data import CurveSettings
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.limits import DEFAULT_LIMITS
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.checkpoint import load_model, save_model
@@ -142,6 +143,25 @@ def test_loaded_intervals_and_scope_are_the_same_bit_for_bit(learnt, tmp_path):
     assert loaded.ood.misfit_threshold == model.ood.misfit_threshold
     assert loaded.unexplained.misfit == model.unexplained.misfit
     np.testing.assert_array_equal(loaded.unexplained.costs, model.unexplained.costs)
+
+
+def test_limits_travel_with_the_model(tmp_path):
+    model = trained(LinearRegression())
+    rules = {"k_p": {"notice": [0.95, None], "act": [0.9, None], "why": "rule 7"}, "c_p": None}
+    limited = replace(model.generator, vehicle=replace(AM96, limits=rules))
+    save_model(tmp_path, replace(model, generator=limited))
+    loaded = load_model(tmp_path).vehicle
+    assert loaded.known_limits == limited.vehicle.known_limits
+    assert loaded.known_limits["k_p"].notice == (0.95, math.inf)
+
+
+def test_a_model_without_limits_is_written_as_before_there_were_any(tmp_path):
+    model = trained(LinearRegression())
+    plain = replace(model.generator, vehicle=replace(AM96, limits=None))
+    save_model(tmp_path, replace(model, generator=plain))
+    written = json.loads((tmp_path / "model.json").read_text())
+    assert "limits" not in written["generator"]["vehicle"]
+    assert load_model(tmp_path).vehicle.known_limits == DEFAULT_LIMITS
 
 
 def test_model_without_calibration_is_loaded_without(saved):

@@ -21,6 +21,7 @@ from trip_records import fleet as made_up
 
 from suspnet.data import CurveSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.watch import Watched
 from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.apart import LIMIT, apart
@@ -432,7 +433,8 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
             replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
             for one, e in zip((model, other), errors, strict=False)
         ]
-        found = fleet._assessments(results, OUTPUTS, models, DEFAULT_LIMITS)
+        least = fleet._least_percent(OUTPUTS, models)
+        found = fleet._assessments(results, OUTPUTS, least, DEFAULT_LIMITS, Watched())
         return {one.parameter for one in found if one.trend.changed}
 
     assert LEAST_PERCENT < 0.2
@@ -631,7 +633,7 @@ def test_coverage_is_the_naive_one(alone):
 def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
     seen = {}
     monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[-4]))
+    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[7]))
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",

@@ -180,6 +180,33 @@ def test_limits_of_the_settings_are_those_that_judge(models, made_up, no_figures
         assert one.severity == severity
 
 
+def test_limits_are_the_vehicles_unless_the_settings_say_others(
+    models, made_up, no_figures, tmp_path
+):
+    write(tmp_path / "trips", 115)
+    rules = {"k_s": {"act": [0.5, 1.12], "why": "rule 7"}, "k_p": None}
+    generator = models[0].generator
+    ours = replace(generator, vehicle=replace(generator.vehicle, limits=rules))
+    model = replace(models[0], generator=ours)
+    for given, severity, why in (
+        (None, Severity.ACT, "rule 7"),
+        ({"k_s": {"act": [0.5, 2.0]}}, Severity.NOTICE, "set for this evaluation"),
+    ):
+        settings = FleetSettings(TripSettings(), limits=given)
+        (one,) = evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
+        assert one.severity == severity
+        metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+        assert list(metrics["limits"]) == ["c_p", "k_s", "c_s"]
+        assert metrics["limits"]["k_s"]["notice"] == [0.9, 1.1]
+        assert metrics["limits"]["k_s"]["why"] == why
+        assert f"({why})" in metrics["details"]["limits"]
+    settings = FleetSettings(TripSettings(), limits={"k_s": {"notice": [0.9, 1.2]}})
+    with pytest.raises(
+        ValueError, match=r"`limits\.k_s`: limits `notice` .* must lie within `act`"
+    ):
+        evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
+
+
 # the page
 
 

@@ -173,6 +173,9 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert (result.vehicle, result.place.suspension) == ("am96", "bogie 7 left")
     assert (result.mileage_km, result.start, result.truth) == (3000.0, "", {})
     assert result.status == OK
+    assert np.isnan(result.temperature_c)
+    cold = changed(manifests[2], tmp_path, "cold", temperature_c=-12.5)
+    assert evaluated(cold, model).temperature_c == -12.5
     assert evaluated(manifests[2], model).start == "2015-08-23T06:00:00+00:00"
 
 

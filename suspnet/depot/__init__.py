@@ -1,0 +1,1 @@
+"""What a depot sees: the state of every suspension of a history, and the plan for the fleet."""

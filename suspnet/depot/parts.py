@@ -1,0 +1,73 @@
+"""Parts of a fleet as the plan takes them: remaining lives, and how far each train runs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from datetime import date, datetime
+
+import numpy as np
+
+from suspnet.depot.state import State
+from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.plan_inputs import Part, Train, km_per_day
+
+
+def parts_of(states: Sequence[State]) -> list[Part]:
+    """Return each parameter of each suspension that has an alarm or a remaining life."""
+    found = []
+    for state in states:
+        for name in sorted({*state.lives, *(one.parameter for one in state.alarms)}):
+            life = state.lives.get(name)
+            severity = max(
+                (one.severity for one in state.alarms if one.parameter == name),
+                default=Severity.NONE,
+            )
+            samples = np.array([np.inf]) if life is None else life.samples_km
+            place = state.series.place
+            found.append(
+                Part(
+                    train_of(state),
+                    suspension_of(state),
+                    name,
+                    samples,
+                    state.last_km,
+                    severity,
+                    place.car,
+                )
+            )
+    return found
+
+
+def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -> list[Train]:
+    """Return each train, with the mileage of its newest trip and how far it runs in a day.
+
+    A trip without a start is taken as of today.
+    """
+    trips = defaultdict(list)
+    for state in states:
+        series = state.series
+        for start, km in zip(series.start, series.mileage_km, strict=True):
+            if np.isfinite(km):
+                trips[train_of(state)].append((float(km), start))
+    found = []
+    for name, several in sorted(trips.items()):
+        several.sort(key=lambda one: one[0])
+        starts = ["" if np.isnat(start) else str(start) for _, start in several]
+        km = [one for one, _ in several]
+        day = datetime.fromisoformat(starts[-1]).date() if starts[-1] else today
+        pace = km_per_day(starts, km, default_km_per_day)
+        found.append(Train(name, km[-1], min(day, today), pace))
+    return found
+
+
+def train_of(state: State) -> str:
+    """Return the name of a suspension's train; of the suspension itself where none is named."""
+    return state.series.place.train or f"{state.series.vehicle}: {state.series.place}"
+
+
+def suspension_of(state: State) -> str:
+    """Return the name of a suspension within its car."""
+    place = state.series.place
+    where = (place.suspension, place.bogie and f"{place.bogie} bogie", place.side)
+    return ", ".join(filter(None, where)) or state.series.vehicle

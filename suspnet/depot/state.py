@@ -1,0 +1,175 @@
+"""State of each suspension of a fleet, from its history alone: alarms and remaining life."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from suspnet.history import Series
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.degradation import FleetPrior
+from suspnet.maintenance.forecast import remaining_lives, trips_of_life
+from suspnet.maintenance.life import Life, learn_fleet
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
+from suspnet.maintenance.watch import Watched, watch
+from suspnet.types import BoolArray
+
+PAYLOAD = "M_s"
+MOST_LEARNT = 200
+"""Largest number of suspensions from which a fleet's rates of wear are learnt, evenly chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What is known of one suspension.
+
+    Attributes
+    ----------
+    series : Series
+        All its trips.
+    recent : bool array of shape (n_trips,)
+        Trips since the last commissioning and the last maintenance.
+    watched : Watched
+    lives : dict of Life
+        Of each parameter with limits, until its act limit; without those of too few trips.
+    """
+
+    series: Series
+    recent: BoolArray
+    watched: Watched = field(default_factory=Watched)
+    lives: dict[str, Life] = field(default_factory=dict)
+
+    @property
+    def alarms(self) -> list[Alarm]:
+        """Alarms that stand, the most severe first."""
+        standing = [one for one in self.watched.alarms if one.is_open]
+        return sorted(standing, key=lambda one: (-one.severity, one.begin_km))
+
+    @property
+    def severity(self) -> Severity:
+        """The worst of its alarms; unknown if no trip has an estimate."""
+        if not (self.recent & self.series.done).any():
+            return Severity.UNKNOWN
+        return max((one.severity for one in self.alarms), default=Severity.NONE)
+
+    @property
+    def shortest(self) -> tuple[str, Life] | None:
+        """The parameter that may pass its act limit first, by the 10 % quantile of its life."""
+        known = [(life.quantile_km(0.1), name) for name, life in self.lives.items()]
+        known = [one for one in known if np.isfinite(one[0])]
+        return (min(known)[1], self.lives[min(known)[1]]) if known else None
+
+    @property
+    def last_km(self) -> float:
+        """Mileage of the newest trip with an estimate, [km]; NaN if there is none."""
+        km = self.series.mileage_km[self.series.done]
+        return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
+
+
+def fleet_state(
+    fleet: Sequence[Series],
+    limits: Mapping[str, Mapping[str, Limits]],
+    settings: ChangeSettings,
+    seed: int = 0,
+) -> list[State]:
+    """Return the state of each suspension, the most severe first, then the shortest life.
+
+    Remaining lives are learnt together from the suspensions of a vehicle (``learn_fleet``).
+
+    Parameters
+    ----------
+    fleet : sequence of Series
+    limits : mapping from vehicle to mapping from parameter to Limits
+        A vehicle that is not there has ``DEFAULT_LIMITS``.
+    settings : ChangeSettings
+    seed : int
+    """
+    known = {one.vehicle: limits.get(one.vehicle, DEFAULT_LIMITS) for one in fleet}
+    states = [_watched(one, known[one.vehicle], settings) for one in fleet]
+    priors = {vehicle: _priors(states, vehicle, limits) for vehicle, limits in known.items()}
+    states = [
+        _with_lives(one, known[one.series.vehicle], priors[one.series.vehicle], seed)
+        for one in states
+    ]
+    return sorted(states, key=_order)
+
+
+def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSettings) -> State:
+    """Return a suspension with its alarms, of the trips since its last commissioning."""
+    km, since = series.mileage_km, series.healthy_since_km
+    newest = since[np.flatnonzero(series.done)[-1:]]
+    era = np.isin(since, newest) | (np.isnan(since) & np.isnan(newest).any())
+    ends = [event.mileage_km for event in series.events]
+    recent = era & ~(km < max(ends, default=-np.inf))
+    names = [name for name in series.estimates if name != PAYLOAD]
+    covariates = {
+        "pay-load": series.estimates[PAYLOAD],
+        "speed": series.speed_m_per_s,
+        "temperature": series.temperature_c,
+    }
+    found = watch(
+        km[era],
+        {name: series.estimates[name][era] for name in names},
+        {name: series.half_widths[name][era] for name in names},
+        series.flagged[era],
+        {name: column[era] for name, column in covariates.items()},
+        limits,
+        settings,
+        maintenance_km=ends,
+    )
+    return State(series, recent, found)
+
+
+def _priors(
+    states: Sequence[State], vehicle: str, limits: Mapping[str, Limits]
+) -> dict[str, FleetPrior]:
+    """Return what the suspensions of a vehicle show together of each parameter."""
+    found = {}
+    for name in limits:
+        trips = [
+            trips_of_life(
+                one.series.mileage_km[one.recent],
+                one.series.estimates[name][one.recent],
+                one.series.half_widths[name][one.recent],
+                one.series.flagged[one.recent],
+            )
+            for one in states
+            if one.series.vehicle == vehicle
+        ]
+        known = [one for one in trips if one is not None]
+        if len(known) > 1:
+            every = -(-len(known) // MOST_LEARNT)
+            found[name] = learn_fleet(known[::every])
+    return found
+
+
+def _with_lives(
+    state: State, limits: Mapping[str, Limits], fleet: Mapping[str, FleetPrior], seed: int
+) -> State:
+    """Return a suspension with the remaining life of each of its parameters."""
+    series, used = state.series, state.recent
+    values, half_widths = (
+        {name: column[used] for name, column in part.items()}
+        for part in (series.estimates, series.half_widths)
+    )
+    lives = remaining_lives(
+        series.mileage_km[used],
+        values,
+        half_widths,
+        series.flagged[used],
+        limits,
+        state.watched.passed,
+        fleet,
+        seed,
+    )
+    return replace(state, lives=lives)
+
+
+def _order(state: State) -> tuple[int, float, str, str]:
+    """Return the place of a suspension in the list: worst first, then the shortest life."""
+    shortest = state.shortest
+    life = shortest[1].quantile_km(0.1) if shortest else np.inf
+    return -state.severity, life, state.series.vehicle, str(state.series.place)

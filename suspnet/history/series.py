@@ -1,0 +1,132 @@
+"""All trips of many suspensions as arrays, for a view of the whole fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import sqlalchemy as sql
+from numpy.typing import NDArray
+from sqlalchemy.engine import Connection
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.history.events import Event
+from suspnet.history.rows import key_of
+from suspnet.history.schema import VALUES, suspensions, trips
+from suspnet.recordings.manifest import Place
+from suspnet.types import BoolArray, FloatArray
+
+ROWS = 20_000
+"""Rows that are held as Python's objects at once."""
+NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
+TEXTS = ("trip", "start")
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Trips of one suspension, by mileage, as arrays of shape (n_trips,).
+
+    Attributes
+    ----------
+    vehicle : str
+    place : Place
+    trip : array of str
+        Names.
+    start : array of datetime64[s]
+        UTC where the manifest names a zone, else as it stands there; NaT where there is none.
+    flagged : bool array
+    mileage_km, healthy_since_km : arrays, [km]
+    speed_m_per_s : array, [m/s]
+    temperature_c : array, [°C]
+        Of the air outside.
+    estimates, half_widths : dict of arrays, [-]
+        Of each parameter, as in a trip's result; NaN where there is none.
+    events : tuple of Event
+        Maintenance, by mileage.
+    """
+
+    vehicle: str
+    place: Place
+    trip: NDArray[np.str_]
+    start: NDArray[np.datetime64]
+    flagged: BoolArray
+    mileage_km: FloatArray
+    healthy_since_km: FloatArray
+    speed_m_per_s: FloatArray
+    temperature_c: FloatArray
+    estimates: dict[str, FloatArray]
+    half_widths: dict[str, FloatArray]
+    events: tuple[Event, ...] = ()
+
+    @property
+    def done(self) -> BoolArray:
+        """Which trips have an estimate, bool array of shape (n_trips,)."""
+        known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
+        return np.asarray(known.any(axis=0))
+
+
+def read_series(
+    connection: Connection, events: Mapping[tuple[str, Place], Sequence[Event]]
+) -> list[Series]:
+    """Return all trips of each suspension, sorted by vehicle and place."""
+    rows = connection.execute(sql.select(suspensions)).mappings()
+    names = {row["id"]: key_of(row) for row in rows}
+    numbers, texts = _columns(connection)
+    owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
+    order = np.lexsort((texts[0], km, owner))  # NaN last
+    numbers, texts = numbers[order], [one[order] for one in texts]
+    ids, begins = np.unique(owner[order], return_index=True)
+    parts = np.split(np.arange(len(order)), begins[1:]) if len(ids) else []
+    found = []
+    for one, part in zip(ids.tolist(), parts, strict=True):
+        vehicle, place = names[one]
+        columns = iter(numbers[part].T[1:].copy())
+        flagged = next(columns) > 0
+        scalars = {name: next(columns) for name in NUMBERS}
+        values = [{name: next(columns) for name in PARAMETERS} for _ in range(2)]
+        found.append(
+            Series(
+                vehicle,
+                place,
+                texts[0][part],
+                np.array([_time(text) for text in texts[1][part]], dtype="datetime64[s]"),
+                flagged,
+                estimates=values[0],
+                half_widths=values[1],
+                events=tuple(events.get((vehicle, place), ())),
+                **scalars,
+            )
+        )
+    return sorted(found, key=lambda s: (s.vehicle, str(s.place)))
+
+
+def _columns(connection: Connection) -> tuple[FloatArray, list[NDArray[np.str_]]]:
+    """Return the numbers of all trips, a row a trip, and each of their texts.
+
+    The numbers are: that of the suspension, whether the trip is flagged, ``NUMBERS``, estimates,
+    half widths.
+    """
+    values = [
+        VALUES[key].format(name) for key in ("estimates", "half_widths") for name in PARAMETERS
+    ]
+    flagged = sql.case((trips.c.flags == "", 0), else_=1)
+    numbers = [trips.c.suspension_id, flagged, *(trips.c[name] for name in (*NUMBERS, *values))]
+    query = sql.select(*numbers, *(trips.c[name] for name in TEXTS))
+    blocks = [np.zeros((0, len(numbers)))]
+    texts = [[np.zeros(0, dtype=str)] for _ in TEXTS]
+    for rows in connection.execute(query, execution_options={"yield_per": ROWS}).partitions():
+        columns = list(zip(*rows, strict=True))
+        blocks.append(np.array(columns[: len(numbers)], dtype=float).T)
+        for kept, column in zip(texts, columns[len(numbers) :], strict=True):
+            kept.append(np.array(column, dtype=str))
+    return np.concatenate(blocks), [np.concatenate(one) for one in texts]
+
+
+def _time(text: str) -> datetime | None:
+    """Return a start without its zone: in UTC, if it has one."""
+    if not text:
+        return None
+    time = datetime.fromisoformat(text)
+    return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time

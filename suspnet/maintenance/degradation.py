@@ -1,0 +1,507 @@
+"""Degradation models of one parameter: what a history says of its level, its rate and its onset.
+
+All work in units of ``UNIT_KM`` and on blocks of neighbouring trips, so that the cost does not grow
+with the history. A model is a straight line from an onset h on,
+
+    level + rate * max(t - h, 0) + B(t - h),
+
+in the value ("linear", "wiener") or in its logarithm ("exponential"); B is Brownian motion with
+variance q * t for "wiener" and 0 for the others. Measurement noise is autoregressive of order one.
+Level and rate are Gaussian given the rest, so that their posterior and the evidence are closed
+forms; onset, q and the component of the rate's prior are summed over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.special import logsumexp
+
+from suspnet.types import FloatArray, IntArray
+
+UNIT_KM = 100_000.0
+MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
+MAX_BLOCKS = 32
+"""Most blocks that the trips of a history are averaged to."""
+N_ONSETS = 40
+"""Onsets that each model is tried with; "linear" and "exponential" then refine the best."""
+ONSET_PASSES = 3
+AT_ONCE = 0.5
+"""Prior probability that wear begins before the first trip."""
+LEVEL_SPREAD = 0.1
+"""Prior standard deviation of the value at the first trip about 1."""
+LEAST_NOISE = 1e-5
+"""Smallest standard deviation of the noise of a trip, relative to the value."""
+DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
+"""Standard deviations of Brownian motion after ``UNIT_KM``."""
+RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
+"""Standard deviations of the change of the rate after ``UNIT_KM``, per ``UNIT_KM``."""
+POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+"""Powers of the mileage since the onset that "changing rate" is tried with."""
+POWER_UNITS = 3.0
+"""Mileage [UNIT_KM] since the onset to which the rate of a power is the mean rate."""
+FIRST_WIENER = 3
+FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
+"""First row of each model in ``FleetPrior.models``."""
+N_STARTS = 8
+"""Onsets of Brownian motion; an onset of the drift uses the last one before it."""
+NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
+"""Noise from trip to trip, relative to what the half-widths say."""
+NOISE_SPREAD = 0.5
+"""Prior standard deviation of the logarithm of that factor."""
+CORRELATIONS = np.linspace(0.0, 0.75, 6)
+"""Correlations of the noise from one trip to the next."""
+MAX_BINS = 32
+"""Most frequencies of the Whittle likelihood."""
+DETAILED = 0.3
+"""Probability of a trend, without Brownian motion, from which that is considered too."""
+
+
+@dataclass(frozen=True)
+class FleetPrior:
+    """Prior over models and rates.
+
+    Attributes
+    ----------
+    models : array of shape (n_rows,), [-]
+        Probability of "no trend", "linear", "exponential", "wiener" with each of ``DIFFUSIONS``
+        and "changing rate" with each of ``RATE_CHANGES``.
+    weights, means, spreads : arrays of shape (n_components,), [-], [1 / UNIT_KM]
+        The rate is a mixture of normal distributions.
+    """
+
+    models: FloatArray
+    weights: FloatArray
+    means: FloatArray
+    spreads: FloatArray
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Averages of neighbouring trips; arrays of shape (n_blocks,).
+
+    Attributes
+    ----------
+    t, length : array, [UNIT_KM]
+        Mean mileage after the first trip, and from the first to the last trip of a block.
+    last : float, [UNIT_KM]
+        Mileage of the last trip after the first.
+    value, log_value : array, [-]
+        Means of value - 1 and of the logarithm of the value.
+    sigma : array, [-]
+        Standard deviation of one trip by its half-width.
+    size, first : int array
+        Number of trips, and the index of the first of them.
+    """
+
+    t: FloatArray
+    length: FloatArray
+    last: float
+    value: FloatArray
+    log_value: FloatArray
+    sigma: FloatArray
+    size: IntArray
+    first: IntArray
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a trip if Brownian motion has each of 0 and ``DIFFUSIONS``; arrays over these.
+
+    Attributes
+    ----------
+    variance : array, [-]
+        Relative to what the half-widths say.
+    correlation : array, [-]
+        From one trip to the next.
+    log_likelihood : array
+        Of what is faster than blocks.
+    """
+
+    variance: FloatArray
+    correlation: FloatArray
+    log_likelihood: FloatArray
+
+
+def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
+    """Return blocks of `n_trips` trips with mileages `t` after the first, in ``UNIT_KM``."""
+    n_trips = t.size
+    first = np.linspace(0, n_trips, min(n_trips, MAX_BLOCKS) + 1)[:-1].astype(np.int64)
+    size = np.diff(first, append=n_trips)
+    weight = 1 / sigma**2
+    total = np.add.reduceat(weight, first)
+
+    def mean(x: FloatArray) -> FloatArray:
+        return np.add.reduceat(weight * x, first) / total
+
+    return Blocks(
+        t=mean(t),
+        length=t[first + size - 1] - t[first],
+        last=float(t[-1]),
+        value=mean(values - 1),
+        log_value=mean(np.log(values)),
+        sigma=np.sqrt(size / total),
+        size=size,
+        first=first,
+    )
+
+
+def estimate_noise(t: FloatArray, log_values: FloatArray, sigma: FloatArray) -> Noise:
+    """Return the noise from differences of neighbouring trips, by the Whittle likelihood.
+
+    The differences of the residuals of the best hinge have the spectrum, at omega per trip,
+
+        variance * (2 - 2 cos omega) * (1 - rho^2) / |1 - rho e^(-i omega)|^2 + q dt / sigma^2.
+
+    The lowest frequencies, which a hinge that does not fit would disturb, are left out.
+    """
+    scale = float(np.sqrt(np.mean(sigma**2)))
+    hinges = _hinge(t, _onsets(t[-1], 12))
+    fits = np.stack([np.broadcast_to(1.0, hinges.shape), hinges], axis=-1)
+    gram = np.swapaxes(fits, 1, 2) @ fits + 1e-9 * np.eye(2)
+    coefficients = np.linalg.solve(gram, np.swapaxes(fits, 1, 2) @ log_values[:, None])
+    residuals = log_values - (fits @ coefficients)[..., 0]
+    residual = residuals[np.argmin((residuals**2).sum(axis=1))] / scale
+    steps = np.diff(residual)
+    n = steps.size
+    power = np.abs(np.fft.rfft(steps))[1:] ** 2 / n
+    omega = 2 * np.pi * np.arange(1, power.size + 1) / n
+    ordinates = np.where(omega > np.pi - 1e-9, 0.5, 1.0)
+    skip = min(2, power.size - 1)
+    edges = skip + np.linspace(0, power.size - skip, min(power.size - skip, MAX_BINS) + 1)[:-1]
+    start = edges.astype(np.int64)
+    count = np.add.reduceat(ordinates, start)
+    power = np.add.reduceat(ordinates * power, start) / count
+    omega = np.add.reduceat(ordinates * omega, start) / count
+    rho = CORRELATIONS[:, None]
+    shape = (2 - 2 * np.cos(omega)) * (1 - rho**2) / (1 - 2 * rho * np.cos(omega) + rho**2)
+    brownian = np.concatenate([[0.0], DIFFUSIONS**2]) * (t[-1] / n) / scale**2
+    spectrum = NOISE_SCALES[:, None, None] ** 2 * shape
+    spectrum = spectrum.reshape(-1, omega.size) + brownian[:, None, None]
+    terms = -count * (np.log(spectrum) + power / spectrum)
+    log_prior = np.repeat(-0.5 * (np.log(NOISE_SCALES) / NOISE_SPREAD) ** 2, rho.size)
+    log_prior = log_prior - logsumexp(log_prior)
+    joint = terms.sum(axis=-1) + log_prior
+    weight = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+    n_blocks = min(t.size, MAX_BLOCKS)
+    fast = omega > np.pi * n_blocks / t.size + 1e-9
+    return Noise(
+        variance=np.exp(weight @ np.repeat(2 * np.log(NOISE_SCALES), rho.size)),
+        correlation=weight @ np.tile(CORRELATIONS, NOISE_SCALES.size),
+        log_likelihood=np.asarray(
+            logsumexp((terms * fast).sum(axis=-1) + log_prior, axis=1), dtype=float
+        ),
+    )
+
+
+def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
+    """Return the fit of each model, without Brownian motion where no trend is likely."""
+    log_models = np.log(np.maximum(prior.models, 1e-300))
+    covariance = _noise_covariance(blocks, noise.variance, noise.correlation)
+    fits = [_without_trend(blocks, covariance[:1], log_models[:1])]
+    fits += [_straight(blocks, covariance[:1], prior, row, log_models) for row in (1, 2)]
+    totals = np.array([logsumexp(fit.log_weight) for fit in fits])
+    if np.exp(totals[0] - logsumexp(totals)) > 1 - DETAILED:
+        return fits
+    fits[1:] = [_refined(blocks, covariance[:1], prior, fit, log_models) for fit in fits[1:]]
+    changing = np.zeros(RATE_CHANGES.size, dtype=np.int64)
+    wiener = np.arange(1, DIFFUSIONS.size + 1)
+    for rows, which in (
+        (FIRST_WIENER + wiener - 1, wiener),
+        (FIRST_CHANGING + np.arange(changing.size), changing),
+    ):
+        fits.append(_wandering(blocks, covariance[which], prior, rows, log_models[rows]))
+    return fits
+
+
+def _onsets(last: float, n: int) -> FloatArray:
+    """Return onsets from before the first trip to shortly before the last."""
+    return last * np.linspace(0, 0.95, n)
+
+
+def _hinge(t: FloatArray, onsets: FloatArray) -> FloatArray:
+    return np.maximum(t - onsets[:, None], 0.0)
+
+
+def _noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> FloatArray:
+    """Return covariances (..., n_blocks, n_blocks) of block means of autoregressive noise."""
+    m = blocks.size.astype(float)
+    r = np.maximum(rho[..., None], 1e-9)
+    g = (1 - r**m) / (m * (1 - r))
+    end = blocks.first + blocks.size - 1
+    apart = np.abs(blocks.first[None, :] - end[:, None])
+    apart = np.where(np.arange(m.size)[:, None] < np.arange(m.size), apart, apart.T)
+    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** apart
+    own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
+    index = np.arange(m.size)
+    covariance[..., index, index] = own
+    scaled = variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
+    return np.asarray(scaled)
+
+
+def _without_trend(blocks: Blocks, covariance: FloatArray, log_prior: FloatArray) -> Fit:
+    """Return the fit of a constant value: a rate of which the prior knows that it is 0."""
+    constant = FleetPrior(np.ones(1), np.ones(1), np.zeros(1), np.full(1, 1e-9))
+    hinges = _Hinges(np.zeros((1, 1)), np.ones((1, 1)), log_prior[:, None])
+    return Fit(blocks, True, covariance[:, None], hinges, constant, np.zeros(1, dtype=np.int64))
+
+
+def _straight(
+    blocks: Blocks,
+    covariance: FloatArray,
+    prior: FleetPrior,
+    row: int,
+    log_models: FloatArray,
+    onsets: FloatArray | None = None,
+) -> Fit:
+    """Return the fit of "linear" or "exponential", without Brownian motion."""
+    onsets = _onsets(blocks.last, N_ONSETS) if onsets is None else onsets
+    log_prior = log_models[row] + _log_measure(onsets)
+    hinges = _Hinges(onsets[None], np.ones((1, onsets.size)), log_prior[None])
+    return Fit(blocks, row == 1, covariance[:, None], hinges, prior, np.array([row]))
+
+
+def _refined(
+    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit, log_models: FloatArray
+) -> Fit:
+    """Return a fit with more onsets about the best."""
+    for _ in range(ONSET_PASSES):
+        onsets = fit.hinges.onsets[0]
+        best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
+        low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
+        onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
+        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), log_models, onsets)
+    return fit
+
+
+def _wandering(
+    blocks: Blocks,
+    covariance: FloatArray,
+    prior: FleetPrior,
+    rows: IntArray,
+    log_prior: FloatArray,
+) -> Fit:
+    """Return the fit with Brownian motion of the value or of the rate."""
+    changing = bool(rows[0] == FIRST_CHANGING)
+    motion = _Motion((RATE_CHANGES if changing else DIFFUSIONS) ** 2, changing)
+    powers = POWERS if changing else np.ones(1)
+    onsets = _onsets(blocks.last, N_ONSETS)
+    log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
+    hinges = _Hinges(
+        np.repeat(onsets, powers.size).reshape(N_STARTS, -1),
+        np.tile(powers, N_ONSETS).reshape(N_STARTS, -1),
+        log_measure.reshape(N_STARTS, -1),
+    )
+    log_weights = log_prior[:, None, None]
+    fit = Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
+    fit.log_weight += log_weights[..., None]
+    return fit
+
+
+def _log_measure(onsets: FloatArray) -> FloatArray:
+    """Return the logarithm of the prior of each onset; the first stands for all before it."""
+    widths = np.gradient(onsets)
+    widths[0] = 0.0
+    share = (1 - AT_ONCE) * widths / widths.sum()
+    share[0] = AT_ONCE
+    return np.asarray(np.log(share), dtype=float)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Brownian motion of the value, or of the rate if `integrated`; `variances` per mileage."""
+
+    variances: FloatArray
+    integrated: bool
+
+    def covariance(self, since: FloatArray, length: FloatArray) -> FloatArray:
+        """Return that of unit variance between blocks (starts, blocks, blocks)."""
+        least = np.minimum(since[:, :, None], since[:, None, :])
+        if self.integrated:
+            most = np.maximum(since[:, :, None], since[:, None, :])
+            return np.asarray(least**2 * (3 * most - least) / 6)
+        index = np.arange(since.shape[1])
+        least[:, index, index] = np.maximum(since - length / 6, since / 2)
+        return least
+
+    def with_last(self, since: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return covariances of blocks with value and rate at the last trip (starts, blocks, 3).
+
+        The third axis is value, 0, rate; the second array is their own (starts, 3, 3).
+        """
+        own = np.zeros((last.size, 3, 3))
+        none = np.zeros_like(since)
+        if not self.integrated:
+            own[:, 0, 0] = last
+            return np.stack([since, none, none], axis=-1), own
+        own[:, 0, 0], own[:, 2, 2] = last**3 / 3, last
+        own[:, 0, 2] = own[:, 2, 0] = last**2 / 2
+        value = since**2 * (3 * last[:, None] - since) / 6
+        return np.stack([value, none, since**2 / 2], axis=-1), own
+
+
+@dataclass(frozen=True)
+class _Hinges:
+    """Courses of the drift: arrays of shape (n_starts, n_onsets), Brownian motion from each start.
+
+    Attributes
+    ----------
+    onsets : array, [UNIT_KM]
+    powers : array, [-]
+        Of the mileage since the onset.
+    log_prior : array
+    """
+
+    onsets: FloatArray
+    powers: FloatArray
+    log_prior: FloatArray
+
+    def course(self, t: FloatArray) -> FloatArray:
+        """Return the course for a rate of 1, of shape (n_starts, n_onsets, n_t)."""
+        return powered(np.maximum(t - self.onsets[..., None], 0), self.powers[..., None])
+
+
+def powered(since: FloatArray, power: FloatArray) -> FloatArray:
+    """Return the drift for a rate of 1 at a mileage since the onset, in ``UNIT_KM``."""
+    return np.asarray(POWER_UNITS * (since / POWER_UNITS) ** power)
+
+
+class Fit:
+    """Posterior of one model, for motions x starts x onsets x components of the rate ("nodes").
+
+    With C the covariance, X = (1, course) and the Gaussian prior of level and rate, their posterior
+    has precision M = X^T C^-1 X + P; the evidence is that of Bayesian linear regression ([1]_, sec.
+    2.7). The linear scale is divided by the value, so that noise is relative to the value in both.
+
+    Parameters
+    ----------
+    blocks : Blocks
+    linear : bool
+        The value itself, or else its logarithm.
+    covariance : array of shape (n_motions, 1, n_blocks, n_blocks)
+        Of the noise.
+    hinges : _Hinges
+    prior : FleetPrior
+    rows : int array of shape (n_motions,)
+        As in ``FleetPrior.models``.
+    motion : _Motion, optional
+
+    Attributes
+    ----------
+    log_weight : array of shape (n_motions, n_starts, n_onsets, n_components)
+        Logarithm of prior times evidence of each node.
+
+    References
+    ----------
+    .. [1] Rasmussen, Williams, Gaussian Processes for Machine Learning, MIT Press, 2006.
+    """
+
+    def __init__(
+        self,
+        blocks: Blocks,
+        linear: bool,
+        covariance: FloatArray,
+        hinges: _Hinges,
+        prior: FleetPrior,
+        rows: IntArray,
+        motion: _Motion | None = None,
+    ) -> None:
+        self.hinges, self.rows, self.last = hinges, rows, blocks.last
+        scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
+        self._one = 1 / scale
+        self._values = (blocks.value if linear else blocks.log_value) / scale
+        self._course = hinges.course(blocks.t) / scale
+        start = hinges.onsets[:, 0]
+        self._with_last = np.zeros((1, start.size, scale.size, 3))
+        self._own = np.zeros((1, start.size, 3, 3))
+        total = covariance
+        if motion is not None:
+            since = np.maximum(blocks.t - start[:, None], 0)
+            variances = motion.variances[:, None, None, None]
+            shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
+            total = covariance + variances * shape
+            with_last, own = motion.with_last(since, blocks.last - start)
+            self._with_last = variances * with_last / scale[:, None]
+            self._own = variances * own
+        diagonal = np.diagonal(np.linalg.cholesky(total), axis1=-2, axis2=-1)
+        self._inverse = np.linalg.inv(total)
+        self._solve(2 * np.log(diagonal).sum(axis=-1), prior)
+
+    def _solve(self, log_det: FloatArray, prior: FleetPrior) -> None:
+        """Compute level, rate and evidence of each node."""
+        of_one, of_values = (self._inverse @ x for x in (self._one, self._values))
+        of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)
+        a11 = (of_one @ self._one)[..., None, None]
+        a12 = np.einsum("sob,msb->mso", self._course, of_one)[..., None]
+        a22 = np.einsum("sob,msob->mso", self._course, of_course)[..., None]
+        c1 = (of_one @ self._values)[..., None, None]
+        c2 = np.einsum("sob,msb->mso", self._course, of_values)[..., None]
+        yy = (of_values @ self._values)[..., None, None]
+        p1, p2 = LEVEL_SPREAD**-2.0, prior.spreads**-2.0
+        m11, m12, m22, r2 = a11 + p1, a12, a22 + p2, c2 + p2 * prior.means
+        det = m11 * m22 - m12**2
+        self._level, self._rate = (m22 * c1 - m12 * r2) / det, (m11 * r2 - m12 * c1) / det
+        self._spreads = [m / det for m in (m22, -m12, m11)]
+        misfit = yy + p2 * prior.means**2 - self._level * c1 - self._rate * r2
+        evidence = -0.5 * (log_det[..., None, None] + np.log(det / (p1 * p2)) + misfit)
+        self.log_weight = (
+            evidence + self.hinges.log_prior[..., None] + np.log(np.maximum(prior.weights, 1e-300))
+        )
+
+    def now(self, nodes: IntArray) -> State:
+        """Return the posterior of the present state of some nodes, by index of the flat array."""
+        m, s, o, j = np.unravel_index(nodes, self.log_weight.shape)
+        first = np.minimum(m, self._with_last.shape[0] - 1)
+        with_last = self._with_last[first, s]
+        of_last = self._inverse[m, np.minimum(s, self._inverse.shape[1] - 1)] @ with_last
+        since, power = self.last - self.hinges.onsets[s, o], self.hinges.powers[s, o]
+        # at the last trip: gain (level, rate) + what is known of Brownian motion
+        gain = np.zeros((m.size, 3, 2))
+        gain[:, :, 0] = -(self._one @ of_last)
+        gain[:, :, 1] = -(self._course[s, o][:, None] @ of_last)[:, 0]
+        gain[:, 0, 0] += 1
+        gain[:, 0, 1] += powered(since, power)
+        gain[:, 1, 1] += 1
+        at = (m, s, o, j)
+        level, rate = (np.broadcast_to(x, self._rate.shape)[at] for x in (self._level, self._rate))
+        s11, s12, s22 = (np.broadcast_to(x, self._rate.shape)[at] for x in self._spreads)
+        spread = np.stack([s11, s12, s12, s22], axis=-1).reshape(-1, 2, 2)
+        spare = self._own[first, s] - with_last.swapaxes(1, 2) @ of_last
+        return State(
+            row=self.rows[m],
+            since=since,
+            power=power,
+            mean=self._values @ of_last + (gain @ np.stack([level, rate], -1)[..., None])[..., 0],
+            covariance=gain @ spread @ gain.swapaxes(1, 2) + spare,
+        )
+
+
+@dataclass(frozen=True)
+class State:
+    """Present state of nodes; arrays of shape (n_nodes,).
+
+    Attributes
+    ----------
+    row : int array
+        As in ``FleetPrior.models``.
+    since : array, [UNIT_KM]
+        Mileage from the onset to the last trip.
+    power : array, [-]
+        Of the mileage since the onset.
+    mean : array of shape (n_nodes, 3), [-], [1 / UNIT_KM], [1 / UNIT_KM]
+        At the last trip: value - 1 (or its logarithm for "exponential"), rate of the drift,
+        change of the rate by Brownian motion.
+    covariance : array of shape (n_nodes, 3, 3)
+    """
+
+    row: IntArray
+    since: FloatArray
+    power: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def join(states: list[State]) -> State:
+    """Return all nodes as one state."""
+    return State(*(np.concatenate([getattr(one, f.name) for one in states]) for f in fields(State)))

@@ -1,0 +1,71 @@
+"""Remaining lives of the parameters of a suspension, where its trips can tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from suspnet.maintenance.degradation import FleetPrior
+from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
+from suspnet.maintenance.limits import Limits
+from suspnet.types import FloatArray
+
+Trips = tuple[FloatArray, FloatArray, FloatArray]
+"""Mileage [km], estimates and half widths of the trips that a life is predicted from."""
+
+
+def remaining_lives(
+    mileage_km: ArrayLike,
+    values: Mapping[str, ArrayLike],
+    half_widths: Mapping[str, ArrayLike],
+    flagged: ArrayLike,
+    limits: Mapping[str, Limits],
+    passed: Collection[str] = (),
+    fleet: Mapping[str, FleetPrior] | None = None,
+    seed: int = 0,
+) -> dict[str, Life]:
+    """Return the mileage until each parameter passes its act limit, as a distribution.
+
+    A parameter with fewer than ``MIN_TRIPS`` unflagged trips, or without limits, is left out.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        Since the last maintenance, in any order; NaN: not used.
+    values, half_widths : mapping from parameter to array of shape (n_trips,), [-]
+        Relative to healthy, and half widths of their intervals in logarithms; NaN: none.
+    flagged : bool array of shape (n_trips,)
+        Trips that are not used.
+    limits : mapping from parameter to Limits
+    passed : collection of str
+        Parameters whose alarm says that the act limit is passed: nothing is left of their lives.
+    fleet : mapping of FleetPrior, optional
+        What is known of each parameter from suspensions of this type (``learn_fleet``).
+    seed : int
+    """
+    found = {}
+    for name, limit in limits.items():
+        if name not in values:
+            continue
+        trips = trips_of_life(mileage_km, values[name], half_widths[name], flagged)
+        if name in passed:
+            found[name] = Life("no trend", np.zeros(1))
+        elif trips is not None:
+            found[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
+    return found
+
+
+def trips_of_life(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
+) -> Trips | None:
+    """Return the trips that a life can be predicted from, by mileage; None if there are too few."""
+    km, centre, width = (
+        np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)
+    )
+    used = np.isfinite(km) & np.isfinite(centre) & (centre > 0) & ~np.asarray(flagged, dtype=bool)
+    order = np.flatnonzero(used)[np.argsort(km[used], kind="stable")]
+    if len(order) < MIN_TRIPS or km[order[-1]] <= km[order[0]]:
+        return None
+    return km[order], centre[order], np.where(np.isfinite(width), width, np.nan)[order]

@@ -1,0 +1,448 @@
+"""Remaining life: the mileage until a parameter passes a limit, as a distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from suspnet.checks import check_number
+from suspnet.maintenance import degradation
+from suspnet.maintenance.degradation import (
+    DIFFUSIONS,
+    FIRST_CHANGING,
+    FIRST_WIENER,
+    MODELS,
+    RATE_CHANGES,
+    UNIT_KM,
+    Fit,
+    FleetPrior,
+    State,
+    join,
+    powered,
+)
+from suspnet.types import BoolArray, FloatArray, IntArray
+
+MIN_TRIPS = 5
+"""Fewest trips with an estimate that a life is predicted from."""
+HORIZON_KM = 5e6
+"""Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
+FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
+"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
+OUTLYING = 6.0
+"""A trip farther from the median of five is drawn to it, in robust standard deviations."""
+NOISE_TRIPS = 4.0
+"""Number of trips that the half-widths count for in the degrees of freedom of the noise."""
+DEFAULT_PRIOR = FleetPrior(
+    models=np.concatenate(
+        [
+            [0.8, 0.04, 0.04],
+            0.08 * DIFFUSIONS / DIFFUSIONS.sum(),
+            np.full(RATE_CHANGES.size, 0.04 / RATE_CHANGES.size),
+        ]
+    ),
+    weights=np.array([0.5, 0.35, 0.15]),
+    means=np.zeros(3),
+    spreads=np.array([0.03, 0.1, 0.3]),
+)
+"""Vague prior: four of five parameters do not wear; those that do change by 3, 10 or 30 % in
+100,000 km (standard deviation, both signs), slower being likelier."""
+FLEET_RATES = np.geomspace(0.005, 0.3, 10)
+"""Means of the rates, per ``UNIT_KM``, that a fleet can tell apart."""
+FLEET_SPREAD = 0.35
+"""Standard deviation of each of these, relative to its mean."""
+PRIOR_SERIES = 3.0
+"""Number of series that the default prior counts for beside a fleet."""
+MAX_STEPS = 200
+"""Most steps of the fit of a fleet."""
+
+
+@dataclass(frozen=True)
+class Life:
+    """Remaining life of one parameter, as samples.
+
+    Attributes
+    ----------
+    model : str
+        "no trend" if that is at least as probable as all others together, or else the most
+        probable of "linear", "exponential", "wiener" and "changing rate".
+    samples_km : array of shape (n_samples,), [km]
+        Mileage still to go from the last trip until the nearer limit is passed; inf: not within
+        ``HORIZON_KM``, 0: already passed.
+    probabilities : dict of float, [-]
+        Of each model; the samples are of all of them in these shares.
+    """
+
+    model: str
+    samples_km: FloatArray
+    probabilities: dict[str, float] = field(default_factory=dict)
+
+    def quantile_km(self, q: float) -> float:
+        """Return the mileage still to go that is not reached with probability `q`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `q` is not a number from 0 to 1.
+        """
+        check_number("q", q, low=0, high=1)
+        return float(np.quantile(self.samples_km, q, method="inverted_cdf"))
+
+    def interval_km(self, level: float = 0.8) -> tuple[float, float]:
+        """Return the central interval that holds the crossing with probability `level`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `level` is not a number above 0 and below 1.
+        """
+        check_number("level", level, above=0, below=1)
+        return self.quantile_km((1 - level) / 2), self.quantile_km((1 + level) / 2)
+
+    def probability(self, km: float) -> float:
+        """Return the probability that the limit is passed within `km`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `km` is not a number of at least 0.
+        """
+        check_number("km", km, low=0)
+        return float(np.mean(self.samples_km <= km))
+
+    def __str__(self) -> str:
+        """Return model, median and the interval of 80 % in words."""
+        low, high = self.interval_km()
+        median = self.quantile_km(0.5)
+        if np.isinf(low):
+            return f"{self.model}: no crossing within {HORIZON_KM:,.0f} km (90 %)"
+        if high == 0:
+            return f"{self.model}: limit passed"
+        if np.isinf(median):
+            return f"{self.model}: limit passed within {low:,.0f} km with 10 %, perhaps never"
+        latest = f"{high:,.0f}" if np.isfinite(high) else "never"
+        return f"{self.model}: {median:,.0f} km to go (80 %: {low:,.0f} to {latest})"
+
+
+def predict_life(
+    mileage_km: ArrayLike,
+    values: ArrayLike,
+    half_widths: ArrayLike,
+    limits_pair: tuple[float, float],
+    *,
+    fleet: FleetPrior | None = None,
+    level: float = 0.9,
+    seed: int = 0,
+    n_samples: int = 500,
+) -> Life:
+    """Return the remaining life of one parameter of one suspension.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        Since the last maintenance, ascending.
+    values : array of shape (n_trips,), [-]
+        Estimates relative to healthy; NaN: none.
+    half_widths : array of shape (n_trips,), [-]
+        Of the intervals, in logarithms; NaN: none.
+    limits_pair : (lower, upper), [-]
+        Lower 0 or upper infinity is no limit on that side.
+    fleet : FleetPrior, optional
+        What is known of suspensions of this type, from ``learn_fleet``.
+    level : float
+        Of the intervals.
+    seed, n_samples : int
+
+    Returns
+    -------
+    Life
+
+    Raises
+    ------
+    TypeError, ValueError
+        If arrays or settings are out of range, or there are fewer than ``MIN_TRIPS`` estimates.
+    """
+    check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
+    check_number("seed", seed, low=0, whole=True)
+    lower, upper = _checked_limits(limits_pair)
+    fits, n_trips = _fits(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
+    rng = np.random.default_rng(seed)
+    weights = [fit.log_weight.reshape(-1) for fit in fits]
+    ends = np.cumsum([0, *(weight.size for weight in weights)])
+    log_weight = np.concatenate(weights)
+    weight = np.exp(log_weight - logsumexp(log_weight))
+    node = _stratified(weight, n_samples, rng)
+    state = join(
+        [
+            fit.now(node[(node >= begin) & (node < end)] - begin)
+            for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
+        ]
+    )
+    share = np.zeros(len(MODELS))
+    share[: len(fits)] = np.add.reduceat(weight, ends[:-1])
+    samples = rng.permutation(_samples(state, (lower, upper), n_trips + NOISE_TRIPS, rng))
+    probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
+    model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
+    return Life(model, samples, probabilities)
+
+
+def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
+    """Return `n` indices drawn with these weights, each as often as it can be expected."""
+    places = (np.arange(n) + rng.random(n)) / n
+    return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
+
+
+def first_passage_km(
+    distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws of the mileage until a Wiener process with drift first passes a limit.
+
+    With a drift towards the limit, of `distance` d, `rate` v and variance q per mileage, the law is
+    inverse Gaussian with mean d / v and shape d^2 / q [1]_; with a drift away from it, it is that
+    of |v| with probability exp(-2 |v| d / q) and infinite otherwise. Without diffusion it is d / v.
+
+    Parameters
+    ----------
+    distance : array of shape (n_samples,), [-]
+        At most 0: passed already, which gives 0. May be infinite.
+    rate : array of shape (n_samples,), [1 / UNIT_KM]
+    diffusion : array of shape (n_samples,), [1 / UNIT_KM]
+        Variance per mileage.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+
+    References
+    ----------
+    .. [1] Chhikara, Folks, The Inverse Gaussian Distribution, Marcel Dekker, 1989; drawn as by
+       Michael, Schucany, Haas, The American Statistician 30 (1976) 88-90.
+    """
+    y, u, away = rng.normal(size=rate.size) ** 2, rng.random(rate.size), rng.random(rate.size)
+    reachable = (distance > 0) & (distance < np.inf)
+    d, v = np.where(reachable, distance, 1.0), np.maximum(np.abs(rate), 1e-12)
+    q = np.where(diffusion > 0, diffusion, 1.0)
+    mean = d / v
+    half = 0.5 * y * q / (v * d)
+    # the smaller root, without the difference of large numbers of the usual form
+    smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
+    random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
+    reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
+    passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
+    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
+
+
+def _samples(
+    state: State, limits: tuple[float, float], freedom: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return a draw of the remaining life from each node; the noise has `freedom` degrees of it.
+
+    The two limits are passed independently given rate and present value: exact but for paths that
+    would pass both.
+    """
+    row = state.row
+    wide = np.sqrt(freedom / rng.chisquare(freedom, row.size))
+    values, vectors = np.linalg.eigh(state.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+    draws = (root @ rng.normal(size=(row.size, 3, 1)))[..., 0]
+    now, rate, change = (state.mean + wide[:, None] * draws).T
+    lower, upper = (_on_scale(limit, row == 2) for limit in limits)
+    wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
+    diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
+    samples = np.minimum(
+        first_passage_km(now - lower, -rate, diffusion, rng),
+        first_passage_km(upper - now, rate, diffusion, rng),
+    )
+    changing = np.flatnonzero(row >= FIRST_CHANGING)
+    if changing.size:
+        spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
+        since, power = (part[changing, None] for part in (state.since, state.power))
+        ahead = powered(since + FUTURE, power) - powered(since, power)
+        mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
+        samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)
+    return np.where(samples > HORIZON_KM, np.inf, samples)
+
+
+def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
+    """Return a limit on the scale of each sample; 0 is no limit."""
+    if limit == 0:
+        return np.full(logarithmic.size, -np.inf)
+    return np.where(logarithmic, np.log(limit), limit - 1)
+
+
+def changing_passage_km(
+    mean: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    spread: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
+
+    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
+
+    Parameters
+    ----------
+    mean : array of shape (n_samples, n_future), [-]
+        Mean value at ``FUTURE``.
+    lower, upper, spread : arrays of shape (n_samples,)
+        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+    """
+    dt = np.diff(FUTURE)
+    a, b = rng.normal(size=(2, lower.size, dt.size))
+    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
+    before = rates - np.sqrt(dt) * a
+    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
+    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
+    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
+    out = (values <= lower[:, None]) | (values >= upper[:, None])
+    index, each = out.argmax(axis=1), np.arange(lower.size)
+    last = np.maximum(index - 1, 0)
+    one, two = values[each, last], values[each, index]
+    limit = np.where(two >= upper, upper, lower)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
+    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
+    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
+
+
+def _fits(
+    mileage_km: ArrayLike,
+    values: ArrayLike,
+    half_widths: ArrayLike,
+    level: float,
+    prior: FleetPrior,
+) -> tuple[list[Fit], int]:
+    """Return the fit of each model, in the order of ``MODELS``, and the number of estimates."""
+    check_number("level", level, above=0, below=1)
+    km, value, half = _checked_series(mileage_km, values, half_widths)
+    t = (km - km[0]) / UNIT_KM
+    sigma = half / NormalDist().inv_cdf((1 + level) / 2)
+    known = np.isfinite(sigma)
+    usual = np.median(sigma[known]) if known.any() else _spread(np.log(value))
+    sigma = np.maximum(np.where(known, sigma, usual), degradation.LEAST_NOISE)
+    value = _tamed(value)
+    noise = degradation.estimate_noise(t, np.log(value), sigma)
+    blocks = degradation.average(t, value, sigma)
+    return degradation.fit_models(blocks, noise, prior), km.size
+
+
+def _spread(log_values: FloatArray) -> float:
+    """Return a robust standard deviation of the noise, from second differences."""
+    return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
+
+
+def _tamed(values: FloatArray) -> FloatArray:
+    """Return values with single trips that lie far off drawn to the median of five trips."""
+    logs = np.log(values)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
+    middle = np.median(windows, axis=1)
+    off = logs - middle
+    scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), degradation.LEAST_NOISE)
+    most = OUTLYING * scale / 0.6745
+    return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)
+
+
+def _checked_series(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the trips with an estimate, or raise."""
+    named = {"mileage_km": mileage_km, "values": values, "half_widths": half_widths}
+    km, value, half = (np.asarray(one, dtype=float) for one in named.values())
+    if km.ndim != 1 or value.shape != km.shape or half.shape != km.shape:
+        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in named.items())
+        raise ValueError(f"arrays must have one and the same length, got {shapes}")
+    if not np.isfinite(km).all():
+        raise ValueError("`mileage_km` must be finite numbers")
+    if (np.diff(km) < 0).any():
+        raise ValueError("`mileage_km` must be ascending: sort the trips by mileage")
+    if np.isinf(value).any() or (value <= 0).any():
+        raise ValueError("`values` must be above 0 and finite, or NaN where there is no estimate")
+    if np.isinf(half).any() or (half < 0).any():
+        raise ValueError("`half_widths` must be at least 0 and finite, or NaN where there is none")
+    kept = np.isfinite(value)
+    if kept.sum() < MIN_TRIPS or km[kept][-1] == km[kept][0]:
+        raise ValueError(
+            f"a life needs at least {MIN_TRIPS} trips with an estimate, at different mileages, "
+            f"got {kept.sum()}"
+        )
+    return km[kept], value[kept], half[kept]
+
+
+def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
+    pair = tuple(limits_pair)
+    if len(pair) != 2:
+        raise ValueError(f"`limits_pair` must be two numbers, lower and upper, got {pair}")
+    check_number("limits_pair[0]", pair[0], low=0, below=1)
+    if pair[1] != np.inf:
+        check_number("limits_pair[1]", pair[1], above=1)
+    return float(pair[0]), float(pair[1])
+
+
+def learn_fleet(
+    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
+) -> FleetPrior:
+    """Return what several suspensions of one type say of models and rates, by empirical Bayes.
+
+    The rate is given a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and
+    narrower ones about ``FLEET_RATES`` of both signs. Weights of these, and of the models, are
+    those of the largest posterior probability (expectation maximisation with a Dirichlet prior
+    that counts as much as ``PRIOR_SERIES`` series). With no series it is the default.
+
+    Parameters
+    ----------
+    series : sequence of (mileage_km, values, half_widths)
+        Of one parameter, as in ``predict_life``; include those that do not wear.
+    level : float
+        Of the intervals.
+
+    Returns
+    -------
+    FleetPrior
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a series is not as ``predict_life`` needs it; the message says which.
+    """
+    means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
+    spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
+    even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
+    evidence = np.full((len(series), even.models.size, means.size), -np.inf)
+    for i, one in enumerate(series):
+        try:
+            fits, _ = _fits(*one, level, even)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"series {i}: {error}") from None
+        for fit in fits:
+            evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
+    evidence -= np.log(even.models)[:, None]
+    evidence[:, 1:] -= np.log(even.weights)
+    default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
+    models, weights = even.models, (default + even.weights) / 2
+    for _ in range(MAX_STEPS):
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, 1e-300))
+        share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
+        # a constant value says nothing of the rate
+        old = models, weights
+        models = _counted(share.sum(axis=(0, 2)), even.models)
+        weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
+        if max(np.abs(models - old[0]).max(), np.abs(weights - old[1]).max()) < 1e-4:
+            break
+    return FleetPrior(models, weights, means, spreads)
+
+
+def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
+    """Return shares from counts and a default that counts as ``PRIOR_SERIES`` series."""
+    total = counts + PRIOR_SERIES * default
+    return np.asarray(total / total.sum())

@@ -1,0 +1,218 @@
+"""What a plan is made from: settings, trains, and parts with their remaining mileage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from suspnet.checks import check_number
+from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.visits import Costs
+from suspnet.types import FloatArray
+
+MOST_DAYS = 36_525.0
+"""A century, the longest horizon."""
+MAX_DATES = 1000
+"""Largest number of possible dates before the horizon."""
+WINDOW_DAYS = 180
+"""Number of days whose trips, the newest, tell how far a train runs in a day."""
+LEAST_DAYS = 14
+"""Least number of days between the first and the last of these trips."""
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """What a plan weighs.
+
+    Parameters
+    ----------
+    visit : float
+        Cost of taking a train out of service once, in the currency of `costs`.
+    costs : Costs or mapping of parameter to Costs
+        Of the parts behind each parameter.
+    lead_days : float
+        From today until the first possible visit.
+    horizon_days : float
+        From today until the last date that is planned.
+    step_days : float
+        Between possible dates.
+    notice_days : float
+        Within which a notice is looked at where no passing of a limit is predicted.
+    km_per_day : float
+        Of trains whose trips do not tell it.
+    plan_again_risk : float
+        A part without a visit is planned again before the probability that its limit is passed
+        exceeds this.
+    level : float
+        Of the interval of the passing of a limit that is reported.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If one is out of range, or there are more than ``MAX_DATES`` dates.
+    """
+
+    visit: float = 1.0
+    costs: Costs | Mapping[str, Costs] = field(default_factory=Costs)
+    lead_days: float = 14.0
+    horizon_days: float = 730.0
+    step_days: float = 7.0
+    notice_days: float = 90.0
+    km_per_day: float = 500.0
+    plan_again_risk: float = 0.01
+    level: float = 0.8
+
+    def __post_init__(self) -> None:
+        for name in ("visit", "lead_days", "notice_days"):
+            check_number(name, getattr(self, name), low=0)
+        check_number("horizon_days", self.horizon_days, above=0, high=MOST_DAYS)
+        for name in ("step_days", "km_per_day"):
+            check_number(name, getattr(self, name), above=0)
+        for name in ("plan_again_risk", "level"):
+            check_number(name, getattr(self, name), above=0, below=1)
+        if self.horizon_days <= self.lead_days:
+            raise ValueError(
+                f"`horizon_days` must be > `lead_days` ({self.lead_days:g}), "
+                f"got {self.horizon_days:g}"
+            )
+        if self.horizon_days - self.lead_days > MAX_DATES * self.step_days:
+            raise ValueError(
+                f"`step_days` must leave at most {MAX_DATES} dates until `horizon_days`, "
+                f"got {self.step_days:g}"
+            )
+        given = self.costs.values() if isinstance(self.costs, Mapping) else [self.costs]
+        if not all(isinstance(one, Costs) for one in given):
+            raise TypeError(
+                f"`costs` must be Costs or a mapping of parameters to Costs, got {self.costs!r}"
+            )
+
+    def of(self, parameter: str) -> Costs:
+        """Return the costs of a parameter's part.
+
+        Raises
+        ------
+        ValueError
+            If `costs` does not name it.
+        """
+        if isinstance(self.costs, Costs):
+            return self.costs
+        if parameter not in self.costs:
+            raise ValueError(f"`costs` must name {parameter!r}, got {tuple(self.costs)}")
+        return self.costs[parameter]
+
+
+@dataclass(frozen=True)
+class Train:
+    """How far a train is and how far it runs.
+
+    Parameters
+    ----------
+    name : str
+    mileage_km : float, [km]
+    on : date
+        Day of that mileage.
+    km_per_day : float
+    """
+
+    name: str
+    mileage_km: float
+    on: date
+    km_per_day: float
+
+    def __post_init__(self) -> None:
+        check_number(f"mileage_km of train {self.name}", self.mileage_km)
+        check_number(f"km_per_day of train {self.name}", self.km_per_day, above=0)
+
+    def mileage_at(self, day: date) -> float:
+        """Return the mileage expected on a day, [km]."""
+        return self.mileage_km + self.km_per_day * (day - self.on).days
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One parameter of one suspension, and how long it is expected to last.
+
+    Parameters
+    ----------
+    train, suspension, parameter : str
+        Which one, together with `car`.
+    samples_km : array of shape (n_samples,), [km]
+        Equally likely mileages from the last trip until a limit is passed, as of
+        ``Life.samples_km``; inf: never, 0: it has been already.
+    mileage_km : float, [km]
+        Of that last trip.
+    severity : Severity
+        Of its alarm.
+    car : str
+    """
+
+    train: str
+    suspension: str
+    parameter: str
+    samples_km: FloatArray
+    mileage_km: float
+    severity: Severity = Severity.NONE
+    car: str = ""
+
+    def __post_init__(self) -> None:
+        samples = np.asarray(self.samples_km, dtype=float)
+        if samples.ndim != 1 or not samples.size or not (samples >= 0).all():
+            raise ValueError(
+                f"`samples_km` of {self} must be mileages >= 0, at least one, none of them NaN"
+            )
+        check_number(f"mileage_km of {self}", self.mileage_km)
+        object.__setattr__(self, "samples_km", samples)
+        object.__setattr__(self, "severity", Severity(self.severity))
+
+    def __str__(self) -> str:
+        """Return where it is, in words."""
+        car = f"car {self.car}" if self.car else ""
+        return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
+
+
+def km_per_day(starts: Sequence[str], mileages_km: ArrayLike, default: float) -> float:
+    """Return how far a train runs in a day, from the begins and mileages of its newest trips.
+
+    Parameters
+    ----------
+    starts : sequence of str
+        ISO 8601, or empty where it is not known.
+    mileages_km : array of shape (n_trips,), [km]
+        NaN where it is not known.
+    default : float
+        Returned if these trips span less than ``LEAST_DAYS`` or their mileage does not rise.
+
+    Raises
+    ------
+    ValueError
+        If a start is no date, or the lengths differ.
+    """
+    mileages = np.asarray(mileages_km, dtype=float)
+    if mileages.shape != (len(starts),):
+        raise ValueError(
+            f"`mileages_km` must be one for each of {len(starts)} starts, "
+            f"got shape {mileages.shape}"
+        )
+    days = np.array([_ordinal(start) for start in starts], dtype=float)
+    known = np.isfinite(days) & np.isfinite(mileages)
+    days, mileages = days[known], mileages[known]
+    if not days.size:
+        return default
+    new = days >= days.max() - WINDOW_DAYS
+    span = np.ptp(days[new])
+    run = mileages[new][days[new].argmax()] - mileages[new][days[new].argmin()]
+    return float(run / span) if span >= LEAST_DAYS and run > 0 else default
+
+
+def _ordinal(start: str) -> float:
+    """Return the day of a time stamp as a number, NaN if there is none."""
+    if not start:
+        return np.nan
+    try:
+        return float(datetime.fromisoformat(start).toordinal())
+    except ValueError:
+        raise ValueError(f"`starts` must be ISO 8601 or empty, got {start!r}") from None

@@ -1,0 +1,305 @@
+"""Sister suspensions side by side: one that differs from the others of its car has changed.
+
+Values are relative to each suspension's own healthy value, so that healthy sisters are alike; what
+comes to all of them, as from cold or load, is not told. With L_i the mean logarithm of the last
+``N_LAST`` values of suspension i, and n sisters,
+
+    d_i = L_i - median_j L_j,    var d_i = s_i^2 + min(1, pi / 2n) mean_j s_j^2,
+    s_i^2 = C sigma_i^2 + sigma_0i^2,
+
+where j runs over the sisters, sigma_i is the standard deviation of a trip, C sigma_i^2 that of the
+mean of correlated trips, and sigma_0i that of the healthy value. An alarm begins where |d_i| is
+larger than the least difference and than Student's quantile times the root of var d_i.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import stats
+
+from suspnet.checks import check_number
+from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.limits import N_LAST, Severity
+from suspnet.types import BoolArray, FloatArray
+
+CORRELATION = 0.5
+"""Largest correlation between the errors of one trip and the next that is allowed for."""
+N_REFERENCE = 20
+"""Number of first trips of each suspension that tell how much its trips scatter."""
+EFFICIENCY = 0.37
+"""Degrees of freedom of a median absolute deviation for each of its normal numbers, in those of a
+standard deviation."""
+LOWEST_PROBABILITY, HIGHEST_PROBABILITY = 1e-12, 0.05
+"""Bounds of the probability of a false alarm at one trip."""
+LEAST_PERCENT = {"k_p": 2.0, "c_p": 5.0, "k_s": 2.0, "c_s": 5.0}
+"""Least differences that are told, assumed: a fifth or a quarter of the way to the limits."""
+
+
+@dataclass(frozen=True)
+class SisterSettings:
+    """How sister suspensions are compared.
+
+    Parameters
+    ----------
+    km_per_false_alarm : float, [km]
+        Mileage of a suspension in which one false alarm is expected at most, over all parameters.
+    least_percent : mapping of float, [% of healthy]
+        Least difference of each parameter that is told; others are not compared.
+    max_apart_km : float, [km]
+        A sister whose newest trip is further behind is not compared.
+    level : float
+        Probability of the intervals.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range.
+    """
+
+    km_per_false_alarm: float = 1e7
+    least_percent: Mapping[str, float] = field(default_factory=lambda: dict(LEAST_PERCENT))
+    max_apart_km: float = 20_000.0
+    level: float = 0.9
+
+    def __post_init__(self) -> None:
+        check_number("km_per_false_alarm", self.km_per_false_alarm, above=0)
+        check_number("max_apart_km", self.max_apart_km, above=0)
+        check_number("level", self.level, low=0.01, most=0.999)
+        for name, least in self.least_percent.items():
+            check_number(f"least_percent.{name}", least, low=0, below=100)
+
+
+@dataclass(frozen=True, eq=False)
+class Sister:
+    """One parameter of one suspension.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        Ascending.
+    values : array of shape (n_trips,), [-]
+        Relative to healthy; NaN: no estimate, or one that is flagged.
+    half_widths : array of shape (n_trips,), [-]
+        Of their intervals, in logarithms; NaN: none.
+    healthy_half_width : float, [-]
+        The same of the healthy value, as far as `half_widths` do not hold it.
+    """
+
+    mileage_km: FloatArray
+    values: FloatArray
+    half_widths: FloatArray
+    healthy_half_width: float = 0.0
+
+
+def sister_alarms(
+    parameter: str, sisters: Sequence[Sister], settings: SisterSettings
+) -> list[list[Alarm]]:
+    """Return the alarms of each suspension of a car, open or not, as its trips raised them.
+
+    Each is found from the trips until then alone, so that later trips do not change it. It ends
+    where the difference is less than half of what began it. The severity is a notice: which part is
+    worn, and how far, is for limits to say.
+
+    False alarms: at each trip a healthy suspension has one with at most the probability that gives
+    `km_per_false_alarm`, if errors are normal, correlated by at most ``CORRELATION`` from trip to
+    trip, and scatter as the intervals say, or as the first ``N_REFERENCE`` trips of all sisters do.
+
+    Parameters
+    ----------
+    parameter : str
+    sisters : sequence of Sister
+        Suspensions of one car; none is compared if there is only one.
+    settings : SisterSettings
+
+    Returns
+    -------
+    list of n_sisters lists of Alarm
+    """
+    nothing: list[list[Alarm]] = [[] for _ in sisters]
+    if len(sisters) < 2 or parameter not in settings.least_percent:
+        return nothing
+    km = np.unique(np.concatenate([_known(one)[0] for one in sisters]))
+    if len(km) < N_LAST:
+        return nothing
+    levels, variances = _levels(sisters, km, settings)
+    scale = _quantiles(sisters, km, settings, len(settings.least_percent))
+    least = -math.log1p(-settings.least_percent[parameter] / 100)
+    return [
+        _alarms(parameter, km, _compared(i, levels, variances), scale, least)
+        for i in range(len(sisters))
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """One suspension beside its sisters, at each trip of any; arrays of shape (n_km,)."""
+
+    level: FloatArray
+    median: FloatArray
+    deviation: FloatArray
+    n_sisters: FloatArray
+    n_apart: FloatArray
+
+
+def _known(one: Sister) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mileage, logarithm and half width of the trips that have a value."""
+    values = np.asarray(one.values, dtype=float)
+    known = np.isfinite(one.mileage_km) & np.isfinite(values) & (values > 0)
+    halves = np.nan_to_num(np.asarray(one.half_widths, dtype=float)[known], posinf=np.inf)
+    return np.asarray(one.mileage_km, dtype=float)[known], np.log(values[known]), halves
+
+
+def _levels(
+    sisters: Sequence[Sister], km: FloatArray, settings: SisterSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Return level and variance of each sister at each mileage, (n_sisters, n_km); NaN: unknown."""
+    z = stats.norm.ppf((1 + settings.level) / 2)
+    levels, variances = np.full((2, len(sisters), len(km)), np.nan)
+    pooled = _pooled_scatter(sisters, km)
+    for i, one in enumerate(sisters):
+        own_km, logs, halves = _known(one)
+        if len(logs) < N_LAST:
+            continue
+        n = np.searchsorted(own_km, km, side="right")  # trips until then
+        newest = np.maximum(n - 1, 0)
+        known = (n >= N_LAST) & (km - own_km[newest] <= settings.max_apart_km)
+        last = np.clip(n - N_LAST, 0, len(logs) - N_LAST)
+        windows = np.lib.stride_tricks.sliding_window_view(np.stack([logs, halves**2]), N_LAST, 1)
+        level, square = windows.mean(axis=-1)[:, last]
+        own = _scatter_until(logs)[np.minimum(n, N_REFERENCE)]
+        sigma = np.fmax(np.sqrt(square) / z, np.fmax(own, pooled))
+        variance = _of_mean() * sigma**2 + (one.healthy_half_width / z) ** 2
+        levels[i, known], variances[i, known] = level[known], variance[known]
+    return levels, variances
+
+
+def _of_mean() -> float:
+    """Return the variance of the mean of ``N_LAST`` correlated numbers of variance 1."""
+    lags = np.arange(1, N_LAST)
+    return float(1 + 2 * np.sum((1 - lags / N_LAST) * CORRELATION**lags)) / N_LAST
+
+
+def _scatter_until(logs: FloatArray) -> FloatArray:
+    """Return the robust standard deviation of the first 0, 1, ... ``N_REFERENCE`` trips, or NaN.
+
+    That of differences of successive trips, so that neither drift nor step counts; their variance
+    is 2 (1 - correlation) times that of the trips, which is 1 time for the largest correlation.
+    """
+    steps = np.abs(np.diff(logs[:N_REFERENCE]))
+    found = np.full(N_REFERENCE + 1, np.nan)
+    for n in range(N_LAST, N_REFERENCE + 1):
+        found[n] = _robust(steps[: n - 1])
+    return found
+
+
+def _robust(steps: FloatArray) -> float:
+    """Return the standard deviation of trips from the sizes of their successive differences."""
+    if len(steps) == 0:
+        return math.nan
+    of_steps = float(np.median(steps) / stats.norm.ppf(0.75))
+    return of_steps / math.sqrt(2 * (1 - CORRELATION))
+
+
+def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatArray]]:
+    """Return, for each trip until all references are full, its place and all differences so far."""
+    steps, ends = [], []
+    for one in sisters:
+        own_km, logs, _ = _known(one)
+        steps.append(np.abs(np.diff(logs[:N_REFERENCE])))
+        ends.append(own_km[1:N_REFERENCE])
+    size, end = np.concatenate(steps), np.concatenate(ends)
+    places = np.searchsorted(km, np.unique(end))
+    return [(int(place), size[end <= km[place]]) for place in places]
+
+
+def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
+    """Return the robust standard deviation of the trips of all sisters until each mileage."""
+    found = np.full(len(km), np.nan)
+    for place, steps in _pooled(sisters, km):
+        found[place:] = _robust(steps)
+    return found
+
+
+def _quantiles(
+    sisters: Sequence[Sister], km: FloatArray, settings: SisterSettings, n_parameters: int
+) -> FloatArray:
+    """Return the number of standard deviations that a difference must exceed at each mileage."""
+    degrees = np.ones(len(km))
+    for place, steps in _pooled(sisters, km):
+        degrees[place:] = max(1.0, EFFICIENCY * len(steps))
+    gap_km = (km - km[0]) / np.maximum(np.arange(len(km)), 1)
+    probability = gap_km / settings.km_per_false_alarm / n_parameters
+    limited = np.clip(probability, LOWEST_PROBABILITY, HIGHEST_PROBABILITY)
+    found: FloatArray = stats.t.isf(limited / 2, degrees)
+    return found
+
+
+def _compared(i: int, levels: FloatArray, variances: FloatArray) -> _Compared:
+    """Return a suspension beside its sisters."""
+    others, own = np.delete(levels, i, axis=0), levels[i]
+    there = np.isfinite(others)
+    n = there.sum(axis=0)
+    filled = np.where(there, others, np.inf)
+    ordered, column = np.sort(filled, axis=0), np.arange(len(own))
+    middle = ordered[np.maximum(n - 1, 0) // 2, column], ordered[n // 2, column]
+    median = np.where(n > 0, (middle[0] + middle[1]) / 2, np.nan)
+    mean = np.nansum(np.delete(variances, i, axis=0), axis=0) / np.maximum(n, 1)
+    variance = variances[i] + np.minimum(1.0, np.pi / 2 / np.maximum(n, 1)) * mean
+    apart = there & (np.abs(others - own) > np.abs(own - median) / 2)
+    return _Compared(own, median, np.sqrt(variance), n, apart.sum(axis=0))
+
+
+def _alarms(
+    parameter: str, km: FloatArray, found: _Compared, scale: FloatArray, least: float
+) -> list[Alarm]:
+    """Return the alarms of one suspension."""
+    size = np.abs(found.level - found.median)
+    threshold = np.maximum(scale * found.deviation, least)
+    is_odd = 2 * found.n_apart >= found.n_sisters + 1  # most of them are elsewhere, or half
+    raised, over = is_odd & (size > threshold), size < threshold / 2
+    alarms = []
+    for begin, end in _spans(raised, over):
+        last = len(km) if end is None else end
+        told = begin + int(np.nanargmax(size[begin:last])) if end is not None else _newest(size)
+        end_km = math.nan if end is None else float(km[end])
+        words = _words(parameter, found, told)
+        alarms.append(
+            Alarm(parameter, Cause.SISTER, Severity.NOTICE, float(km[begin]), end_km, words)
+        )
+    return alarms
+
+
+def _newest(size: FloatArray) -> int:
+    """Return the place of the newest difference that is known."""
+    return int(np.flatnonzero(np.isfinite(size))[-1])
+
+
+def _spans(raised: BoolArray, over: BoolArray) -> list[tuple[int, int | None]]:
+    """Return where each alarm begins and ends; None: it stands."""
+    spans: list[tuple[int, int | None]] = []
+    begin = None
+    for place in np.flatnonzero(raised | over):
+        if begin is None and raised[place]:
+            begin = int(place)
+        elif begin is not None and over[place]:
+            spans.append((begin, int(place)))
+            begin = None
+    return spans if begin is None else [*spans, (begin, None)]
+
+
+def _words(parameter: str, found: _Compared, place: int) -> str:
+    """Return how a suspension differs from its sisters."""
+    n, n_apart = int(found.n_sisters[place]), int(found.n_apart[place])
+    level, median = math.exp(found.level[place]), math.exp(found.median[place])
+    percent = 100 * (level / median - 1)
+    size = f"{parameter} is {abs(percent):.1f} % {'below' if percent < 0 else 'above'}"
+    levels = f"{100 * level:.1f} and {100 * median:.1f} % of healthy"
+    if n == 1:
+        return f"{size} that of its one sister ({levels}): which of them changed is not known"
+    if 2 * n_apart == n + 1:
+        return f"{size} {n_apart} of its {n} sisters ({levels}): which of them changed is not known"
+    return f"{size} its sisters (median of {n})"

@@ -1,0 +1,52 @@
+"""Suspensions of the same car side by side, from the history of the whole fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from suspnet.history.series import Series
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
+from suspnet.recordings.manifest import Place
+
+Key = tuple[str, Place]
+"""Vehicle and place: which suspension it is."""
+
+
+def of_same_car(series: Sequence[Series]) -> list[list[Series]]:
+    """Return the suspensions of each car that has several.
+
+    Where no car is named, those are of one car that differ in bogie or side alone.
+    """
+    cars: dict[tuple[str, ...], list[Series]] = {}
+    for one in series:
+        place = one.place
+        car = (one.vehicle, place.train, place.car, "" if place.car else place.suspension)
+        cars.setdefault(car, []).append(one)
+    return [sisters for sisters in cars.values() if len(sisters) > 1]
+
+
+def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dict[Key, list[Alarm]]:
+    """Return the alarms of each suspension that differs, or differed, from its sisters.
+
+    Trips before the last maintenance of a suspension and flagged ones do not count.
+    """
+    found: dict[Key, list[Alarm]] = {}
+    for car in of_same_car(series):
+        for parameter in settings.least_percent:
+            alarms = sister_alarms(parameter, [_sister(one, parameter) for one in car], settings)
+            for one, own in zip(car, alarms, strict=True):
+                if own:
+                    found.setdefault((one.vehicle, one.place), []).extend(own)
+    return found
+
+
+def _sister(one: Series, parameter: str) -> Sister:
+    """Return a parameter of a suspension since its last maintenance."""
+    since = one.events[-1].mileage_km if one.events else -np.inf
+    used = (one.mileage_km >= since) & ~one.flagged
+    return Sister(
+        one.mileage_km[used], one.estimates[parameter][used], one.half_widths[parameter][used]
+    )

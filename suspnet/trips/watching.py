@@ -1,0 +1,57 @@
+"""Alarms of a suspension's trips: since its last commissioning, and anew after each maintenance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from suspnet.history import Event
+from suspnet.history.records import TripResult
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.watch import Watched, watch
+from suspnet.trips.trend import PAYLOAD
+
+
+def watch_trips(
+    results: Sequence[TripResult],
+    events: Sequence[Event],
+    outputs: Sequence[str],
+    limits: Mapping[str, Limits],
+    settings: ChangeSettings,
+    least_percent: Mapping[str, float],
+) -> Watched:
+    """Return the alarms of trips that are relative to one healthy state.
+
+    Parameters
+    ----------
+    results : sequence of TripResult
+        In any order; those without a mileage are left out.
+    events : sequence of Event
+    outputs : sequence of str
+        Parameters; the car-body mass is a covariate, as are speed and temperature.
+    limits, settings, least_percent
+        Of ``watch``.
+    """
+    names = [name for name in outputs if name != PAYLOAD]
+    return watch(
+        [r.mileage_km for r in results],
+        {name: [r.estimates.get(name, np.nan) for r in results] for name in names},
+        {name: [r.half_widths.get(name, np.nan) for r in results] for name in names},
+        [bool(r.flags) for r in results],
+        covariates(results),
+        limits,
+        settings,
+        least_percent,
+        [event.mileage_km for event in events],
+    )
+
+
+def covariates(results: Sequence[TripResult]) -> dict[str, list[float]]:
+    """Return what changes stiffness and damping without wear: pay-load, speed, temperature."""
+    return {
+        "pay-load": [r.estimates.get(PAYLOAD, np.nan) for r in results],
+        "speed": [r.quality.speed_m_per_s for r in results],
+        "temperature": [r.temperature_c for r in results],
+    }

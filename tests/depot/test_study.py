@@ -1,0 +1,178 @@
+"""State of a made-up fleet, its overview and plan."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from suspnet.depot.overview import overview_rows, overview_table
+from suspnet.depot.parts import parts_of, train_of, trains_of
+from suspnet.depot.state import fleet_state
+from suspnet.depot.study import write_maintenance
+from suspnet.history import Event, History
+from suspnet.history.records import Quality, TripResult
+from suspnet.maintenance.alarms import Acknowledgement, Cause
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.recordings.manifest import Place
+
+N_TRIPS = 40
+SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}
+TODAY = "2026-03-01"
+SEEN = "2026-02-01T08:00:00+00:00"
+
+
+def place(side, car="3"):
+    return Place("secondary", side=side, train="12", car=car)
+
+
+def trips(where, seed, wear=()):
+    """Return the trips of a suspension, 2000 km and three days apart."""
+    random = np.random.default_rng(seed)
+    found = []
+    for i in range(N_TRIPS):
+        values = {name: float(np.exp(s * random.standard_normal())) for name, s in SPREAD.items()}
+        for name, ratios in dict(wear).items():
+            values[name] *= ratios[i]
+        day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
+        found.append(
+            TripResult(
+                f"trip_{i:03d}",
+                "",
+                "am96",
+                where,
+                2000.0 * (i + 1),
+                start=f"{day}+00:00",
+                estimates=values,
+                raw=values,
+                half_widths={name: 2 * s for name, s in SPREAD.items()},
+                quality=Quality(speed_m_per_s=70.0),
+            )
+        )
+    return found
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """Return a history: one healthy suspension, one with a failed air spring, one that wears."""
+    path = tmp_path_factory.mktemp("depot") / "fleet.db"
+    failed = np.where(np.arange(N_TRIPS) < 38, 1.0, 1.5)
+    worn = 1 - 0.2 * np.clip((np.arange(N_TRIPS) - 10) / 30, 0, None)
+    with History(path) as history:
+        history.write(trips(place("left"), 0))
+        history.write(trips(place("right"), 1, {"k_s": failed}))
+        history.write(trips(place("left", "4"), 2, {"c_s": worn}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def states(store):
+    with History(store) as history:
+        return fleet_state(history.series(), {}, ChangeSettings())
+
+
+def test_worst_suspension_comes_first(states):
+    assert [one.series.place.side for one in states] == ["right", "left", "left"]
+    assert [one.severity for one in states] == [Severity.ACT, Severity.NOTICE, Severity.NONE]
+    assert states[0].watched.passed == {"k_s"}
+    assert states[1].shortest[0] == "c_s"
+    low, high = states[1].shortest[1].interval_km()
+    # 2 % of healthy in three trips: from 80.7 % to the act limit of 70 % it is 32 000 km
+    assert [low, high] == pytest.approx([32_000, 32_000], rel=0.05)
+    assert states[2].shortest is None
+
+
+def test_rows_say_state_reason_and_who_has_seen_it(states):
+    key = ("am96", place("right"))
+    seen = {key: [Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 80_000.0, "Kim", SEEN)]}
+    rows = overview_rows(states, seen)
+    assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
+    assert rows[0]["reason"] == "at 150 % of healthy, above the act limit of 125 %"
+    assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
+    assert rows[2]["reason"] == rows[2]["parameter"] == ""
+    text = overview_table(rows)
+    assert text.startswith("3 suspensions: 1 to act on, 1 to be looked at, 1 without alarm.")
+
+
+def test_parts_and_trains_of_the_plan(states):
+    parts = {(one.car, one.suspension, one.parameter): one for one in parts_of(states)}
+    assert (parts["3", "secondary, right", "k_s"].samples_km == 0).all()
+    assert parts["3", "secondary, right", "k_s"].severity == Severity.ACT
+    (train,) = trains_of(states, np.datetime64(TODAY).item(), 500.0)
+    assert (train.name, train.mileage_km) == ("12", 80_000.0)
+    assert train.km_per_day == pytest.approx(2000 / 3)
+    unnamed = replace(states[0].series, place=Place("x"))
+    assert train_of(replace(states[0], series=unnamed)) == "am96: x"
+
+
+def test_study_writes_overview_plan_and_calendar(store, tmp_path):
+    found = run_study(store, tmp_path)
+    assert [one.severity for one in found] == [Severity.ACT, Severity.NOTICE, Severity.NONE]
+    with (tmp_path / "plan.csv").open() as stream:
+        jobs = list(csv.DictReader(stream))
+    assert jobs[0]["parameter"] == "k_s"
+    assert jobs[0]["day"] == "2026-03-15"
+    assert jobs[0]["urgency"] == "now"
+    with (tmp_path / "overview.csv").open() as stream:
+        assert [row["severity"] for row in csv.DictReader(stream)] == ["act", "notice", "none"]
+    page = (tmp_path / "overview.html").read_text()
+    assert "Sister suspensions side by side" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert (tmp_path / "calendar.png").read_bytes()[:4] == b"\x89PNG"
+    assert json.loads((tmp_path / "metrics.json").read_text())["severities"]["act"] == 1
+
+
+def test_maintenance_clears_the_state(store, tmp_path):
+    copy = tmp_path / "copy.db"
+    copy.write_bytes(store.read_bytes())
+    with History(copy) as history:
+        history.add_event("am96", place("right"), Event(76_500.0, "exchanged", "air spring"))
+        series = [one for one in history.series() if one.place == place("right")]
+    (state,) = fleet_state(series, {}, ChangeSettings())
+    # what was mounted is judged by itself: 150 % of what was healthy before
+    assert state.recent.sum() == 2
+    assert state.severity == Severity.ACT
+    assert state.watched.changes.why_not == "2 of 20 trips for the reference so far"
+
+
+def test_html_in_names_is_text(tmp_path):
+    where = Place("<script>alert(1)</script>", train="<b>", car="&")
+    with History(tmp_path / "odd.db") as history:
+        history.write(trips(where, 0))
+        history.write(trips(replace(where, side="left"), 1))
+    run_study(tmp_path / "odd.db", tmp_path)
+    page = (tmp_path / "overview.html").read_text()
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_mistakes_are_told(tmp_path):
+    with pytest.raises(ValueError, match="there is no such store"):
+        run_study(tmp_path / "none.db", tmp_path)
+    History(tmp_path / "empty.db").close()
+    with pytest.raises(ValueError, match="no trip is kept here yet"):
+        run_study(tmp_path / "empty.db", tmp_path)
+    with pytest.raises(ValueError, match="must be a day like"):
+        run_study(tmp_path / "empty.db", tmp_path, today="tomorrow")
+
+
+def test_limits_of_a_vehicle_can_be_replaced(store, tmp_path):
+    limits = {"k_s": {"notice": [0.5, 1.6], "act": [0.4, 1.7]}}
+    found = run_study(store, tmp_path, limits=limits)
+    assert DEFAULT_LIMITS["k_s"].act == (0.8, 1.25)
+    assert found[0].severity == Severity.NOTICE
+
+
+def run_study(store, folder, *, today=TODAY, limits=None):
+    return write_maintenance(
+        str(store),
+        folder,
+        vehicles={},
+        limits=limits,
+        changes=ChangeSettings(),
+        plan=PlanSettings(),
+        today=today,
+    )

@@ -1,0 +1,186 @@
+"""Alarms of a suspension, from made-up estimates."""
+
+import numpy as np
+import pytest
+
+from suspnet.maintenance.alarms import Cause
+from suspnet.maintenance.change import Changes, ChangeSettings
+from suspnet.maintenance.cusum import autoregressive
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.watch import alarm_table, beside, detector_words, watch
+
+PARAMETERS = ("k_p", "c_p", "k_s", "c_s")
+SPREAD = np.array([0.0005, 0.003, 0.0006, 0.001])
+N_TRIPS = 100
+KM = 2000.0 * np.arange(N_TRIPS)
+SETTINGS = ChangeSettings()
+
+
+def made_up(seed=0):
+    """Return healthy estimates of shape (n_trips, n_parameters)."""
+    noise = np.random.default_rng(seed).standard_normal((N_TRIPS, 4))
+    return np.exp(autoregressive(noise, 0.3) * SPREAD)
+
+
+def watched(estimates, *, flagged=(), order=slice(None), maintenance_km=(), least=None):
+    """Return what the trips raise."""
+    marks = np.isin(np.arange(len(estimates)), flagged)
+    widths = np.tile(3 * SPREAD, (len(estimates), 1))
+    return watch(
+        KM[: len(estimates)][order],
+        dict(zip(PARAMETERS, estimates[order].T, strict=True)),
+        dict(zip(PARAMETERS, widths.T, strict=True)),
+        marks[order],
+        {"speed": 70 + np.random.default_rng(1).standard_normal(len(estimates))[order]},
+        DEFAULT_LIMITS,
+        SETTINGS,
+        least,
+        maintenance_km,
+    )
+
+
+def test_healthy_trips_raise_nothing():
+    found = watched(made_up())
+    assert found.alarms == []
+    assert found.passed == set()
+    assert found.changes.why_not == ""
+    assert "one false alarm in 1 000 000 km" in detector_words(found.changes, SETTINGS)
+
+
+def test_one_percent_of_a_spring_is_a_notice_within_four_trips():
+    """The paper's story; nothing else raises an alarm."""
+    estimates = made_up()
+    estimates[60:, 0] *= 0.99
+    found = watched(estimates)
+    (alarm,) = found.alarms
+    assert (alarm.parameter, alarm.cause) == ("k_p", Cause.CHANGE)
+    assert alarm.severity == Severity.NOTICE
+    assert KM[60] < alarm.begin_km <= KM[63]
+    assert alarm.is_open
+    assert alarm.words.startswith("fell by ")
+    assert "119 000 km" in alarm.words
+    assert found.changes.found["k_p"][0].percent == pytest.approx(-1, abs=0.2)
+
+
+def test_failed_air_spring_acts_at_once():
+    estimates = made_up()
+    estimates[80:, 2] *= 1.5
+    found = watched(estimates)
+    (alarm,) = found.alarms  # the change says nothing new
+    assert (alarm.cause, alarm.severity, alarm.begin_km) == (Cause.LIMIT, Severity.ACT, KM[80])
+    assert "above the act limit of 125 %" in alarm.words
+    assert found.passed == {"k_s"}
+    assert found.standing("k_s") == [alarm]
+    assert found.standing("k_p") == []
+
+
+def test_alarm_of_a_limit_ends_after_three_quiet_trips_and_does_not_flap():
+    estimates = made_up()
+    estimates[50:70, 3] *= 0.75
+    estimates[[55, 56, 60], 3] = 1.0  # two quiet trips in a row are too few
+    limit = [a for a in watched(estimates).alarms if a.cause == Cause.LIMIT]
+    (alarm,) = limit
+    assert (alarm.begin_km, alarm.severity) == (KM[50], Severity.NOTICE)
+    # three of the last five trips confirm each other until the third trip within the limits
+    assert KM[72] <= alarm.end_km <= KM[76]
+
+
+def test_worst_severity_is_kept():
+    estimates = made_up()
+    estimates[50:55, 3] *= 0.6
+    estimates[55:, 3] *= 0.75
+    (alarm,) = (a for a in watched(estimates).alarms if a.cause == Cause.LIMIT)
+    assert alarm.severity == Severity.ACT
+    assert alarm.is_open
+
+
+def test_words_say_what_a_change_has_led_to():
+    estimates = made_up()
+    estimates[60:, 3] *= np.linspace(1, 0.85, 40)
+    (alarm,) = watched(estimates).alarms
+    assert alarm.words.endswith("by 14 % by now")
+
+
+def test_order_of_the_trips_does_not_matter():
+    estimates = made_up()
+    estimates[60:, 0] *= 0.99
+    order = np.random.default_rng(0).permutation(N_TRIPS)
+    there, again = watched(estimates).alarms, None
+    widths = np.tile(3 * SPREAD, (N_TRIPS, 1))
+    again = watch(
+        KM[order],
+        dict(zip(PARAMETERS, estimates[order].T, strict=True)),
+        dict(zip(PARAMETERS, widths.T, strict=True)),
+        np.zeros(N_TRIPS, bool),
+        {"speed": 70 + np.random.default_rng(1).standard_normal(N_TRIPS)[order]},
+        DEFAULT_LIMITS,
+        SETTINGS,
+    ).alarms
+    assert again == there
+
+
+def test_too_few_trips_are_told():
+    found = watched(made_up()[:12])
+    assert found.alarms == []
+    assert detector_words(found.changes, SETTINGS) == (
+        "not armed yet, 12 of 20 trips for the reference so far"
+    )
+
+
+def test_maintenance_ends_alarms_and_reference():
+    estimates = made_up()
+    estimates[40:60, 0] *= 0.98
+    estimates[70:, 3] *= 1.03  # a new damper, which is usual from then on
+    found = watched(estimates, maintenance_km=[KM[60], KM[70]])
+    (alarm,) = found.alarms
+    assert (alarm.parameter, alarm.end_km) == ("k_p", KM[60])
+    assert found.changes.n_reference == 30
+
+
+def test_flagged_trips_alone_are_a_notice_at_most():
+    estimates = made_up()
+    estimates[:, 2] *= 1.5
+    (alarm,) = watched(estimates, flagged=range(N_TRIPS)).alarms
+    assert alarm.severity == Severity.NOTICE
+
+
+def test_change_below_the_least_size_is_none():
+    estimates = made_up()
+    estimates[60:, 0] *= 0.99
+    assert watched(estimates, least={"k_p": 2.0}).alarms == []
+
+
+def test_trips_without_mileage_or_estimate_count_for_nothing():
+    estimates = made_up()
+    estimates[[3, 50]] = np.nan
+    assert watched(estimates).alarms == []
+    empty = watch([], {}, {}, [], {}, DEFAULT_LIMITS, SETTINGS)
+    assert empty.alarms == []
+    nothing = watched(np.full((30, 4), np.nan))
+    assert nothing.alarms == []
+    assert nothing.changes.why_not
+
+
+def test_table_of_alarms():
+    estimates = made_up()
+    estimates[80:, 2] *= 1.5
+    text = alarm_table(watched(estimates).alarms)
+    assert "act" in text
+    assert "160 000 km" in text
+    assert "now" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "words"),
+    [(0.6, 0.7, "at 60 %"), (0.6996, 0.7, "at 69.96 %"), (0.7, 0.7, "at 70.000 %")],
+)
+def test_level_is_told_from_its_limit(value, limit, words):
+    assert beside(value, limit) == words
+
+
+def test_detector_says_what_it_takes_into_account():
+    changes = Changes(covariates=("speed",), n_reference=30, n_needed=20, n_unlike=2)
+    assert detector_words(changes, SETTINGS) == (
+        "armed by 20 trips, at most one false alarm in 1 000 000 km; speed taken into account; "
+        "2 trips too unlike the first to be judged"
+    )
