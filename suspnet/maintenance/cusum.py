@@ -6,6 +6,7 @@ Symbols: t counts trips, j the trips in the reference, phi is the correlation of
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -202,7 +203,8 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     if rate >= shown:
         return _least(peaks, rate)
     last, before = _least(peaks, shown), _least(peaks, 10 * shown)
-    return last + max((last - before) / np.log(10), 0.5 / ALLOWANCE) * float(np.log(shown / rate))
+    slope = max((last - before) / math.log(10), 1 / (2 * ALLOWANCE))
+    return last + slope * math.log(shown / rate)
 
 
 def _least(peaks: NDArray[np.float32], rate: float) -> float:
