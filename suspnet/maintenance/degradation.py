@@ -43,6 +43,8 @@ FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
 """First row of each model in ``FleetPrior.models``."""
 N_STARTS = 8
 """Onsets of Brownian motion; an onset of the drift uses the last one before it."""
+TINY = 1e-300
+"""Stands for a probability of 0 in logarithms."""
 DETAILED = 0.3
 """Probability of a trend, without Brownian motion, from which that is considered too."""
 
@@ -76,86 +78,62 @@ def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
         For diffusion 0 and each of ``DIFFUSIONS``.
     prior : FleetPrior
     """
-    log_models = np.log(np.maximum(prior.models, 1e-300))
     covariance = noise_covariance(blocks, noise.variance, noise.correlation)
-    fits = [_without_trend(blocks, covariance[:1], log_models[:1])]
-    fits += [_straight(blocks, covariance[:1], prior, row, log_models) for row in (1, 2)]
+    fits = [_without_trend(blocks, covariance[:1], prior)]
+    fits += [_straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in (1, 2)]
     totals = np.array([logsumexp(fit.log_weight) for fit in fits])
     if np.exp(totals[0] - logsumexp(totals)) > 1 - DETAILED:
         return fits
-    fits[1:] = [_refined(blocks, covariance[:1], prior, fit, log_models) for fit in fits[1:]]
-    changing = np.zeros(RATE_CHANGES.size, dtype=np.int64)
-    wiener = np.arange(1, DIFFUSIONS.size + 1)
-    for rows, which in (
-        (FIRST_WIENER + wiener - 1, wiener),
-        (FIRST_CHANGING + np.arange(changing.size), changing),
-    ):
-        fits.append(_wandering(blocks, covariance[which], prior, rows, log_models[rows]))
+    fits[1:] = [_refined(blocks, covariance[:1], prior, fit) for fit in fits[1:]]
+    fits.append(_wandering(blocks, covariance[1:], prior, Motion(DIFFUSIONS**2, False)))
+    fits.append(_wandering(blocks, covariance[:1], prior, Motion(RATE_CHANGES**2, True)))
     return fits
 
 
-def _onsets(last: float, n: int) -> FloatArray:
+def _onsets(last: float) -> FloatArray:
     """Return onsets from before the first trip to shortly before the last."""
-    return last * np.linspace(0, 0.95, n)
+    return last * np.linspace(0, 0.95, N_ONSETS)
 
 
-def _without_trend(blocks: Blocks, covariance: FloatArray, log_prior: FloatArray) -> Fit:
+def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) -> Fit:
     """Return the fit of a constant value: a rate of which the prior knows that it is 0."""
-    constant = FleetPrior(np.ones(1), np.ones(1), np.zeros(1), np.full(1, 1e-9))
-    hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), log_prior[:, None])
+    constant = FleetPrior(prior.models, np.ones(1), np.zeros(1), np.full(1, 1e-9))
+    hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
     return Fit(blocks, True, covariance[:, None], hinges, constant, np.zeros(1, dtype=np.int64))
 
 
 def _straight(
-    blocks: Blocks,
-    covariance: FloatArray,
-    prior: FleetPrior,
-    row: int,
-    log_models: FloatArray,
-    onsets: FloatArray | None = None,
+    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, row: int, onsets: FloatArray
 ) -> Fit:
     """Return the fit of "linear" or "exponential", without Brownian motion."""
-    onsets = _onsets(blocks.last, N_ONSETS) if onsets is None else onsets
-    log_prior = log_models[row] + _log_measure(onsets)
-    hinges = Hinges(onsets[None], np.ones((1, onsets.size)), log_prior[None])
+    hinges = Hinges(onsets[None], np.ones((1, onsets.size)), _log_measure(onsets)[None])
     return Fit(blocks, row == 1, covariance[:, None], hinges, prior, np.array([row]))
 
 
-def _refined(
-    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit, log_models: FloatArray
-) -> Fit:
+def _refined(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit) -> Fit:
     """Return a fit with more onsets about the best."""
     for _ in range(ONSET_PASSES):
         onsets = fit.hinges.onsets[0]
         best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
         low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
         onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
-        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), log_models, onsets)
+        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), onsets)
     return fit
 
 
-def _wandering(
-    blocks: Blocks,
-    covariance: FloatArray,
-    prior: FleetPrior,
-    rows: IntArray,
-    log_prior: FloatArray,
-) -> Fit:
-    """Return the fit with Brownian motion of the value or of the rate."""
-    changing = bool(rows[0] == FIRST_CHANGING)
-    motion = Motion((RATE_CHANGES if changing else DIFFUSIONS) ** 2, changing)
-    powers = POWERS if changing else np.ones(1)
-    onsets = _onsets(blocks.last, N_ONSETS)
+def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion: Motion) -> Fit:
+    """Return the fit of "wiener" or "changing rate", with Brownian motion of value or rate."""
+    powers = POWERS if motion.integrated else np.ones(1)
+    onsets = _onsets(blocks.last)
     log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
     hinges = Hinges(
         np.repeat(onsets, powers.size).reshape(N_STARTS, -1),
         np.tile(powers, N_ONSETS).reshape(N_STARTS, -1),
         log_measure.reshape(N_STARTS, -1),
     )
-    log_weights = log_prior[:, None, None]
-    fit = Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
-    fit.log_weight += log_weights[..., None]
-    return fit
+    first = FIRST_CHANGING if motion.integrated else FIRST_WIENER
+    rows = first + np.arange(motion.variances.size)
+    return Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
 
 
 def _log_measure(onsets: FloatArray) -> FloatArray:
@@ -238,7 +216,7 @@ class Fit:
     blocks : Blocks
     linear : bool
         The value itself, or else its logarithm.
-    covariance : array of shape (n_motions, 1, n_blocks, n_blocks)
+    covariance : array of shape (n_motions or 1, 1, n_blocks, n_blocks)
         Of the noise.
     hinges : Hinges
     prior : FleetPrior
@@ -304,9 +282,9 @@ class Fit:
         self._spreads = [m / det for m in (m22, -m12, m11)]
         misfit = yy + p2 * prior.means**2 - self._level * c1 - self._rate * r2
         evidence = -0.5 * (log_det[..., None, None] + np.log(det / (p1 * p2)) + misfit)
-        self.log_weight = (
-            evidence + self.hinges.log_prior[..., None] + np.log(np.maximum(prior.weights, 1e-300))
-        )
+        log_prior = np.log(np.maximum(prior.models[self.rows], TINY))[:, None, None]
+        log_prior = log_prior + self.hinges.log_prior
+        self.log_weight = evidence + log_prior[..., None] + np.log(np.maximum(prior.weights, TINY))
 
     def now(self, nodes: IntArray) -> State:
         """Return the posterior of the present state of some nodes, by index of the flat array."""

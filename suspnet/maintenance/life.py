@@ -17,6 +17,7 @@ from suspnet.maintenance.degradation import (
     FIRST_WIENER,
     MODELS,
     RATE_CHANGES,
+    TINY,
     Fit,
     FleetPrior,
     State,
@@ -167,6 +168,22 @@ def predict_life(
     ------
     TypeError, ValueError
         If arrays or settings are out of range, or there are fewer than ``MIN_TRIPS`` estimates.
+
+    Examples
+    --------
+    A damper that has lost 20 % after 300,000 km in a straight line has 150,000 km to go to 70 %:
+
+    >>> import numpy as np
+    >>> mileage = np.arange(0, 300_001, 2_000)
+    >>> noise = 0.003 * np.random.default_rng(0).normal(size=mileage.size)
+    >>> values = (1 - 0.2 * mileage / 300_000) * np.exp(noise)
+    >>> life = predict_life(mileage, values, np.full(mileage.size, 0.005), (0.7, 1.4))
+    >>> life.model
+    'linear'
+    >>> 145_000 < life.quantile_km(0.5) < 155_000
+    True
+    >>> life.probability(50_000)
+    0.0
     """
     check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
     check_number("seed", seed, low=0, whole=True)
@@ -337,7 +354,7 @@ def learn_fleet(
     default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
     models, weights = even.models, (default + even.weights) / 2
     for _ in range(MAX_STEPS):
-        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, 1e-300))
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
         share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
         # a constant value says nothing of the rate
         old = models, weights

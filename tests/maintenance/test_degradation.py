@@ -92,7 +92,7 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
         naive.append(
             multivariate_normal(mean, total).logpdf(observed)
             + fit.hinges.log_prior[s, o]
-            + (np.log(prior.models[row]) if model > 2 else 0)
+            + np.log(prior.models[row])
         )
         found.append(fit.log_weight.reshape(-1)[node])
         expected = now @ [0, rate] + gain @ (observed - mean)
