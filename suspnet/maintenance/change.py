@@ -98,7 +98,7 @@ class Changes:
     threshold : float, [-]
         Of the CUSUM at the last trip; NaN if there is no detection.
     n_unlike : int
-        Trips that were not judged, as their covariates are unlike those of the reference or lack.
+        Trips that were not judged, as a covariate is unlike that of the reference or not known.
     why_not : str
         Why nothing can be detected; empty if it can.
     """

@@ -6,6 +6,7 @@ Symbols: t counts trips, j the trips in the reference, phi is the correlation of
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -178,7 +179,8 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     level and spread of the trips, that is a parametric bootstrap of any suspension's reference,
     with the correlation that is least favourable in place of its own: `n_reference` trips do not
     tell it well enough. At least ``CLIP``, so that no trip raises an alarm alone. Below the
-    smallest rate that the simulation shows, the tail of a CUSUM is taken, exp(-2 k h).
+    smallest rate that the simulation shows, the logarithm of the rate falls with the threshold as
+    over the last decade shown, which is slower than the exp(-2 k h) of a known level.
 
     Parameters
     ----------
@@ -197,12 +199,21 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     check_number("rate", rate, above=0, below=1)
     check_number("correlation", correlation, low=0, high=MAX_CORRELATION)
     peaks = _healthy_peaks(n_reference, float(correlation), seed)
+    shown = 20 / (N_SIMULATED * HORIZONS[-1])
+    if rate >= shown:
+        return _least(peaks, rate)
+    last, before = _least(peaks, shown), _least(peaks, 10 * shown)
+    slope = max((last - before) / math.log(10), 1 / (2 * ALLOWANCE))
+    return last + slope * math.log(shown / rate)
+
+
+def _least(peaks: NDArray[np.float32], rate: float) -> float:
+    """Return the least threshold, from ``CLIP`` on, that keeps a rate."""
     low, high = CLIP, float(peaks[-1].max())
-    shown = max(rate, 20 / (N_SIMULATED * HORIZONS[-1]))
     for _ in range(24):  # the rate falls with the threshold: bisection to 1e-7 of the range
         middle = (low + high) / 2
-        low, high = (middle, high) if _false_alarms(peaks, middle) > shown else (low, middle)
-    return float(high + np.log(shown / rate) / (2 * ALLOWANCE))
+        low, high = (middle, high) if _false_alarms(peaks, middle) > rate else (low, middle)
+    return high
 
 
 def _false_alarms(peaks: NDArray[np.float32], threshold: float) -> float:

@@ -75,10 +75,14 @@ def histories(
     correlation: float | None = None,
     spacing_km: float = 2000.0,
     degrees: int | None = None,
-    season: bool = False,
+    season: int | None = None,
+    curved: bool = False,
     uneven: bool = False,
 ) -> Histories:
-    """Return healthy histories; correlation None: uniform on 0 to 0.5, of each history."""
+    """Return healthy histories; correlation None: uniform on 0 to 0.5, of each history.
+
+    `season` is a period in trips; `curved` makes c_p a parabola of the temperature.
+    """
     random = np.random.default_rng(seed)
     shape = (N_TRIPS, n, len(NAMES))
     noise = random.standard_normal(shape)
@@ -89,7 +93,7 @@ def histories(
     load, speed = random.uniform(0, 1, (n, N_TRIPS)), random.normal(160, 10, (n, N_TRIPS))
     temperature = random.normal(10, 8, (n, N_TRIPS))
     if season:
-        turns = np.arange(N_TRIPS) / 50 + random.uniform(size=(n, 1))
+        turns = np.arange(N_TRIPS) / season + random.uniform(size=(n, 1))
         temperature = 10 + 12 * np.sin(2 * np.pi * turns) + random.normal(0, 3, (n, N_TRIPS))
     covariates = np.stack([load, speed, temperature], axis=-1)
     gaps = np.full((n, N_TRIPS), spacing_km)
@@ -97,6 +101,8 @@ def histories(
         gaps = np.where(np.arange(N_TRIPS) % 5, 200.0, 9200.0) * np.linspace(1.8, 0.2, N_TRIPS)
         gaps = np.broadcast_to(gaps, (n, N_TRIPS))
     effects = (covariates - [0.5, 160, 10]) @ EFFECTS
+    if curved:
+        effects[..., NAMES.index("c_p")] += 4e-5 * (temperature - 10) ** 2
     return Histories(scatter, effects, covariates, np.cumsum(gaps, axis=1))
 
 
@@ -273,8 +279,12 @@ def print_false_alarms(n: int, seed: int) -> None:
         ("uneven spacing, correlation 0.5", {"uneven": True, "correlation": 0.5}),
         ("Student's t of 5", {"degrees": 5}),
         ("Student's t of 5, correlation 0.5", {"degrees": 5, "correlation": 0.5}),
-        ("season of 50 trips", {"season": True}),
-        ("season, correlation 0.5", {"season": True, "correlation": 0.5}),
+        ("season of 50 trips", {"season": 50}),
+        ("season of 50 trips, correlation 0.5", {"season": 50, "correlation": 0.5}),
+        ("season of 150 trips", {"season": 150}),
+        ("season of 150 trips, correlation 0.5", {"season": 150, "correlation": 0.5}),
+        ("season of 50 trips, curved effect", {"season": 50, "curved": True}),
+        ("correlation 0.7, above the setting", {"correlation": 0.7}),
     ]
     find_changes(*warm_up())
     rows = [
