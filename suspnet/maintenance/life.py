@@ -186,7 +186,7 @@ def predict_life(
     >>> life.probability(50_000)
     0.0
     """
-    check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
+    check_number("n_samples", n_samples, low=1, most=1e5, whole=True)
     check_number("seed", seed, low=0, whole=True)
     lower, upper = _checked_limits(limits_pair)
     fits, n_trips = _fits(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
