@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.special import logsumexp
 
 from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
 from suspnet.types import FloatArray, IntArray
@@ -81,8 +80,7 @@ def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
     covariance = noise_covariance(blocks, noise.variance, noise.correlation)
     fits = [_without_trend(blocks, covariance[:1], prior)]
     fits += [_straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in (1, 2)]
-    totals = np.array([logsumexp(fit.log_weight) for fit in fits])
-    if np.exp(totals[0] - logsumexp(totals)) > 1 - DETAILED:
+    if shares(fits)[0][0] > 1 - DETAILED:
         return fits
     fits[1:] = [_refined(blocks, covariance[:1], prior, fit) for fit in fits[1:]]
     fits.append(_wandering(blocks, covariance[1:], prior, Motion(DIFFUSIONS**2, False)))
@@ -342,3 +340,11 @@ class State:
 def join(states: list[State]) -> State:
     """Return all nodes as one state."""
     return State(*(np.concatenate([getattr(one, f.name) for one in states]) for f in fields(State)))
+
+
+def shares(fits: list[Fit]) -> list[FloatArray]:
+    """Return the probabilities of the nodes of each fit, flat; all of them sum to 1."""
+    peak = max(fit.log_weight.max() for fit in fits)
+    weights = [np.exp(fit.log_weight - peak).reshape(-1) for fit in fits]
+    total = sum(weight.sum() for weight in weights)
+    return [weight / total for weight in weights]

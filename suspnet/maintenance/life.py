@@ -24,6 +24,7 @@ from suspnet.maintenance.degradation import (
     fit_models,
     join,
     powered,
+    shares,
 )
 from suspnet.maintenance.noise import (
     LEAST_NOISE,
@@ -185,16 +186,16 @@ def predict_life(
     >>> life.probability(50_000)
     0.0
     """
-    check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
+    check_number("n_samples", n_samples, low=1, most=1e5, whole=True)
     check_number("seed", seed, low=0, whole=True)
     lower, upper = _checked_limits(limits_pair)
     fits, n_trips = _fits(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
     rng = np.random.default_rng(seed)
-    weights = [fit.log_weight.reshape(-1) for fit in fits]
+    weights = shares(fits)
     ends = np.cumsum([0, *(weight.size for weight in weights)])
-    log_weight = np.concatenate(weights)
-    weight = np.exp(log_weight - logsumexp(log_weight))
-    node = _stratified(weight, n_samples, rng)
+    node, draw = np.unique(
+        _stratified(np.concatenate(weights), n_samples, rng), return_inverse=True
+    )
     state = join(
         [
             fit.now(node[(node >= begin) & (node < end)] - begin)
@@ -202,8 +203,8 @@ def predict_life(
         ]
     )
     share = np.zeros(len(MODELS))
-    share[: len(fits)] = np.add.reduceat(weight, ends[:-1])
-    samples = rng.permutation(_samples(state, (lower, upper), n_trips + NOISE_TRIPS, rng))
+    share[: len(fits)] = [weight.sum() for weight in weights]
+    samples = rng.permutation(_samples(state, draw, (lower, upper), n_trips + NOISE_TRIPS, rng))
     probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
     model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
     return Life(model, samples, probabilities)
@@ -216,19 +217,23 @@ def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArra
 
 
 def _samples(
-    state: State, limits: tuple[float, float], freedom: float, rng: np.random.Generator
+    state: State,
+    draw: IntArray,
+    limits: tuple[float, float],
+    freedom: float,
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """Return a draw of the remaining life from each node; the noise has `freedom` degrees of it.
+    """Return draws of the remaining life from nodes; the noise has `freedom` degrees of freedom.
 
     The two limits are passed independently given rate and present value: exact but for paths that
     would pass both.
     """
-    row = state.row
-    wide = np.sqrt(freedom / rng.chisquare(freedom, row.size))
+    row = state.row[draw]
     values, vectors = np.linalg.eigh(state.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
-    draws = (root @ rng.normal(size=(row.size, 3, 1)))[..., 0]
-    now, rate, change = (state.mean + wide[:, None] * draws).T
+    wide = np.sqrt(freedom / rng.chisquare(freedom, (row.size, 1)))
+    off = wide * (root[draw] @ rng.normal(size=(row.size, 3, 1)))[..., 0]
+    now, rate, change = (state.mean[draw] + off).T
     lower, upper = (_on_scale(limit, row == 2) for limit in limits)
     wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
     diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
@@ -239,7 +244,7 @@ def _samples(
     changing = np.flatnonzero(row >= FIRST_CHANGING)
     if changing.size:
         spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
-        since, power = (part[changing, None] for part in (state.since, state.power))
+        since, power = (part[draw[changing], None] for part in (state.since, state.power))
         ahead = powered(since + FUTURE, power) - powered(since, power)
         mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
         samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from suspnet.types import FloatArray, IntArray
 
@@ -127,7 +126,8 @@ def estimate_noise(
     log_likelihood = -(count * (np.log(spectrum) + power / spectrum)).sum(axis=-1)
     log_prior = np.repeat(-0.5 * (np.log(NOISE_SCALES) / NOISE_SPREAD) ** 2, rho.size)
     joint = log_likelihood + log_prior
-    weight = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+    weight = np.exp(joint - joint.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
     return Noise(
         variance=np.exp(weight @ np.repeat(2 * np.log(NOISE_SCALES), rho.size)),
         correlation=weight @ np.tile(CORRELATIONS, NOISE_SCALES.size),
