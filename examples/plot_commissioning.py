@@ -20,10 +20,10 @@ from suspnet import (
     MSVR,
     EstimateSettings,
     Problem,
-    Protocol,
     TripSettings,
     VerticalVehicle,
     load_model,
+    read_protocol,
     read_vehicles,
     train,
 )
@@ -109,17 +109,7 @@ plt.show()
 # Two models, alike but for their vehicle: the drawing alone, and what the healthy trips showed.
 # Estimates are relative to what each takes for healthy.
 
-protocol = Protocol(
-    "trips",
-    {"all": {"outputs": ["k_p", "c_p", "k_s", "c_s"], "responses": ["G_p", "G_s"]}},
-    sampling="sobol",
-    upper=1.6,
-    mass_lower=0.8,
-    mass_upper=1.3,
-    estimate_mass=True,
-    feature_set="curve",
-    curve={"n_components": 16},
-)
+protocol = read_protocol("trips")
 readings, changes = {}, {}
 for name, generator in (("drawing", drawing), ("commissioned", found.generator)):
     problem = Problem(generator, protocol.task("all"), settings, seed=0)

@@ -17,11 +17,11 @@ from suspnet import (
     MSVR,
     EstimateSettings,
     Problem,
-    Protocol,
     VerticalVehicle,
     load_model,
     load_recording,
     read_manifest,
+    read_protocol,
     read_vehicles,
     tfestimate,
     train,
@@ -89,17 +89,7 @@ plt.show()
 # masses in a range about healthy; no recording takes part. On the command line this is
 # ``suspnet-train experiment=trips``, with 20,000.
 
-protocol = Protocol(
-    "trips",
-    {"all": {"outputs": ["k_p", "c_p", "k_s", "c_s"], "responses": ["G_p", "G_s"]}},
-    sampling="sobol",
-    upper=1.6,
-    mass_lower=0.8,
-    mass_upper=1.3,
-    estimate_mass=True,
-    feature_set="curve",
-    curve={"n_components": 16},
-)
+protocol = read_protocol("trips")
 settings = EstimateSettings(
     n_train=1500,
     n_test=100,

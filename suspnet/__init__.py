@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from suspnet._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from suspnet.cli.configs import read_vehicles
+    from suspnet.cli.configs import read_protocol, read_vehicles
     from suspnet.data import CurveSettings, EstimateSettings, Protocol, Task
     from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
     from suspnet.features import (
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from suspnet.runs.train import train
 
 _HOMES = {
-    "suspnet.cli.configs": ("read_vehicles",),
+    "suspnet.cli.configs": ("read_protocol", "read_vehicles"),
     "suspnet.data": ("CurveSettings", "EstimateSettings", "Protocol", "Task"),
     "suspnet.dynamics": ("PARAMETERS", "QuarterCar", "Vehicle", "VerticalVehicle"),
     "suspnet.features": (
@@ -83,6 +83,7 @@ __all__ = [
     "load_model",
     "load_recording",
     "read_manifest",
+    "read_protocol",
     "read_vehicles",
     "save_model",
     "tfestimate",

@@ -1,12 +1,16 @@
-"""The folder of the configurations, and the options that one file of it holds."""
+"""The folder of the configurations, and the options that it holds."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
+from suspnet.checks import check_choice
+from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle
 
 
@@ -60,3 +64,23 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
         except (TypeError, ValueError) as error:
             raise type(error)(f"{file}: {error}") from error
     return vehicles
+
+
+def read_protocol(name: str) -> Protocol:
+    """Return one of the protocols that ``protocol=NAME`` chooses on the command line.
+
+    Raises
+    ------
+    ValueError
+        If `name` is none of them.
+
+    Examples
+    --------
+    >>> read_protocol("trips").task("all").outputs
+    ('k_p', 'c_p', 'k_s', 'c_s', 'M_s')
+    """
+    check_choice("name", name, sorted(f.stem for f in (Path(CONFIGS) / "protocol").glob("*.yaml")))
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        node = compose(overrides=[f"+protocol={name}"]).protocol
+    settings: Any = OmegaConf.to_container(node)
+    return Protocol(**{key: settings[key] for key in settings if not key.startswith("_")})

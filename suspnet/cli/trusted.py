@@ -57,6 +57,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "suspnet.depot.study.write_maintenance",
     ),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
+    "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),
     "others": ("suspnet.cli.configs.read_vehicles",),
     "vehicles": ("suspnet.cli.configs.read_vehicles",),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -48,13 +47,26 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     return f"{finding(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
 
 
-def write_page(path: Path, rows: Sequence[Mapping[str, Any]], plan: Plan, figure: Figure) -> None:
-    """Write overview, plan and sister suspensions as one page that needs no other file."""
-    cars: dict[tuple[str, str, str], list[Mapping[str, Any]]] = defaultdict(list)
-    for row in rows:
-        if row["car"]:
-            cars[row["vehicle"], row["train"], row["car"]].append(row)
-    sisters = {key: cars[key] for key in sorted(cars) if len(cars[key]) > 1}
+def write_page(
+    path: Path,
+    rows: Sequence[Mapping[str, Any]],
+    sisters: Sequence[Sequence[int]],
+    plan: Plan,
+    figure: Figure,
+) -> None:
+    """Write overview, plan and sister suspensions as one page that needs no other file.
+
+    Parameters
+    ----------
+    path : Path
+    rows : sequence
+        Of ``overview_rows``.
+    sisters : sequence of sequences of int
+        Places in `rows` of the suspensions of each car that has several.
+    plan : Plan
+    figure : Figure
+        Calendar of the plan.
+    """
     page = render(
         "fleet.html",
         package="suspnet.depot",
@@ -63,7 +75,7 @@ def write_page(path: Path, rows: Sequence[Mapping[str, Any]], plan: Plan, figure
         plan=plan,
         jobs=plan.rows(),
         calendar=data_uri(figure),
-        sisters=sisters,
+        sisters=[[rows[i] for i in one] for one in sisters],
         parameters=[name for name in PARAMETERS if name != "M_s"],
     )
     write_atomically(path, page.encode("utf-8", errors="replace"))
@@ -77,7 +89,7 @@ def _row(
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get((series.vehicle, place), ()))
     shortest = state.shortest
-    used = state.recent & series.done
+    used = series.recent & series.done
     return {
         "vehicle": series.vehicle,
         "where": str(place),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from suspnet.depot.sisters import alarms_of_sisters, of_same_car
 from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
@@ -14,8 +15,8 @@ from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.forecast import remaining_lives, trips_of_life
 from suspnet.maintenance.life import Life, learn_fleet
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
+from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.watch import Watched, watch
-from suspnet.types import BoolArray
 
 PAYLOAD = "M_s"
 MOST_LEARNT = 200
@@ -30,15 +31,12 @@ class State:
     ----------
     series : Series
         All its trips.
-    recent : bool array of shape (n_trips,)
-        Trips since the last commissioning and the last maintenance.
     watched : Watched
     lives : dict of Life
         Of each parameter with limits, until its act limit; without those of too few trips.
     """
 
     series: Series
-    recent: BoolArray
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
 
@@ -51,7 +49,7 @@ class State:
     @property
     def severity(self) -> Severity:
         """The worst of its alarms; unknown if no trip has an estimate."""
-        if not (self.recent & self.series.done).any():
+        if not (self.series.recent & self.series.done).any():
             return Severity.UNKNOWN
         return max((one.severity for one in self.alarms), default=Severity.NONE)
 
@@ -73,6 +71,7 @@ def fleet_state(
     fleet: Sequence[Series],
     limits: Mapping[str, Mapping[str, Limits]],
     settings: ChangeSettings,
+    sisters: SisterSettings,
     seed: int = 0,
 ) -> list[State]:
     """Return the state of each suspension, the most severe first, then the shortest life.
@@ -85,10 +84,12 @@ def fleet_state(
     limits : mapping from vehicle to mapping from parameter to Limits
         A vehicle that is not there has ``DEFAULT_LIMITS``.
     settings : ChangeSettings
+    sisters : SisterSettings
     seed : int
     """
     known = {one.vehicle: limits.get(one.vehicle, DEFAULT_LIMITS) for one in fleet}
     states = [_watched(one, known[one.vehicle], settings) for one in fleet]
+    states = _with_sisters(states, sisters)
     priors = {vehicle: _priors(states, vehicle, limits) for vehicle, limits in known.items()}
     states = [
         _with_lives(one, known[one.series.vehicle], priors[one.series.vehicle], seed)
@@ -99,11 +100,7 @@ def fleet_state(
 
 def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSettings) -> State:
     """Return a suspension with its alarms, of the trips since its last commissioning."""
-    km, since = series.mileage_km, series.healthy_since_km
-    newest = since[np.flatnonzero(series.done)[-1:]]
-    era = np.isin(since, newest) | (np.isnan(since) & np.isnan(newest).any())
-    ends = [event.mileage_km for event in series.events]
-    recent = era & ~(km < max(ends, default=-np.inf))
+    era = series.one_healthy
     names = [name for name in series.estimates if name != PAYLOAD]
     covariates = {
         "pay-load": series.estimates[PAYLOAD],
@@ -111,16 +108,38 @@ def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSetti
         "temperature": series.temperature_c,
     }
     found = watch(
-        km[era],
+        series.mileage_km[era],
         {name: series.estimates[name][era] for name in names},
         {name: series.half_widths[name][era] for name in names},
         series.flagged[era],
         {name: column[era] for name, column in covariates.items()},
         limits,
         settings,
-        maintenance_km=ends,
+        maintenance_km=[event.mileage_km for event in series.events],
     )
-    return State(series, recent, found)
+    return State(series, found)
+
+
+def _with_sisters(states: Sequence[State], settings: SisterSettings) -> list[State]:
+    """Return suspensions with the alarms of those that differ from their sisters.
+
+    Where one of a car has an alarm of its own of that parameter, that explains the difference.
+    """
+    fleet = [one.series for one in states]
+    alone: dict[int, set[str]] = {}
+    for car in of_same_car(fleet):
+        members = {id(one) for one in car}
+        told = {a.parameter for s in states if id(s.series) in members for a in s.alarms}
+        alone |= dict.fromkeys(members, told)
+    odd = alarms_of_sisters(fleet, settings)
+    found = []
+    for state in states:
+        told = alone.get(id(state.series), set())
+        more = odd.get((state.series.vehicle, state.series.place), [])
+        alarms = [*state.watched.alarms, *(a for a in more if a.parameter not in told)]
+        alarms.sort(key=lambda one: (one.begin_km, one.parameter))
+        found.append(replace(state, watched=replace(state.watched, alarms=alarms)))
+    return found
 
 
 def _priors(
@@ -131,10 +150,10 @@ def _priors(
     for name in limits:
         trips = [
             trips_of_life(
-                one.series.mileage_km[one.recent],
-                one.series.estimates[name][one.recent],
-                one.series.half_widths[name][one.recent],
-                one.series.flagged[one.recent],
+                one.series.mileage_km[one.series.recent],
+                one.series.estimates[name][one.series.recent],
+                one.series.half_widths[name][one.series.recent],
+                one.series.flagged[one.series.recent],
             )
             for one in states
             if one.series.vehicle == vehicle
@@ -150,7 +169,7 @@ def _with_lives(
     state: State, limits: Mapping[str, Limits], fleet: Mapping[str, FleetPrior], seed: int
 ) -> State:
     """Return a suspension with the remaining life of each of its parameters."""
-    series, used = state.series, state.recent
+    series, used = state.series, state.series.recent
     values, half_widths = (
         {name: column[used] for name, column in part.items()}
         for part in (series.estimates, series.half_widths)

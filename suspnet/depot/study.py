@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from suspnet.depot.overview import overview_rows, overview_table, write_page
 from suspnet.depot.parts import parts_of, trains_of
+from suspnet.depot.sisters import of_same_car
 from suspnet.depot.state import State, fleet_state
 from suspnet.dynamics import Vehicle
 from suspnet.history import History
@@ -21,6 +22,7 @@ from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS, read_limits
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.sisters import SisterSettings
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.output import write_table
 
@@ -34,6 +36,7 @@ def write_maintenance(
     vehicles: Mapping[str, Vehicle],
     limits: Mapping[str, Any] | None,
     changes: ChangeSettings,
+    sisters: SisterSettings,
     plan: PlanSettings,
     today: str | None = None,
     seed: int = 0,
@@ -52,6 +55,7 @@ def write_maintenance(
     limits : mapping, optional
         In place of the vehicles': from a parameter to `notice` and `act`.
     changes : ChangeSettings
+    sisters : SisterSettings
     plan : PlanSettings
     today : str, optional
         ISO 8601; the day of the computer's clock by default.
@@ -84,7 +88,7 @@ def write_maintenance(
     known = {one.vehicle: DEFAULT_LIMITS for one in fleet}
     known |= {vehicle.name: vehicle.known_limits for vehicle in vehicles.values()}
     own = {name: read_limits(limits or {}, one) for name, one in known.items()}
-    states = fleet_state(fleet, own, changes, seed)
+    states = fleet_state(fleet, own, changes, sisters, seed)
     trains = trains_of(states, day, plan.km_per_day)
     planned = make_plan(parts_of(states), trains, plan, day)
     rows = overview_rows(states, acknowledged)
@@ -96,7 +100,9 @@ def write_maintenance(
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=150)
     write_atomically(folder / "calendar.png", picture.getvalue())
-    write_page(folder / "overview.html", rows, planned, figure)
+    places = {id(state.series): i for i, state in enumerate(states)}
+    cars = [[places[id(one)] for one in car] for car in of_same_car([s.series for s in states])]
+    write_page(folder / "overview.html", rows, cars, planned, figure)
     counts = {str(state.severity): 0 for state in states}
     for state in states:
         counts[str(state.severity)] += 1

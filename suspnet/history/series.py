@@ -66,6 +66,19 @@ class Series:
         known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
         return np.asarray(known.any(axis=0))
 
+    @property
+    def one_healthy(self) -> BoolArray:
+        """Which trips are relative to the healthy vehicle of the newest, array of (n_trips,)."""
+        newest = self.healthy_since_km[np.flatnonzero(self.done)[-1:]]
+        known = np.isin(self.healthy_since_km, newest)
+        return np.asarray(known | (np.isnan(self.healthy_since_km) & np.isnan(newest).any()))
+
+    @property
+    def recent(self) -> BoolArray:
+        """Which of these are since the last maintenance, array of shape (n_trips,)."""
+        since = max((event.mileage_km for event in self.events), default=-np.inf)
+        return np.asarray(self.one_healthy & ~(self.mileage_km < since))
+
 
 def read_series(
     connection: Connection, events: Mapping[tuple[str, Place], Sequence[Event]]

@@ -44,18 +44,22 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     Parameters
     ----------
     C : float, default=100.0
-        Penalty of residuals outside the tube, > 0.
+        Penalty of residuals outside the tube, > 0. At epsilon = 0 and without intercept it is
+        ``alpha = 1 / (2 C)`` of scikit-learn's ``KernelRidge``; its ``SVR`` has an absolute loss.
     sigma : float, default=3.0
-        Kernel width, > 0, in units of the inputs.
+        Kernel width, > 0, in units of the inputs; for standardised ones the square root of their
+        number is ``gamma="scale"`` of scikit-learn.
     epsilon : float, default=1e-3
-        Radius of the tube, >= 0, in units of the outputs.
+        Radius of the tube, >= 0, in units of the outputs. One that holds many samples takes tens
+        to hundreds of iterations, a small one a few.
     feature_map : {"rff", "orf", "nystroem", "equispaced", "exact"}, default="rff"
         Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
-        Fourier modes on a regular grid (up to three inputs), or the exact kernel (memory grows
-        with the square of the number of samples).
+        Fourier modes on a regular grid (up to three inputs), or the exact kernel: the choice for
+        up to some 2,000 samples (its memory grows with the square of their number).
     n_components : int, default=1024
         Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
         rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
+        The time of an iteration grows with its cube: with more of them than samples, take `exact`.
     kernel_tol : float, default=1e-6
         Error of the kernel that `equispaced` may make, and at which `nystroem` needs no more
         landmarks, > 0.

@@ -28,7 +28,7 @@ PASSING = "passing"
 """Label of the bars, until the legend says it with its level."""
 
 
-def plan_calendar(plan: Plan) -> Figure:
+def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     """Trains as rows, the most urgent on top, with their visits along the time.
 
     A mark is a visit with the number of its jobs, the line behind it reaches until its latest day.
@@ -39,6 +39,8 @@ def plan_calendar(plan: Plan) -> Figure:
     Parameters
     ----------
     plan : Plan
+    figure : Figure, optional
+        An empty one to draw on; one of fitting size by default.
     """
     visits: dict[str, list[Visit]] = defaultdict(list)
     jobs: dict[str, list[Job]] = defaultdict(list)
@@ -49,7 +51,7 @@ def plan_calendar(plan: Plan) -> Figure:
         jobs[job.part.train].append(job)
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))
     shown = names[:MOST_TRAINS]
-    figure = Figure(figsize=(8.0, 1.8 + 0.3 * max(len(shown), 3)), layout="constrained")
+    figure = figure or Figure(figsize=(8.0, 1.8 + 0.3 * max(len(shown), 3)), layout="constrained")
     axis: Axes = figure.subplots()
     for row, name in enumerate(shown):
         _draw_passing(axis, plan, row, jobs[name])

@@ -1,14 +1,14 @@
 """Degradation models of one parameter: what a history says of its level, its rate and its onset.
 
 All work in units of ``UNIT_KM`` and on blocks of neighbouring trips, so that the cost does not grow
-with the history. A model is a straight line from an onset h on,
+with the history. A model is a drift from an onset h on,
 
-    level + rate * max(t - h, 0) + B(t - h),
+    level + rate * f(t - h) + B(t - h),
 
-in the value ("linear", "wiener") or in its logarithm ("exponential"); B is Brownian motion with
-variance q * t for "wiener" and 0 for the others. Measurement noise is autoregressive of order one.
-Level and rate are Gaussian given the rest, so that their posterior and the evidence are closed
-forms; onset, q and the component of the rate's prior are summed over.
+in the value or, "exponential", in its logarithm. f(x) = x, but "changing rate" has powers of x. B
+is Brownian motion of variance q x for "wiener", its integral for "changing rate", and 0 otherwise.
+Measurement noise is autoregressive of order one. Level and rate are Gaussian given the rest, so
+that their posterior and the evidence are closed forms; sums over grids do the rest.
 """
 
 from __future__ import annotations
@@ -18,21 +18,18 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.special import logsumexp
 
+from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
 from suspnet.types import FloatArray, IntArray
 
-UNIT_KM = 100_000.0
 MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
-MAX_BLOCKS = 32
-"""Most blocks that the trips of a history are averaged to."""
 N_ONSETS = 40
 """Onsets that each model is tried with; "linear" and "exponential" then refine the best."""
 ONSET_PASSES = 3
+"""Number of times that they do."""
 AT_ONCE = 0.5
 """Prior probability that wear begins before the first trip."""
 LEVEL_SPREAD = 0.1
 """Prior standard deviation of the value at the first trip about 1."""
-LEAST_NOISE = 1e-5
-"""Smallest standard deviation of the noise of a trip, relative to the value."""
 DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
 """Standard deviations of Brownian motion after ``UNIT_KM``."""
 RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
@@ -46,14 +43,8 @@ FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
 """First row of each model in ``FleetPrior.models``."""
 N_STARTS = 8
 """Onsets of Brownian motion; an onset of the drift uses the last one before it."""
-NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
-"""Noise from trip to trip, relative to what the half-widths say."""
-NOISE_SPREAD = 0.5
-"""Prior standard deviation of the logarithm of that factor."""
-CORRELATIONS = np.linspace(0.0, 0.75, 6)
-"""Correlations of the noise from one trip to the next."""
-MAX_BINS = 32
-"""Most frequencies of the Whittle likelihood."""
+TINY = 1e-300
+"""Stands for a probability of 0 in logarithms."""
 DETAILED = 0.3
 """Probability of a trend, without Brownian motion, from which that is considered too."""
 
@@ -77,226 +68,72 @@ class FleetPrior:
     spreads: FloatArray
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """Averages of neighbouring trips; arrays of shape (n_blocks,).
-
-    Attributes
-    ----------
-    t, length : array, [UNIT_KM]
-        Mean mileage after the first trip, and from the first to the last trip of a block.
-    last : float, [UNIT_KM]
-        Mileage of the last trip after the first.
-    value, log_value : array, [-]
-        Means of value - 1 and of the logarithm of the value.
-    sigma : array, [-]
-        Standard deviation of one trip by its half-width.
-    size, first : int array
-        Number of trips, and the index of the first of them.
-    """
-
-    t: FloatArray
-    length: FloatArray
-    last: float
-    value: FloatArray
-    log_value: FloatArray
-    sigma: FloatArray
-    size: IntArray
-    first: IntArray
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of a trip if Brownian motion has each of 0 and ``DIFFUSIONS``; arrays over these.
-
-    Attributes
-    ----------
-    variance : array, [-]
-        Relative to what the half-widths say.
-    correlation : array, [-]
-        From one trip to the next.
-    log_likelihood : array
-        Of what is faster than blocks.
-    """
-
-    variance: FloatArray
-    correlation: FloatArray
-    log_likelihood: FloatArray
-
-
-def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
-    """Return blocks of `n_trips` trips with mileages `t` after the first, in ``UNIT_KM``."""
-    n_trips = t.size
-    first = np.linspace(0, n_trips, min(n_trips, MAX_BLOCKS) + 1)[:-1].astype(np.int64)
-    size = np.diff(first, append=n_trips)
-    weight = 1 / sigma**2
-    total = np.add.reduceat(weight, first)
-
-    def mean(x: FloatArray) -> FloatArray:
-        return np.add.reduceat(weight * x, first) / total
-
-    return Blocks(
-        t=mean(t),
-        length=t[first + size - 1] - t[first],
-        last=float(t[-1]),
-        value=mean(values - 1),
-        log_value=mean(np.log(values)),
-        sigma=np.sqrt(size / total),
-        size=size,
-        first=first,
-    )
-
-
-def estimate_noise(t: FloatArray, log_values: FloatArray, sigma: FloatArray) -> Noise:
-    """Return the noise from differences of neighbouring trips, by the Whittle likelihood.
-
-    The differences of the residuals of the best hinge have the spectrum, at omega per trip,
-
-        variance * (2 - 2 cos omega) * (1 - rho^2) / |1 - rho e^(-i omega)|^2 + q dt / sigma^2.
-
-    The lowest frequencies, which a hinge that does not fit would disturb, are left out.
-    """
-    scale = float(np.sqrt(np.mean(sigma**2)))
-    hinges = _hinge(t, _onsets(t[-1], 12))
-    fits = np.stack([np.broadcast_to(1.0, hinges.shape), hinges], axis=-1)
-    gram = np.swapaxes(fits, 1, 2) @ fits + 1e-9 * np.eye(2)
-    coefficients = np.linalg.solve(gram, np.swapaxes(fits, 1, 2) @ log_values[:, None])
-    residuals = log_values - (fits @ coefficients)[..., 0]
-    residual = residuals[np.argmin((residuals**2).sum(axis=1))] / scale
-    steps = np.diff(residual)
-    n = steps.size
-    power = np.abs(np.fft.rfft(steps))[1:] ** 2 / n
-    omega = 2 * np.pi * np.arange(1, power.size + 1) / n
-    ordinates = np.where(omega > np.pi - 1e-9, 0.5, 1.0)
-    skip = min(2, power.size - 1)
-    edges = skip + np.linspace(0, power.size - skip, min(power.size - skip, MAX_BINS) + 1)[:-1]
-    start = edges.astype(np.int64)
-    count = np.add.reduceat(ordinates, start)
-    power = np.add.reduceat(ordinates * power, start) / count
-    omega = np.add.reduceat(ordinates * omega, start) / count
-    rho = CORRELATIONS[:, None]
-    shape = (2 - 2 * np.cos(omega)) * (1 - rho**2) / (1 - 2 * rho * np.cos(omega) + rho**2)
-    brownian = np.concatenate([[0.0], DIFFUSIONS**2]) * (t[-1] / n) / scale**2
-    spectrum = NOISE_SCALES[:, None, None] ** 2 * shape
-    spectrum = spectrum.reshape(-1, omega.size) + brownian[:, None, None]
-    terms = -count * (np.log(spectrum) + power / spectrum)
-    log_prior = np.repeat(-0.5 * (np.log(NOISE_SCALES) / NOISE_SPREAD) ** 2, rho.size)
-    log_prior = log_prior - logsumexp(log_prior)
-    joint = terms.sum(axis=-1) + log_prior
-    weight = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
-    n_blocks = min(t.size, MAX_BLOCKS)
-    fast = omega > np.pi * n_blocks / t.size + 1e-9
-    return Noise(
-        variance=np.exp(weight @ np.repeat(2 * np.log(NOISE_SCALES), rho.size)),
-        correlation=weight @ np.tile(CORRELATIONS, NOISE_SCALES.size),
-        log_likelihood=np.asarray(
-            logsumexp((terms * fast).sum(axis=-1) + log_prior, axis=1), dtype=float
-        ),
-    )
-
-
 def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
-    """Return the fit of each model, without Brownian motion where no trend is likely."""
-    log_models = np.log(np.maximum(prior.models, 1e-300))
-    covariance = _noise_covariance(blocks, noise.variance, noise.correlation)
-    fits = [_without_trend(blocks, covariance[:1], log_models[:1])]
-    fits += [_straight(blocks, covariance[:1], prior, row, log_models) for row in (1, 2)]
+    """Return the fit of each of ``MODELS``, or of the first three where no trend is likely.
+
+    Parameters
+    ----------
+    blocks : Blocks
+    noise : Noise
+        For diffusion 0 and each of ``DIFFUSIONS``.
+    prior : FleetPrior
+    """
+    covariance = noise_covariance(blocks, noise.variance, noise.correlation)
+    fits = [_without_trend(blocks, covariance[:1], prior)]
+    fits += [_straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in (1, 2)]
     totals = np.array([logsumexp(fit.log_weight) for fit in fits])
     if np.exp(totals[0] - logsumexp(totals)) > 1 - DETAILED:
         return fits
-    fits[1:] = [_refined(blocks, covariance[:1], prior, fit, log_models) for fit in fits[1:]]
-    changing = np.zeros(RATE_CHANGES.size, dtype=np.int64)
-    wiener = np.arange(1, DIFFUSIONS.size + 1)
-    for rows, which in (
-        (FIRST_WIENER + wiener - 1, wiener),
-        (FIRST_CHANGING + np.arange(changing.size), changing),
-    ):
-        fits.append(_wandering(blocks, covariance[which], prior, rows, log_models[rows]))
+    fits[1:] = [_refined(blocks, covariance[:1], prior, fit) for fit in fits[1:]]
+    fits.append(_wandering(blocks, covariance[1:], prior, Motion(DIFFUSIONS**2, False)))
+    fits.append(_wandering(blocks, covariance[:1], prior, Motion(RATE_CHANGES**2, True)))
     return fits
 
 
-def _onsets(last: float, n: int) -> FloatArray:
+def _onsets(last: float) -> FloatArray:
     """Return onsets from before the first trip to shortly before the last."""
-    return last * np.linspace(0, 0.95, n)
+    return last * np.linspace(0, 0.95, N_ONSETS)
 
 
-def _hinge(t: FloatArray, onsets: FloatArray) -> FloatArray:
-    return np.maximum(t - onsets[:, None], 0.0)
-
-
-def _noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> FloatArray:
-    """Return covariances (..., n_blocks, n_blocks) of block means of autoregressive noise."""
-    m = blocks.size.astype(float)
-    r = np.maximum(rho[..., None], 1e-9)
-    g = (1 - r**m) / (m * (1 - r))
-    end = blocks.first + blocks.size - 1
-    apart = np.abs(blocks.first[None, :] - end[:, None])
-    apart = np.where(np.arange(m.size)[:, None] < np.arange(m.size), apart, apart.T)
-    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** apart
-    own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
-    index = np.arange(m.size)
-    covariance[..., index, index] = own
-    scaled = variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
-    return np.asarray(scaled)
-
-
-def _without_trend(blocks: Blocks, covariance: FloatArray, log_prior: FloatArray) -> Fit:
+def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) -> Fit:
     """Return the fit of a constant value: a rate of which the prior knows that it is 0."""
-    constant = FleetPrior(np.ones(1), np.ones(1), np.zeros(1), np.full(1, 1e-9))
-    hinges = _Hinges(np.zeros((1, 1)), np.ones((1, 1)), log_prior[:, None])
+    constant = FleetPrior(prior.models, np.ones(1), np.zeros(1), np.full(1, 1e-9))
+    hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
     return Fit(blocks, True, covariance[:, None], hinges, constant, np.zeros(1, dtype=np.int64))
 
 
 def _straight(
-    blocks: Blocks,
-    covariance: FloatArray,
-    prior: FleetPrior,
-    row: int,
-    log_models: FloatArray,
-    onsets: FloatArray | None = None,
+    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, row: int, onsets: FloatArray
 ) -> Fit:
     """Return the fit of "linear" or "exponential", without Brownian motion."""
-    onsets = _onsets(blocks.last, N_ONSETS) if onsets is None else onsets
-    log_prior = log_models[row] + _log_measure(onsets)
-    hinges = _Hinges(onsets[None], np.ones((1, onsets.size)), log_prior[None])
+    hinges = Hinges(onsets[None], np.ones((1, onsets.size)), _log_measure(onsets)[None])
     return Fit(blocks, row == 1, covariance[:, None], hinges, prior, np.array([row]))
 
 
-def _refined(
-    blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit, log_models: FloatArray
-) -> Fit:
+def _refined(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit) -> Fit:
     """Return a fit with more onsets about the best."""
     for _ in range(ONSET_PASSES):
         onsets = fit.hinges.onsets[0]
         best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
         low, high = onsets[max(best - 1, 0)], onsets[min(best + 1, onsets.size - 1)]
         onsets = np.unique(np.concatenate([onsets, np.linspace(low, high, 17)]))
-        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), log_models, onsets)
+        fit = _straight(blocks, covariance, prior, int(fit.rows[0]), onsets)
     return fit
 
 
-def _wandering(
-    blocks: Blocks,
-    covariance: FloatArray,
-    prior: FleetPrior,
-    rows: IntArray,
-    log_prior: FloatArray,
-) -> Fit:
-    """Return the fit with Brownian motion of the value or of the rate."""
-    changing = bool(rows[0] == FIRST_CHANGING)
-    motion = _Motion((RATE_CHANGES if changing else DIFFUSIONS) ** 2, changing)
-    powers = POWERS if changing else np.ones(1)
-    onsets = _onsets(blocks.last, N_ONSETS)
+def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion: Motion) -> Fit:
+    """Return the fit of "wiener" or "changing rate", with Brownian motion of value or rate."""
+    powers = POWERS if motion.integrated else np.ones(1)
+    onsets = _onsets(blocks.last)
     log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
-    hinges = _Hinges(
+    hinges = Hinges(
         np.repeat(onsets, powers.size).reshape(N_STARTS, -1),
         np.tile(powers, N_ONSETS).reshape(N_STARTS, -1),
         log_measure.reshape(N_STARTS, -1),
     )
-    log_weights = log_prior[:, None, None]
-    fit = Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
-    fit.log_weight += log_weights[..., None]
-    return fit
+    first = FIRST_CHANGING if motion.integrated else FIRST_WIENER
+    rows = first + np.arange(motion.variances.size)
+    return Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
 
 
 def _log_measure(onsets: FloatArray) -> FloatArray:
@@ -309,7 +146,7 @@ def _log_measure(onsets: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Motion:
+class Motion:
     """Brownian motion of the value, or of the rate if `integrated`; `variances` per mileage."""
 
     variances: FloatArray
@@ -342,7 +179,7 @@ class _Motion:
 
 
 @dataclass(frozen=True)
-class _Hinges:
+class Hinges:
     """Courses of the drift: arrays of shape (n_starts, n_onsets), Brownian motion from each start.
 
     Attributes
@@ -379,13 +216,13 @@ class Fit:
     blocks : Blocks
     linear : bool
         The value itself, or else its logarithm.
-    covariance : array of shape (n_motions, 1, n_blocks, n_blocks)
+    covariance : array of shape (n_motions or 1, 1, n_blocks, n_blocks)
         Of the noise.
-    hinges : _Hinges
+    hinges : Hinges
     prior : FleetPrior
     rows : int array of shape (n_motions,)
         As in ``FleetPrior.models``.
-    motion : _Motion, optional
+    motion : Motion, optional
 
     Attributes
     ----------
@@ -402,10 +239,10 @@ class Fit:
         blocks: Blocks,
         linear: bool,
         covariance: FloatArray,
-        hinges: _Hinges,
+        hinges: Hinges,
         prior: FleetPrior,
         rows: IntArray,
-        motion: _Motion | None = None,
+        motion: Motion | None = None,
     ) -> None:
         self.hinges, self.rows, self.last = hinges, rows, blocks.last
         scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
@@ -445,9 +282,9 @@ class Fit:
         self._spreads = [m / det for m in (m22, -m12, m11)]
         misfit = yy + p2 * prior.means**2 - self._level * c1 - self._rate * r2
         evidence = -0.5 * (log_det[..., None, None] + np.log(det / (p1 * p2)) + misfit)
-        self.log_weight = (
-            evidence + self.hinges.log_prior[..., None] + np.log(np.maximum(prior.weights, 1e-300))
-        )
+        log_prior = np.log(np.maximum(prior.models[self.rows], TINY))[:, None, None]
+        log_prior = log_prior + self.hinges.log_prior
+        self.log_weight = evidence + log_prior[..., None] + np.log(np.maximum(prior.weights, TINY))
 
     def now(self, nodes: IntArray) -> State:
         """Return the posterior of the present state of some nodes, by index of the flat array."""

@@ -11,30 +11,33 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from suspnet.checks import check_number
-from suspnet.maintenance import degradation
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
     FIRST_CHANGING,
     FIRST_WIENER,
     MODELS,
     RATE_CHANGES,
-    UNIT_KM,
+    TINY,
     Fit,
     FleetPrior,
     State,
+    fit_models,
     join,
     powered,
 )
+from suspnet.maintenance.noise import (
+    LEAST_NOISE,
+    UNIT_KM,
+    average,
+    estimate_noise,
+    robust_spread,
+    tame,
+)
+from suspnet.maintenance.passage import FUTURE, HORIZON_KM, changing_passage_km, first_passage_km
 from suspnet.types import BoolArray, FloatArray, IntArray
 
 MIN_TRIPS = 5
 """Fewest trips with an estimate that a life is predicted from."""
-HORIZON_KM = 5e6
-"""Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
-FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
-"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
-OUTLYING = 6.0
-"""A trip farther from the median of five is drawn to it, in robust standard deviations."""
 NOISE_TRIPS = 4.0
 """Number of trips that the half-widths count for in the degrees of freedom of the noise."""
 DEFAULT_PRIOR = FleetPrior(
@@ -165,6 +168,22 @@ def predict_life(
     ------
     TypeError, ValueError
         If arrays or settings are out of range, or there are fewer than ``MIN_TRIPS`` estimates.
+
+    Examples
+    --------
+    A damper that has lost 20 % after 300,000 km in a straight line has 150,000 km to go to 70 %:
+
+    >>> import numpy as np
+    >>> mileage = np.arange(0, 300_001, 2_000)
+    >>> noise = 0.003 * np.random.default_rng(0).normal(size=mileage.size)
+    >>> values = (1 - 0.2 * mileage / 300_000) * np.exp(noise)
+    >>> life = predict_life(mileage, values, np.full(mileage.size, 0.005), (0.7, 1.4))
+    >>> life.model
+    'linear'
+    >>> 145_000 < life.quantile_km(0.5) < 155_000
+    True
+    >>> life.probability(50_000)
+    0.0
     """
     check_number("n_samples", n_samples, low=1, most=1e6, whole=True)
     check_number("seed", seed, low=0, whole=True)
@@ -194,47 +213,6 @@ def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArra
     """Return `n` indices drawn with these weights, each as often as it can be expected."""
     places = (np.arange(n) + rng.random(n)) / n
     return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
-
-
-def first_passage_km(
-    distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
-) -> FloatArray:
-    """Return draws of the mileage until a Wiener process with drift first passes a limit.
-
-    With a drift towards the limit, of `distance` d, `rate` v and variance q per mileage, the law is
-    inverse Gaussian with mean d / v and shape d^2 / q [1]_; with a drift away from it, it is that
-    of |v| with probability exp(-2 |v| d / q) and infinite otherwise. Without diffusion it is d / v.
-
-    Parameters
-    ----------
-    distance : array of shape (n_samples,), [-]
-        At most 0: passed already, which gives 0. May be infinite.
-    rate : array of shape (n_samples,), [1 / UNIT_KM]
-    diffusion : array of shape (n_samples,), [1 / UNIT_KM]
-        Variance per mileage.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
-
-    References
-    ----------
-    .. [1] Chhikara, Folks, The Inverse Gaussian Distribution, Marcel Dekker, 1989; drawn as by
-       Michael, Schucany, Haas, The American Statistician 30 (1976) 88-90.
-    """
-    y, u, away = rng.normal(size=rate.size) ** 2, rng.random(rate.size), rng.random(rate.size)
-    reachable = (distance > 0) & (distance < np.inf)
-    d, v = np.where(reachable, distance, 1.0), np.maximum(np.abs(rate), 1e-12)
-    q = np.where(diffusion > 0, diffusion, 1.0)
-    mean = d / v
-    half = 0.5 * y * q / (v * d)
-    # the smaller root, without the difference of large numbers of the usual form
-    smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
-    random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
-    reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
-    passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
-    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
 
 
 def _samples(
@@ -275,47 +253,6 @@ def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
     return np.where(logarithmic, np.log(limit), limit - 1)
 
 
-def changing_passage_km(
-    mean: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    spread: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
-
-    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
-
-    Parameters
-    ----------
-    mean : array of shape (n_samples, n_future), [-]
-        Mean value at ``FUTURE``.
-    lower, upper, spread : arrays of shape (n_samples,)
-        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
-    """
-    dt = np.diff(FUTURE)
-    a, b = rng.normal(size=(2, lower.size, dt.size))
-    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
-    before = rates - np.sqrt(dt) * a
-    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
-    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
-    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
-    out = (values <= lower[:, None]) | (values >= upper[:, None])
-    index, each = out.argmax(axis=1), np.arange(lower.size)
-    last = np.maximum(index - 1, 0)
-    one, two = values[each, last], values[each, index]
-    limit = np.where(two >= upper, upper, lower)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
-    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
-    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
-
-
 def _fits(
     mileage_km: ArrayLike,
     values: ArrayLike,
@@ -329,28 +266,12 @@ def _fits(
     t = (km - km[0]) / UNIT_KM
     sigma = half / NormalDist().inv_cdf((1 + level) / 2)
     known = np.isfinite(sigma)
-    usual = np.median(sigma[known]) if known.any() else _spread(np.log(value))
-    sigma = np.maximum(np.where(known, sigma, usual), degradation.LEAST_NOISE)
-    value = _tamed(value)
-    noise = degradation.estimate_noise(t, np.log(value), sigma)
-    blocks = degradation.average(t, value, sigma)
-    return degradation.fit_models(blocks, noise, prior), km.size
-
-
-def _spread(log_values: FloatArray) -> float:
-    """Return a robust standard deviation of the noise, from second differences."""
-    return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
-
-
-def _tamed(values: FloatArray) -> FloatArray:
-    """Return values with single trips that lie far off drawn to the median of five trips."""
-    logs = np.log(values)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
-    middle = np.median(windows, axis=1)
-    off = logs - middle
-    scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), degradation.LEAST_NOISE)
-    most = OUTLYING * scale / 0.6745
-    return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)
+    usual = np.median(sigma[known]) if known.any() else robust_spread(np.log(value))
+    sigma = np.maximum(np.where(known, sigma, usual), LEAST_NOISE)
+    value = tame(value)
+    noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
+    blocks = average(t, value, sigma)
+    return fit_models(blocks, noise, prior), km.size
 
 
 def _checked_series(
@@ -415,6 +336,8 @@ def learn_fleet(
     TypeError, ValueError
         If a series is not as ``predict_life`` needs it; the message says which.
     """
+    if not series:
+        return DEFAULT_PRIOR
     means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
     spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
     even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
@@ -431,7 +354,7 @@ def learn_fleet(
     default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
     models, weights = even.models, (default + even.weights) / 2
     for _ in range(MAX_STEPS):
-        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, 1e-300))
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
         share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
         # a constant value says nothing of the rate
         old = models, weights

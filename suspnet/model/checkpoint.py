@@ -58,9 +58,16 @@ def save_model(folder: Path, model: TrainedModel) -> None:
 
     Raises
     ------
+    TypeError
+        If `model` is none of `load_model` or `train`, such as an estimator.
     OSError
         If the folder cannot be written.
     """
+    if not isinstance(model, TrainedModel):
+        raise TypeError(
+            f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
+            "estimator such as MSVR is kept by joblib.dump"
+        )
     content, description = _files(model)
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)

@@ -23,6 +23,7 @@ from suspnet.history import History
 from suspnet.history.records import TripResult
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.sisters import SisterSettings
 
 
 def fleet(n_suspensions: int, n_trips: int, seed: int) -> Iterator[list[TripResult]]:
@@ -66,6 +67,7 @@ def main() -> None:
                 vehicles={},
                 limits=None,
                 changes=ChangeSettings(),
+                sisters=SisterSettings(),
                 plan=PlanSettings(),
                 today="2025-10-28",
                 seed=given.seed,

@@ -174,6 +174,20 @@ def against_n(rows: Sequence[Row]) -> str:
     return markdown(lines, [f"n = {largest:,}", "seconds", "rms error", "MiB of the fit"])
 
 
+def plan(rows: Sequence[Row]) -> str:
+    """Return what a plan costs beside other policies, for each price of a part and a failure."""
+    header = ["R", "F", "plan", "fixed, L10", "fixed, best", "to the limit", "lives known", "bound"]
+    keys = ["plan", "customary", "best fixed", "to limit", "known lives", "bound"]
+    ratios = [f"plan / {key}" for key in ("customary", "best fixed", "to limit")]
+    lines = [
+        [f"{r['R']:g}", f"{r['F']:g}"]
+        + [f"{r[key]:.3g}" for key in keys]
+        + [f"{100 * r[key]:.0f} %" for key in ratios]
+        for r in rows
+    ]
+    return markdown(lines, [*header, "of L10", "of best", "of to the limit"])
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -183,6 +197,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "mismatch_short": ("mismatch.csv", mismatch_short),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
+    "plan": ("plan.csv", plan),
     "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""

@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object, instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli.configs import TABLES, read_vehicles
+from suspnet.cli.configs import TABLES, read_protocol, read_vehicles
 from suspnet.cli.trusted import check_configuration
 from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
@@ -247,3 +247,15 @@ def test_slurm_preset_asks_for_modest_jobs():
     launcher = config.hydra.launcher
     assert launcher._target_.endswith("SlurmLauncher")
     assert (launcher.timeout_min, launcher.cpus_per_task, launcher.mem_gb) == (60, 8, 8)
+
+
+@pytest.mark.parametrize("name", NAMES["protocol"])
+def test_protocol_by_name_is_that_of_the_command_line(name):
+    protocol, composed_one = read_protocol(name), instantiate(composed(f"protocol={name}").protocol)
+    assert vars(protocol) == vars(composed_one)
+    assert all(protocol.task(group) == composed_one.task(group) for group in protocol.groups)
+
+
+def test_protocol_of_an_unknown_name_is_refused_with_those_there_are():
+    with pytest.raises(ValueError, match=r"'multi_location', .*got 'trip'"):
+        read_protocol("trip")

@@ -17,6 +17,7 @@ from suspnet.maintenance.alarms import Acknowledgement, Cause
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.sisters import SisterSettings
 from suspnet.recordings.manifest import Place
 
 N_TRIPS = 40
@@ -71,7 +72,7 @@ def store(tmp_path_factory):
 @pytest.fixture(scope="module")
 def states(store):
     with History(store) as history:
-        return fleet_state(history.series(), {}, ChangeSettings())
+        return fleet_state(history.series(), {}, ChangeSettings(), SisterSettings())
 
 
 def test_worst_suspension_comes_first(states):
@@ -131,9 +132,9 @@ def test_maintenance_clears_the_state(store, tmp_path):
     with History(copy) as history:
         history.add_event("am96", place("right"), Event(76_500.0, "exchanged", "air spring"))
         series = [one for one in history.series() if one.place == place("right")]
-    (state,) = fleet_state(series, {}, ChangeSettings())
+    (state,) = fleet_state(series, {}, ChangeSettings(), SisterSettings())
     # what was mounted is judged by itself: 150 % of what was healthy before
-    assert state.recent.sum() == 2
+    assert state.series.recent.sum() == 2
     assert state.severity == Severity.ACT
     assert state.watched.changes.why_not == "2 of 20 trips for the reference so far"
 
@@ -173,6 +174,7 @@ def run_study(store, folder, *, today=TODAY, limits=None):
         vehicles={},
         limits=limits,
         changes=ChangeSettings(),
+        sisters=SisterSettings(),
         plan=PlanSettings(),
         today=today,
     )

@@ -55,5 +55,23 @@ def test_starts_are_in_utc_where_a_zone_is_known(store):
     np.testing.assert_array_equal(one.start, np.array(wanted, dtype="datetime64[s]"))
 
 
+def test_recent_trips_are_those_since_commissioning_and_maintenance(store):
+    place = Place("x")
+    since = [np.nan, 0.0, 0.0, 4e4, 4e4, 4e4]
+    results = [
+        trip(i, with_curves=False, place=place, healthy_since_km=one) for i, one in enumerate(since)
+    ]
+    store.write(results)
+    assert list(store.series()[0].recent) == [False] * 3 + [True] * 3
+    store.add_event("AM96 217", place, Event(5e4, "exchanged"))
+    store.add_event("AM96 217", place, Event(2e4, "reprofiled"))
+    (one,) = store.series()
+    assert list(one.recent) == [False] * 4 + [True] * 2
+    plain = replace(one, healthy_since_km=np.full(6, np.nan), events=())
+    assert plain.recent.all()
+    nowhere = {name: np.full(6, np.nan) for name in OUTPUTS}
+    assert not replace(one, estimates=nowhere).recent.any()
+
+
 def test_an_empty_store_has_none(store):
     assert store.series() == []

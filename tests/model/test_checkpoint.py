@@ -240,6 +240,14 @@ def test_foreign_description_is_rejected(saved, content, message):
         load_model(saved)
 
 
+def test_what_is_no_trained_model_is_not_written(tmp_path):
+    with pytest.raises(TypeError, match=r"got MSVR; an estimator .* joblib\.dump"):
+        save_model(tmp_path, MSVR())
+    with pytest.raises(TypeError, match="second argument"):
+        save_model(trained(MSVR(n_components=8)), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trip_records import HALF_WIDTHS, trip
 
+from suspnet.depot.sisters import alarms_of_sisters, of_same_car
 from suspnet.history import Event, History
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.recordings.manifest import Place
-from suspnet.trips.car_sisters import alarms_of_sisters, of_same_car
 
 CORNERS = [
     Place("x", bogie, side) for bogie in ("leading", "trailing") for side in ("left", "right")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from suspnet.history.series import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
@@ -31,7 +29,8 @@ def of_same_car(series: Sequence[Series]) -> list[list[Series]]:
 def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dict[Key, list[Alarm]]:
     """Return the alarms of each suspension that differs, or differed, from its sisters.
 
-    Trips before the last maintenance of a suspension and flagged ones do not count.
+    Trips before the last commissioning or maintenance of a suspension do not count, nor do
+    flagged ones.
     """
     found: dict[Key, list[Alarm]] = {}
     for car in of_same_car(series):
@@ -44,9 +43,8 @@ def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dic
 
 
 def _sister(one: Series, parameter: str) -> Sister:
-    """Return a parameter of a suspension since its last maintenance."""
-    since = one.events[-1].mileage_km if one.events else -np.inf
-    used = (one.mileage_km >= since) & ~one.flagged
+    """Return a parameter of a suspension since its last commissioning and maintenance."""
+    used = one.recent & ~one.flagged
     return Sister(
         one.mileage_km[used], one.estimates[parameter][used], one.half_widths[parameter][used]
     )

@@ -1,0 +1,193 @@
+"""Measurement noise of a history, and the blocks of trips that degradation models work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from suspnet.types import FloatArray, IntArray
+
+UNIT_KM = 100_000.0
+"""Unit of mileage inside, which keeps numbers near 1."""
+MAX_BLOCKS = 32
+"""Most blocks that the trips of a history are averaged to."""
+LEAST_NOISE = 1e-5
+"""Smallest standard deviation of the noise of a trip, relative to the value."""
+NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
+"""Noise from trip to trip, relative to what the half-widths say."""
+NOISE_SPREAD = 0.5
+"""Prior standard deviation of the logarithm of that factor."""
+CORRELATIONS = np.linspace(0.0, 0.75, 6)
+"""Correlations of the noise from one trip to the next."""
+N_HINGES = 12
+"""Onsets of the hinges that are subtracted before the noise is estimated."""
+N_SLOWEST = 2
+"""Frequencies of the history that the noise is not estimated from."""
+MAX_BINS = 32
+"""Most frequencies of the Whittle likelihood."""
+OUTLYING = 6.0
+"""A trip farther from the median of five is drawn to it, in robust standard deviations."""
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Averages of neighbouring trips; arrays of shape (n_blocks,).
+
+    Attributes
+    ----------
+    t, length : array, [UNIT_KM]
+        Mean mileage after the first trip, and from the first to the last trip of a block.
+    last : float, [UNIT_KM]
+        Mileage of the last trip after the first.
+    value, log_value : array, [-]
+        Means of value - 1 and of the logarithm of the value.
+    sigma : array, [-]
+        Standard deviation of one trip by its half-width.
+    size, first : int array
+        Number of trips, and the index of the first of them.
+    """
+
+    t: FloatArray
+    length: FloatArray
+    last: float
+    value: FloatArray
+    log_value: FloatArray
+    sigma: FloatArray
+    size: IntArray
+    first: IntArray
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a trip for each diffusion of Brownian motion; arrays of shape (n_diffusions,).
+
+    Attributes
+    ----------
+    variance : array, [-]
+        Relative to what the half-widths say.
+    correlation : array, [-]
+        From one trip to the next.
+    """
+
+    variance: FloatArray
+    correlation: FloatArray
+
+
+def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
+    """Return blocks of `n_trips` trips with mileages `t` after the first, in ``UNIT_KM``."""
+    n_trips = t.size
+    first = np.linspace(0, n_trips, min(n_trips, MAX_BLOCKS) + 1)[:-1].astype(np.int64)
+    size = np.diff(first, append=n_trips)
+    weight = 1 / sigma**2
+    total = np.add.reduceat(weight, first)
+
+    def mean(x: FloatArray) -> FloatArray:
+        return np.add.reduceat(weight * x, first) / total
+
+    return Blocks(
+        t=mean(t),
+        length=t[first + size - 1] - t[first],
+        last=float(t[-1]),
+        value=mean(values - 1),
+        log_value=mean(np.log(values)),
+        sigma=np.sqrt(size / total),
+        size=size,
+        first=first,
+    )
+
+
+def estimate_noise(
+    t: FloatArray, log_values: FloatArray, sigma: FloatArray, diffusions: FloatArray
+) -> Noise:
+    """Return the noise from differences of neighbouring trips, by the Whittle likelihood.
+
+    The differences of the residuals of the best hinge have the spectrum, at omega per trip,
+
+        variance * (2 - 2 cos omega) * (1 - rho^2) / |1 - rho e^(-i omega)|^2 + q dt / sigma^2,
+
+    q being the square of a diffusion; variance (in its logarithm) and rho are posterior means.
+
+    Parameters
+    ----------
+    t : array of shape (n_trips,), [UNIT_KM]
+    log_values, sigma : arrays of shape (n_trips,), [-]
+        Logarithms of the values, and their standard deviations by the half-widths.
+    diffusions : array of shape (n_diffusions,), [-]
+        Standard deviations of Brownian motion after ``UNIT_KM``.
+    """
+    scale = float(np.sqrt(np.mean(sigma**2)))
+    omega, power, count = _periodogram(np.diff(_residuals(t, log_values) / scale))
+    rho = CORRELATIONS[:, None]
+    shape = (2 - 2 * np.cos(omega)) * (1 - rho**2) / (1 - 2 * rho * np.cos(omega) + rho**2)
+    spectrum = (NOISE_SCALES[:, None, None] ** 2 * shape).reshape(-1, omega.size)
+    brownian = diffusions**2 * (t[-1] / (t.size - 1)) / scale**2
+    spectrum = spectrum + brownian[:, None, None]  # (n_diffusions, scales x correlations, n_freq)
+    log_likelihood = -(count * (np.log(spectrum) + power / spectrum)).sum(axis=-1)
+    log_prior = np.repeat(-0.5 * (np.log(NOISE_SCALES) / NOISE_SPREAD) ** 2, rho.size)
+    joint = log_likelihood + log_prior
+    weight = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+    return Noise(
+        variance=np.exp(weight @ np.repeat(2 * np.log(NOISE_SCALES), rho.size)),
+        correlation=weight @ np.tile(CORRELATIONS, NOISE_SCALES.size),
+    )
+
+
+def _residuals(t: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the residuals of the best of ``N_HINGES`` hinges, by least squares."""
+    hinges = np.maximum(t - t[-1] * np.linspace(0, 0.95, N_HINGES)[:, None], 0)
+    fits = np.stack([np.ones(hinges.shape), hinges], axis=-1)
+    gram = np.swapaxes(fits, 1, 2) @ fits + 1e-9 * np.eye(2)
+    coefficients = np.linalg.solve(gram, np.swapaxes(fits, 1, 2) @ values[:, None])
+    residuals = values - (fits @ coefficients)[..., 0]
+    return np.asarray(residuals[np.argmin((residuals**2).sum(axis=1))])
+
+
+def _periodogram(steps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return frequencies per trip, power and ordinates of at most ``MAX_BINS`` bins.
+
+    The ``N_SLOWEST`` lowest frequencies, which a drift that is no hinge disturbs, are left out.
+    """
+    n = steps.size
+    power = np.abs(np.fft.rfft(steps))[1:] ** 2 / n
+    omega = 2 * np.pi * np.arange(1, power.size + 1) / n
+    ordinates = np.where(omega > np.pi - 1e-9, 0.5, 1.0)
+    skip = min(N_SLOWEST, power.size - 1)
+    n_bins = min(power.size - skip, MAX_BINS)
+    start = (skip + np.linspace(0, power.size - skip, n_bins + 1)[:-1]).astype(np.int64)
+    count = np.add.reduceat(ordinates, start)
+    omega, power = (np.add.reduceat(ordinates * x, start) / count for x in (omega, power))
+    return omega, power, count
+
+
+def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> FloatArray:
+    """Return covariances (..., n_blocks, n_blocks) of block means of autoregressive noise."""
+    m = blocks.size.astype(float)
+    r = np.maximum(rho[..., None], 1e-9)
+    g = (1 - r**m) / (m * (1 - r))
+    end = blocks.first + blocks.size - 1
+    apart = np.abs(blocks.first[None, :] - end[:, None])
+    apart = np.where(np.arange(m.size)[:, None] < np.arange(m.size), apart, apart.T)
+    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** apart
+    own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
+    index = np.arange(m.size)
+    covariance[..., index, index] = own
+    scaled = variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
+    return np.asarray(scaled)
+
+
+def robust_spread(log_values: FloatArray) -> float:
+    """Return a robust standard deviation of the noise, from second differences."""
+    return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
+
+
+def tame(values: FloatArray) -> FloatArray:
+    """Return values with single trips that lie far off drawn to the median of five trips."""
+    logs = np.log(values)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
+    middle = np.median(windows, axis=1)
+    off = logs - middle
+    scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), LEAST_NOISE)
+    most = OUTLYING * scale / 0.6745
+    return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)

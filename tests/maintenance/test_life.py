@@ -1,0 +1,268 @@
+"""Remaining life: exact crossings, honest intervals, a fleet, and clear errors."""
+
+import numpy as np
+import pytest
+from benchmarks.prognostics import alpha_lambda, cumulative_relative_accuracy
+from benchmarks.wear_histories import make_histories
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from suspnet.maintenance.degradation import MODELS
+from suspnet.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, learn_fleet, predict_life
+from suspnet.maintenance.noise import UNIT_KM
+from suspnet.maintenance.passage import HORIZON_KM
+
+LIMITS = (0.7, 1.4)
+KM = 2_000.0 * np.arange(150)
+HALF = np.full(150, 0.005)
+
+
+def noise(seed=0, n=150):
+    return np.exp(0.003 * np.random.default_rng(seed).normal(size=n))
+
+
+# reference: known answers
+
+
+@pytest.mark.parametrize("limit", [0.7, 1.4])
+@pytest.mark.parametrize("onset", [0.0, 91_000.0])
+def test_noise_free_line_crosses_where_it_does(limit, onset):
+    line = 1 + (limit - 1) * np.maximum(KM - onset, 0) / (500_000 - onset)
+    life = predict_life(KM, line, HALF, LIMITS)
+    assert life.model == "linear"
+    assert life.quantile_km(0.5) == pytest.approx(500_000 - KM[-1], rel=0.01)
+    low, high = life.interval_km()
+    assert 0 < high - low < 0.1 * (500_000 - KM[-1])
+
+
+@pytest.mark.parametrize("limit", [0.7, 1.4])
+@pytest.mark.parametrize("onset", [0.0, 91_000.0])
+def test_noise_free_exponential_crosses_where_it_does(limit, onset):
+    course = np.exp(np.log(limit) * np.maximum(KM - onset, 0) / (500_000 - onset))
+    life = predict_life(KM, course, HALF, LIMITS)
+    assert life.model == "exponential"
+    assert life.quantile_km(0.5) == pytest.approx(500_000 - KM[-1], rel=0.01)
+
+
+def test_measures_are_those_of_progpy():
+    """Values of progpy 1.9.0: ToEPredictionProfile of UnweightedSamples, truth 1,000."""
+    predictions = {
+        500.0: [905.0, 962.0, 1041.0, 1090.0, 1180.0, 1300.0],
+        750.0: [940.0, 955.0, 1010.0, 1052.0, 1080.0, 1120.0],
+        875.0: [890.0, 970.0, 985.0, 1001.0, 1012.0, 1030.0],
+    }
+    centres = [np.mean(samples) for samples in predictions.values()]
+    assert cumulative_relative_accuracy(centres, 1000.0) == pytest.approx(0.9585, rel=1e-9)
+    for alpha, beta, known in (
+        (0.2, 0.5, [True, False, True]),
+        (0.2, 0.7, [False, False, False]),
+        (0.1, 0.3, [True, False, True]),
+        (0.1, 0.6, [False, False, False]),
+    ):
+        found = [alpha_lambda(s, t, 1000.0, alpha, beta) for t, s in predictions.items()]
+        assert found == known
+
+
+# property: intervals hold the truth
+
+
+def test_intervals_hold_the_truth_on_simulated_wear():
+    """60 histories, every other at half and at three quarters of its life."""
+    held = []
+    for i, history in enumerate(make_histories(60, seed=21)):
+        share = (0.5, 0.75)[i % 2]
+        mileage, values, half_widths = history.until(share * history.crossing_km)
+        life = predict_life(mileage, values, half_widths, history.limits)
+        low, high = life.interval_km()
+        held.append(low <= history.crossing_km - mileage[-1] <= high)
+    # of 60 with 80 % each, fewer are 4.5 standard deviations off; all have a chance of 1e-6
+    assert 0.57 < np.mean(held) < 1
+
+
+def test_healthy_parameters_have_no_trend_and_no_crossing():
+    for history in make_histories(12, seed=22, kinds=("healthy",)):
+        life = predict_life(*history.until(400_000), history.limits)
+        assert life.model == "no trend"
+        assert life.probability(500_000) < 0.1
+        assert np.isinf(life.quantile_km(0.5))
+
+
+def test_correlated_noise_makes_intervals_wider():
+    """Correlation 0.5 makes the standard deviation of means of noise 1.7 times as large."""
+    rng = np.random.default_rng(12)
+    km = 2_000.0 * np.arange(300)
+    line, half = 1 - 0.25 * km / km[-1], np.full(300, 0.005)
+    ratios = []
+    for white in 0.003 * rng.normal(size=(10, 301)):
+        # a moving average with correlation 0.5 and the same variance
+        correlated = (white[1:] + white[:-1]) / np.sqrt(2)
+        widths = [
+            np.subtract(*predict_life(km, line * np.exp(one), half, LIMITS).interval_km())
+            for one in (white[1:], correlated)
+        ]
+        ratios.append(widths[1] / widths[0])
+    assert 1.2 < np.median(ratios) < 2.5
+
+
+def test_models_found_are_those_simulated():
+    rng = np.random.default_rng(8)
+    path = 1 - 0.2 * KM / KM[-1] + 0.02 * np.cumsum(rng.normal(size=150)) / np.sqrt(150)
+    assert predict_life(KM, path * noise() ** 0.1, HALF / 10, LIMITS).model == "wiener"
+    slowing = 1 - 0.2 * np.sqrt(KM / KM[-1])
+    assert predict_life(KM, slowing * noise(), HALF, LIMITS).model == "changing rate"
+    assert predict_life(KM, noise(), HALF, LIMITS).model == "no trend"
+
+
+def test_probabilities_of_models_are_the_shares_of_samples():
+    life = predict_life(KM[:12], noise(1, 12), HALF[:12], LIMITS, n_samples=5_000)
+    assert tuple(life.probabilities) == MODELS
+    assert sum(life.probabilities.values()) == pytest.approx(1)
+    assert 0.5 < life.probabilities["no trend"] < 1
+    assert np.isinf(life.samples_km).mean() >= life.probabilities["no trend"] - 0.001
+
+
+def test_a_limit_that_is_passed_leaves_nothing_to_go():
+    life = predict_life(KM, 0.65 * noise(), HALF, LIMITS)
+    assert (life.samples_km == 0).all()
+    assert str(life) == "no trend: limit passed"
+
+
+def test_no_limit_on_a_side_is_never_passed():
+    falling = (1 - 0.25 * KM / KM[-1]) * noise()
+    assert predict_life(KM, falling, HALF, LIMITS).probability(200_000) > 0.95
+    for limits in ((0.0, 1.4), (0.0, np.inf)):
+        assert predict_life(KM, falling, HALF, limits).probability(200_000) < 0.05
+
+
+def test_single_outlying_trips_start_no_trend():
+    values = noise()
+    values[[20, 75, 149]] = [1.5, 0.5, 0.6]
+    assert predict_life(KM, values, HALF, LIMITS).model == "no trend"
+
+
+def test_missing_estimates_and_half_widths_are_left_out():
+    values, half = (1 - 0.2 * KM / KM[-1]) * noise(), HALF.copy()
+    full = predict_life(KM, values, half, LIMITS)
+    values[::7], half[3::5] = np.nan, np.nan
+    found = predict_life(KM, values, half, LIMITS)
+    assert found.quantile_km(0.5) == pytest.approx(full.quantile_km(0.5), rel=0.05)
+    found = predict_life(KM, values, np.full(150, np.nan), LIMITS)
+    assert found.quantile_km(0.5) == pytest.approx(full.quantile_km(0.5), rel=0.05)
+
+
+def test_same_seed_gives_the_same_samples_and_no_input_changes():
+    values, half = (1 - 0.2 * KM / KM[-1]) * noise(), HALF.copy()
+    before = values.copy()
+    one, two, three = (predict_life(KM, values, half, LIMITS, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.samples_km, two.samples_km)
+    assert not np.array_equal(one.samples_km, three.samples_km)
+    np.testing.assert_array_equal(values, before)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_any_history_gives_a_distribution(data):
+    n = data.draw(st.integers(MIN_TRIPS, 60))
+    steps = data.draw(arrays(float, n, elements=st.floats(1, 50_000)))
+    values = data.draw(arrays(float, n, elements=st.floats(0.01, 10)))
+    half = data.draw(arrays(float, n, elements=st.floats(0, 1) | st.just(np.nan)))
+    life = predict_life(np.cumsum(steps), values, half, LIMITS, n_samples=50)
+    assert life.samples_km.shape == (50,)
+    assert (life.samples_km >= 0).all()
+    assert ((life.samples_km <= HORIZON_KM) | np.isinf(life.samples_km)).all()
+    assert life.model in MODELS
+    low, high = life.interval_km()
+    assert low <= life.quantile_km(0.5) <= high
+    assert str(life).startswith(life.model)
+
+
+# fleet
+
+
+def test_a_fleet_tells_what_few_trips_do_not():
+    """Rates of 4 % in 100,000 km +- 10 %: after 10 trips of a new one the fleet's rate counts."""
+    rng = np.random.default_rng(9)
+    rates = -0.04 * (1 + 0.1 * rng.normal(size=21))
+    series = [((KM), (1 + r * KM / UNIT_KM) * noise(i), HALF) for i, r in enumerate(rates)]
+    fleet = learn_fleet(series[1:])
+    assert fleet.models.sum() == pytest.approx(1)
+    assert fleet.weights.sum() == pytest.approx(1)
+    assert fleet.models[0] < 0.5 < DEFAULT_PRIOR.models[0]
+    few = [part[:10] for part in series[0]]
+    alone, known = predict_life(*few, LIMITS), predict_life(*few, LIMITS, fleet=fleet)
+    low, high = known.interval_km()
+    assert low < 0.3 / -rates[0] * UNIT_KM - KM[9] < high
+    assert high - low < 0.6 * (alone.interval_km()[1] - alone.interval_km()[0])
+
+
+def test_no_series_leave_the_default_prior():
+    assert learn_fleet([]) is DEFAULT_PRIOR
+
+
+def test_healthy_sisters_make_a_trend_less_likely():
+    series = [(KM, noise(i), HALF) for i in range(30)]
+    fleet = learn_fleet(series)
+    assert fleet.models[0] > 0.9
+
+
+# the distribution
+
+
+def test_life_gives_quantiles_and_probabilities_in_words():
+    life = Life("linear", np.concatenate([np.arange(1, 91) * 1_000.0, np.full(10, np.inf)]))
+    assert life.quantile_km(0.5) == 50_000
+    assert life.interval_km(0.8) == (10_000, 90_000)
+    assert life.interval_km(0.9)[1] == np.inf
+    assert life.probability(20_000) == pytest.approx(0.2)
+    assert str(life) == "linear: 50,000 km to go (80 %: 10,000 to 90,000)"
+    assert "never" in str(Life("wiener", np.where(np.arange(10) < 8, 1e5, np.inf)))
+    assert "perhaps never" in str(Life("no trend", np.where(np.arange(10) < 3, 1e5, np.inf)))
+    never = Life("no trend", np.full(10, np.inf))
+    assert str(never) == "no trend: no crossing within 5,000,000 km (90 %)"
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"values": np.full(150, np.nan)}, ValueError, "at least 5 trips with an estimate.*got 0"),
+        ({"values": np.where(KM < 8_000, 1, np.nan)}, ValueError, "got 4"),
+        ({"values": np.full(150, -1.0)}, ValueError, "`values` must be above 0"),
+        ({"values": np.full(150, np.inf)}, ValueError, "`values` must be above 0 and finite"),
+        ({"values": np.ones(149)}, ValueError, "one and the same length"),
+        ({"values": np.ones((150, 1))}, ValueError, "one and the same length"),
+        ({"mileage_km": KM[::-1]}, ValueError, "`mileage_km` must be ascending"),
+        ({"mileage_km": np.full(150, np.nan)}, ValueError, "`mileage_km` must be finite"),
+        ({"mileage_km": np.ones(150)}, ValueError, "at different mileages"),
+        ({"half_widths": -HALF}, ValueError, "`half_widths` must be at least 0"),
+        ({"half_widths": np.full(150, np.inf)}, ValueError, "`half_widths` must be at least 0"),
+        ({"limits_pair": (1.0, 1.4)}, ValueError, r"`limits_pair\[0\]` must be"),
+        ({"limits_pair": (0.7, 1.0)}, ValueError, r"`limits_pair\[1\]` must be"),
+        ({"limits_pair": (0.7, np.nan)}, ValueError, r"`limits_pair\[1\]` must be"),
+        ({"limits_pair": (0.7,)}, ValueError, "`limits_pair` must be two numbers"),
+        ({"level": 1.0}, ValueError, "`level` must be"),
+        ({"n_samples": 0}, ValueError, "`n_samples` must be"),
+        ({"seed": 0.5}, TypeError, "`seed` must be"),
+    ],
+)
+def test_bad_input_is_refused(change, error, message):
+    given_ = {"mileage_km": KM, "values": np.ones(150), "half_widths": HALF, "limits_pair": LIMITS}
+    with pytest.raises(error, match=message):
+        predict_life(**given_ | change)
+
+
+def test_a_bad_series_of_a_fleet_is_named():
+    with pytest.raises(ValueError, match="series 1: `values` must be above 0"):
+        learn_fleet([(KM, noise(), HALF), (KM, -noise(), HALF)])
+
+
+@pytest.mark.parametrize(
+    ("method", "value"), [("quantile_km", 1.5), ("interval_km", 0.0), ("probability", -1.0)]
+)
+def test_what_is_no_probability_or_mileage_is_refused(method, value):
+    life = Life("linear", np.ones(3))
+    with pytest.raises(ValueError, match="must be a finite number"):
+        getattr(life, method)(value)
