@@ -43,7 +43,8 @@ def write_maintenance(
 ) -> list[State]:
     """Write what a depot needs: overview and plan of all suspensions of a history.
 
-    Written are overview.html, overview.csv and .parquet, plan.csv and .parquet, calendar.png.
+    Written are overview.html, overview.csv and .parquet, plan.csv and .parquet, calendar.png. The
+    history keeps the alarms that were found.
 
     Parameters
     ----------
@@ -89,6 +90,9 @@ def write_maintenance(
     known |= {vehicle.name: vehicle.known_limits for vehicle in vehicles.values()}
     own = {name: read_limits(limits or {}, one) for name, one in known.items()}
     states = fleet_state(fleet, own, changes, sisters, seed)
+    with History(store) as history:
+        for state in states:
+            history.keep_alarms(state.series.vehicle, state.series.place, state.watched.alarms)
     trains = trains_of(states, day, plan.km_per_day)
     planned = make_plan(parts_of(states), trains, plan, day)
     rows = overview_rows(states, acknowledged)

@@ -40,6 +40,8 @@ class ChangeSettings:
         First trips that say what is usual; before there are so many, nothing is looked for.
     correlation : float, [-]
         Largest correlation of successive trips for which that rate holds, 0 to 0.6.
+    least_percent : float, [% of healthy]
+        Size below which a change is none.
     seed : int
         Of the simulation that gives the thresholds.
 
@@ -52,12 +54,14 @@ class ChangeSettings:
     km_per_false_alarm: float = 1e6
     n_reference: int = 20
     correlation: float = 0.5
+    least_percent: float = 0.1
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_number("km_per_false_alarm", self.km_per_false_alarm, low=1e3, high=1e9)
         check_number("n_reference", self.n_reference, low=8, high=1000, whole=True)
         check_number("correlation", self.correlation, low=0, high=MAX_CORRELATION)
+        check_number("least_percent", self.least_percent, low=0, below=100)
         check_number("seed", self.seed, low=0, whole=True)
 
 
@@ -120,7 +124,6 @@ def find_changes(
     *,
     usable: ArrayLike | None = None,
     widths: Mapping[str, ArrayLike] | None = None,
-    least_percent: Mapping[str, float] | None = None,
 ) -> Changes:
     """Return the changes of the parameters of one suspension since its last maintenance.
 
@@ -149,8 +152,6 @@ def find_changes(
         Trips that count: those without flags. All by default.
     widths : mapping from parameter to array of shape (n_trips,), [-], optional
         Half widths of the intervals, in logarithms.
-    least_percent : mapping from parameter to number, [%], optional
-        Size below which a change is none.
 
     Raises
     ------
@@ -183,7 +184,7 @@ def find_changes(
     found = {}
     for i, name in enumerate(names):
         ratio = _relative_widths((widths or {}).get(name), trips, needed)
-        least = (least_percent or {}).get(name, 0.0)
+        least = settings.least_percent
         found[name] = _of_one(logs[:, i], z, ratio, trips, _column(rest, i), limits, needed, least)
     n_unlike = n_lacking + int((rest.leverage > 1).any(axis=-1).sum())
     return Changes(found, kept, len(trips), needed, float(limits[-1]), n_unlike)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,7 +54,6 @@ def watch(
     covariates: Mapping[str, ArrayLike],
     limits: Mapping[str, Limits],
     settings: ChangeSettings,
-    least_percent: Mapping[str, float] | None = None,
     maintenance_km: Sequence[float] = (),
 ) -> Watched:
     """Return the alarms that the trips of a suspension raise, one after the other.
@@ -78,8 +76,6 @@ def watch(
     limits : mapping from parameter to Limits
         A parameter that is not there has none.
     settings : ChangeSettings
-    least_percent : mapping from parameter to number, [%], optional
-        Size below which a change is none.
     maintenance_km : sequence of float, [km]
         The first trips of this mileage or more are after it.
 
@@ -101,7 +97,7 @@ def watch(
             for given in (values, half_widths, covariates)
         )
         doubtful = np.asarray(flagged, dtype=bool)[part]
-        found = _watch(km[part], known, widths, doubtful, beside, limits, settings, least_percent)
+        found = _watch(km[part], known, widths, doubtful, beside, limits, settings)
         alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
     return replace(found, alarms=alarms)
 
@@ -114,13 +110,11 @@ def _watch(
     covariates: Mapping[str, FloatArray],
     limits: Mapping[str, Limits],
     settings: ChangeSettings,
-    least_percent: Mapping[str, float] | None,
 ) -> Watched:
     """Return the alarms of trips in the order of the mileage, between maintenance."""
     if not values:
         return Watched()
-    options: dict[str, Any] = {"usable": ~flagged, "widths": widths, "least_percent": least_percent}
-    changes = find_changes(km, values, covariates, settings, **options)
+    changes = find_changes(km, values, covariates, settings, usable=~flagged, widths=widths)
     alarms = []
     for name, column in values.items():
         width = widths.get(name, np.full(len(km), np.nan))

@@ -289,7 +289,7 @@ def _evaluate_group(
     era = of_last_era(results, states)
     recent = between(events, era)[-1]
     least = _least_percent(outputs, fitting)
-    watched = watch_trips(era, events, outputs, limits, settings.changes, least)
+    watched = watch_trips(era, events, outputs, limits, settings.changes)
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
         store.keep_alarms(fitting[0].vehicle.name, group.place, watched.alarms)

@@ -20,7 +20,6 @@ def watch_trips(
     outputs: Sequence[str],
     limits: Mapping[str, Limits],
     settings: ChangeSettings,
-    least_percent: Mapping[str, float],
 ) -> Watched:
     """Return the alarms of trips that are relative to one healthy state.
 
@@ -31,7 +30,7 @@ def watch_trips(
     events : sequence of Event
     outputs : sequence of str
         Parameters; the car-body mass is a covariate, as are speed and temperature.
-    limits, settings, least_percent
+    limits, settings
         Of ``watch``.
     """
     names = [name for name in outputs if name != PAYLOAD]
@@ -43,7 +42,6 @@ def watch_trips(
         covariates(results),
         limits,
         settings,
-        least_percent,
         [event.mileage_km for event in events],
     )
 

@@ -195,8 +195,8 @@ def test_wider_intervals_count_less():
 def test_changes_below_the_least_are_none():
     logs = healthy()
     logs[60:, 0] += 0.01
-    assert only(changes(logs, least_percent={"k_p": 0.5}), "k_p")
-    assert not any(changes(logs, least_percent={"k_p": 2.0}).found.values())
+    assert only(changes(logs, settings=replace(SETTINGS, least_percent=0.5)), "k_p")
+    assert not any(changes(logs, settings=replace(SETTINGS, least_percent=2.0)).found.values())
 
 
 @pytest.mark.parametrize("n_trips", [0, 1, 19])
@@ -326,7 +326,6 @@ def test_any_numbers_give_places_in_order(data):
         ChangeSettings(km_per_false_alarm=1e3),  # one threshold, and a low one
         usable=data.draw(arrays(bool, n_trips, elements=st.booleans() | st.just(True))),
         widths={"a": data.draw(arrays(float, n_trips, elements=ANY_VALUE))},
-        least_percent={"b": 0.5},
     )
     assert found.n_unlike <= n_trips
     assert bool(found.why_not) == (not found.found)

@@ -22,7 +22,7 @@ def made_up(seed=0):
     return np.exp(autoregressive(noise, 0.3) * SPREAD)
 
 
-def watched(estimates, *, flagged=(), order=slice(None), maintenance_km=(), least=None):
+def watched(estimates, *, flagged=(), order=slice(None), maintenance_km=(), settings=SETTINGS):
     """Return what the trips raise."""
     marks = np.isin(np.arange(len(estimates)), flagged)
     widths = np.tile(3 * SPREAD, (len(estimates), 1))
@@ -33,8 +33,7 @@ def watched(estimates, *, flagged=(), order=slice(None), maintenance_km=(), leas
         marks[order],
         {"speed": 70 + np.random.default_rng(1).standard_normal(len(estimates))[order]},
         DEFAULT_LIMITS,
-        SETTINGS,
-        least,
+        settings,
         maintenance_km,
     )
 
@@ -147,7 +146,7 @@ def test_flagged_trips_alone_are_a_notice_at_most():
 def test_change_below_the_least_size_is_none():
     estimates = made_up()
     estimates[60:, 0] *= 0.99
-    assert watched(estimates, least={"k_p": 2.0}).alarms == []
+    assert watched(estimates, settings=ChangeSettings(least_percent=2.0)).alarms == []
 
 
 def test_trips_without_mileage_or_estimate_count_for_nothing():
