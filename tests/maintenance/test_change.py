@@ -13,7 +13,7 @@ from scipy import stats
 from suspnet.maintenance.change import N_BACK, ChangeSettings, find_changes
 from suspnet.maintenance.cusum import autoregressive, threshold
 
-SETTINGS = ChangeSettings()
+SETTINGS = ChangeSettings(least_percent=0.0)
 NAMES = ("k_p", "c_p", "k_s", "c_s")
 SPREADS = np.array([0.0005, 0.005, 0.0006, 0.003])
 """Standard deviations of the logarithms, as trips of the AM96 have them."""
