@@ -162,9 +162,20 @@ def find_changes(
     names = tuple(values)
     if not names:
         raise ValueError("`values` must have one parameter at least")
+    if km.ndim != 1:
+        raise ValueError(f"`mileage_km` must have one dimension, got {km.ndim}")
+    for what, columns in {
+        "values": values,
+        "covariates": covariates,
+        "widths": widths or {},
+        "usable": {} if usable is None else {"usable": usable},
+    }.items():
+        for name, column in columns.items():
+            if np.shape(column) != km.shape:
+                raise ValueError(
+                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
+                )
     estimates = np.stack([np.asarray(values[name], dtype=float) for name in names], axis=-1)
-    if km.ndim != 1 or estimates.shape[:-1] != km.shape:
-        raise ValueError(f"`values` must have {len(km)} trips each, got {estimates.shape[:-1]}")
     if (np.diff(km[np.isfinite(km)]) < 0).any():
         raise ValueError("`mileage_km` must ascend")
     good = np.isfinite(km) & (np.isfinite(estimates) & (estimates > 0)).all(axis=-1)

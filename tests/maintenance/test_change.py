@@ -354,9 +354,18 @@ def test_settings_out_of_range_are_refused(name, value):
         ChangeSettings(**{name: value})
 
 
-def test_values_of_another_length_are_refused():
-    with pytest.raises(ValueError, match="`values` must have 30 trips each"):
-        find_changes(np.arange(30.0), {"k_p": np.ones(29)}, {}, SETTINGS)
+@pytest.mark.parametrize("what", ["values", "covariates", "widths", "usable"])
+def test_arrays_of_another_length_are_refused(what):
+    given = {"values": {"k_p": np.ones(30)}, "covariates": {}, "settings": SETTINGS}
+    given[what] = np.ones(29, bool) if what == "usable" else {"k_p": np.ones(29)}
+    with pytest.raises(ValueError, match=rf"`{what}` must have 30 trips each, got \(29,\) for"):
+        find_changes(np.arange(30.0), **given)
+
+
+@pytest.mark.parametrize("km", [3.0, np.ones((30, 1))])
+def test_mileage_of_another_dimension_is_refused(km):
+    with pytest.raises(ValueError, match="`mileage_km` must have one dimension"):
+        find_changes(km, {"k_p": np.ones(30)}, {}, SETTINGS)
 
 
 def test_no_parameter_is_refused():
