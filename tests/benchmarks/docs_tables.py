@@ -188,6 +188,24 @@ def plan(rows: Sequence[Row]) -> str:
     return markdown(lines, [*header, "of L10", "of best", "of to the limit"])
 
 
+def life(rows: Sequence[Row]) -> str:
+    """Return how often the 80 % intervals of the remaining life hold, and how wide they are."""
+    header = ["wear", "n", "share of life", "80 % intervals hold", "width", "alpha-lambda", "CRA"]
+    lines = [
+        [
+            r["histories"] + (f": {r['kind']}" if r["kind"] != "all" else ""),
+            r["n"],
+            f"{r['share_of_life']:g}",
+            f"{r['coverage_percent']:.0f} % ({r['least_percent']:.0f} to {r['most_percent']:.0f})",
+            f"{r['median_width']:.2g}",
+            f"{r['alpha_lambda_percent']:.0f} %",
+            f"{r['cra_mean']:.3f}",
+        ]
+        for r in rows
+    ]
+    return markdown(lines, header)
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -198,6 +216,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
+    "life": ("remaining_life.csv", life),
     "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""
