@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import Any
 
 import matplotlib.dates as mdates
@@ -11,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from suspnet.maintenance.schedule import URGENCIES, Job, Plan, Visit
+from suspnet.maintenance.schedule import URGENCIES, Job, Plan, Visit, count
 
 COLOURS = dict(zip(URGENCIES, ("tab:red", "tab:orange", "tab:blue"), strict=True))
 WORDS = {
@@ -20,6 +21,10 @@ WORDS = {
     "later": "later visit",
 }
 MOST_TRAINS = 30
+LEAST_ROWS = 3
+"""Number of rows that a calendar has room for even where fewer trains are shown."""
+LONGEST_LINE = 28
+"""Number of letters of a train's name in one of its two lines."""
 BARS = 5
 """Largest number of parts of one train whose intervals are drawn, the first to pass first."""
 BAND = 0.7
@@ -51,7 +56,9 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
         jobs[job.part.train].append(job)
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))
     shown = names[:MOST_TRAINS]
-    figure = figure or Figure(figsize=(8.0, 1.8 + 0.3 * max(len(shown), 3)), layout="constrained")
+    figure = figure or Figure(
+        figsize=(8.0, 1.8 + 0.3 * max(len(shown), LEAST_ROWS)), layout="constrained"
+    )
     axis: Axes = figure.subplots()
     for row, name in enumerate(shown):
         _draw_passing(axis, plan, row, jobs[name])
@@ -59,8 +66,9 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
             _draw_visit(axis, row, visit)
     if not shown:
         axis.text(0.5, 0.5, "nothing to be done", ha="center", transform=axis.transAxes)
-    axis.set_ylim(max(len(shown), 1) - 0.5, -0.5)
-    axis.set_yticks(range(len(shown)), shown)
+    axis.set_ylim(max(len(shown), LEAST_ROWS) - 0.5, -0.5)
+    names_in_lines = ["\n".join(wrap(name, LONGEST_LINE)[:2]) for name in shown]
+    axis.set_yticks(range(len(shown)), names_in_lines, fontsize="small")
     axis.set_xlim(mdates.date2num(plan.today), mdates.date2num(plan.horizon))
     locator = mdates.AutoDateLocator()
     axis.xaxis.set_major_locator(locator)
@@ -71,7 +79,10 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
     axis.tick_params(axis="y", length=0)
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
-    title = f"Plan of {plan.today}: {len(plan.visits)} visits, {n_jobs} jobs until {plan.horizon}"
+    title = (
+        f"Plan of {plan.today}: {count(len(plan.visits), 'visit')}, {count(n_jobs, 'job')} "
+        f"until {plan.horizon}"
+    )
     if len(names) > len(shown):
         title += f"\n{len(shown)} trains of {len(names)}, the most urgent"
     axis.set_title(title, fontsize="medium")

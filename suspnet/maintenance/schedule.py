@@ -143,7 +143,7 @@ class Plan:
         """Return the plan as a table of visits, and what waits in one sentence."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
         lines = [
-            f"{_count(len(self.visits), 'visit')} with {_count(n_jobs, 'job')} until "
+            f"{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
             f"{self.horizon}, {len(self.waiting)} parts wait, {self.n_quiet} need nothing."
         ]
         if self.visits:
@@ -166,7 +166,7 @@ class Plan:
         return "\n".join(lines)
 
 
-def _count(n: int, noun: str) -> str:
+def count(n: int, noun: str) -> str:
     """Return a number with its noun."""
     return f"{n} {noun}{'s' * (n != 1)}"
 
