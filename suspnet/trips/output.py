@@ -17,7 +17,7 @@ from tabulate import tabulate
 
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
-from suspnet.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
 from suspnet.runs.tensorboard import RunLog
@@ -210,11 +210,7 @@ def write_pages(
         ],
         "commissionings": [asdict(one) for one in states],
         "maintenance": [asdict(one) for one in events],
-        "alarms": [
-            asdict(one)
-            | {"severity": str(one.severity), "end_km": None if one.is_open else one.end_km}
-            for one in alarms
-        ],
+        "alarms": [_alarm_row(one, seen) for one in alarms],
         "details": dict(details),
     }
     write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
@@ -243,4 +239,14 @@ def _life_row(life: Life | None) -> dict[str, Any] | None:
     ends["median"] = life.quantile_km(0.5)
     return {"model": life.model} | {
         f"{name}_km": km if np.isfinite(km) else None for name, km in ends.items()
+    }
+
+
+def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
+    """Return an alarm as JSON holds it, with the name of who has seen it last."""
+    by = newest_of(alarm, seen)
+    return asdict(alarm) | {
+        "severity": str(alarm.severity),
+        "end_km": None if alarm.is_open else alarm.end_km,
+        "seen_by": by.by if by else "",
     }

@@ -4,7 +4,8 @@ python tests/benchmarks/alarms.py [--histories 2000] [--changed 200] [--seed 0]
 
 A history has a reference of 20 trips, then 300 trips, one each 2,000 km unless said otherwise, of
 four parameters, whose logarithms follow an autoregressive process with the scatter of the AM96's
-estimates. Pay-load, speed and temperature change them, and are given. Prints tables.
+estimates. Pay-load, speed and temperature change them, and are given. Prints tables, and
+writes alarms.csv, alarms_methods.csv and alarms_delays.csv.
 
 Competitors see the same histories without the effects of the covariates, which favours them:
 
@@ -18,9 +19,11 @@ Competitors see the same histories without the effects of the covariates, which 
 ruptures and crepes (0.9.1) may be absent; the tables say so.
 """
 
+import csv
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +44,7 @@ EFFECTS = np.array(
         [-1e-4, -4e-3, -2e-4, -3e-3],  # per K
     ]
 )
+RESULTS = Path(__file__).parent / "results"
 SETTINGS = ChangeSettings()
 N_REFERENCE, N_LATER, CHANGED_AT = SETTINGS.n_reference, 300, 60
 N_TRIPS = N_REFERENCE + N_LATER
@@ -266,7 +270,14 @@ def delays(first: np.ndarray) -> list[str]:
     return cells
 
 
-def print_false_alarms(n: int, seed: int) -> None:
+def show(rows: list[list[Any]], head: list[str], file: Path) -> None:
+    """Print a table and write it."""
+    print(tabulate(rows, head, disable_numparse=True), "\n")
+    with file.open("w", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([head, *rows])
+
+
+def print_false_alarms(n: int, seed: int, output: Path) -> None:
     cases: list[tuple[str, dict[str, Any]]] = [
         ("correlation 0 to 0.5", {}),
         ("correlation 0", {"correlation": 0.0}),
@@ -297,7 +308,7 @@ def print_false_alarms(n: int, seed: int) -> None:
         f"{seed} to {seed + len(cases) - 1}\n"
     )
     head = ["healthy", "n", "alarms", "per 1e6 km", "95 %", "first ones", "in budget", "ms"]
-    print(tabulate(rows, head, disable_numparse=True), "\n")
+    show(rows, head, output / "alarms.csv")
 
 
 def first_of_us(given: Histories) -> np.ndarray:
@@ -306,7 +317,7 @@ def first_of_us(given: Histories) -> np.ndarray:
     return np.array([[first_of(several[name]) for name in NAMES] for several in found])
 
 
-def print_others(n: int, seed: int) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+def print_others(n: int, seed: int, output: Path) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
     """Print false alarms beside those of the competitors, which are given back."""
     healthy, correlated = histories(n, seed), histories(n, seed + 1, 0.5)
     methods = competitors(healthy, correlated)
@@ -329,11 +340,13 @@ def print_others(n: int, seed: int) -> dict[str, Callable[[np.ndarray], np.ndarr
         f"n = {n}, seeds {seed} and {seed + 1}\n"
     )
     head = ["method", "correlation 0 to 0.5", "correlation 0.5", "one outlier"]
-    print(tabulate(rows, head, disable_numparse=True), "\n")
+    show(rows, head, output / "alarms_methods.csv")
     return methods
 
 
-def print_delays(n: int, seed: int, methods: dict[str, Callable[[np.ndarray], np.ndarray]]) -> None:
+def print_delays(
+    n: int, seed: int, methods: dict[str, Callable[[np.ndarray], np.ndarray]], output: Path
+) -> None:
     since = np.arange(N_TRIPS) - CHANGED_AT
     rows = []
     for i, (name, change) in enumerate(CHANGES.items()):
@@ -347,7 +360,7 @@ def print_delays(n: int, seed: int, methods: dict[str, Callable[[np.ndarray], np
         f"without an alarm before the change\nat trip {CHANGED_AT}; correlation 0.3, n = {n}, "
         f"seeds {seed} to {seed + len(CHANGES) - 1}; -: fewer than one in four had none\n"
     )
-    print(tabulate(rows, ["change", "of", "suspnet", *methods], disable_numparse=True))
+    show(rows, ["change", "of", "suspnet", *methods], output / "alarms_delays.csv")
 
 
 def main() -> None:
@@ -355,7 +368,9 @@ def main() -> None:
     parser.add_argument("--histories", type=at_least(40), default=2000)
     parser.add_argument("--changed", type=at_least(10), default=200, help="of each change")
     parser.add_argument("--seed", type=at_least(0), default=0)
+    parser.add_argument("--output", type=Path, default=RESULTS)
     given = parser.parse_args()
+    given.output.mkdir(parents=True, exist_ok=True)
     seed = 1000 * given.seed
     print(
         f"python tests/benchmarks/alarms.py --histories {given.histories} "
@@ -363,9 +378,9 @@ def main() -> None:
         f"budget: 1 false alarm per {SETTINGS.km_per_false_alarm:,.0f} km of a suspension\n"
     )
     begin = time.process_time()
-    print_false_alarms(given.histories, seed)
-    methods = print_others(given.histories // 10, seed + 100)
-    print_delays(given.changed, seed + 200, methods)
+    print_false_alarms(given.histories, seed, given.output)
+    methods = print_others(given.histories // 10, seed + 100, given.output)
+    print_delays(given.changed, seed + 200, methods, given.output)
     print(f"\n{time.process_time() - begin:.0f} s of CPU")
 
 

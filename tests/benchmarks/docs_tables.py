@@ -206,6 +206,25 @@ def life(rows: Sequence[Row]) -> str:
     return markdown(lines, header)
 
 
+def alarms(rows: Sequence[Row]) -> str:
+    """Return false alarms of healthy histories of each kind."""
+    lines = [[r["healthy"], r["n"], r["alarms"], f"{r['per 1e6 km']:.3g}", r["95 %"]] for r in rows]
+    return markdown(lines, ["healthy histories", "n", "alarms", "in 1,000,000 km", "95 %"])
+
+
+def alarms_methods(rows: Sequence[Row]) -> str:
+    """Return false alarms of each method."""
+    lines = [list(map(str, row.values())) for row in rows]
+    return markdown(lines, list(rows[0]))
+
+
+def alarms_delays(rows: Sequence[Row]) -> str:
+    """Return delays of each method, of k_p and c_p alone."""
+    some = [row for row in rows if row["of"] in ("k_p", "c_p")]
+    lines = [list(map(str, row.values())) for row in some]
+    return markdown(lines, list(rows[0]))
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -216,6 +235,9 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
+    "alarms": ("alarms.csv", alarms),
+    "alarms_methods": ("alarms_methods.csv", alarms_methods),
+    "alarms_delays": ("alarms_delays.csv", alarms_delays),
     "life": ("remaining_life.csv", life),
     "configuration": (None, lambda rows: configuration.page()),
 }

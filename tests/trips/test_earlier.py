@@ -10,8 +10,13 @@ from trip_fixtures import changed
 from trip_records import fleet
 
 from suspnet.history import Event, History
+from suspnet.maintenance import Acknowledgement, Cause, Severity
+from suspnet.trips import fleet as fleet_module
 from suspnet.trips.earlier import between
 from suspnet.trips.fleet import evaluate_fleet
+from suspnet.trips.trip import evaluate_trip
+
+SEEN = "2026-02-01T08:00:00+00:00"
 
 
 @pytest.fixture
@@ -82,3 +87,31 @@ def test_trips_between_maintenance():
         [1e4 * i for i in range(10, 4, -1)],
     ]
     assert found[3] == [lost]
+
+
+def test_alarms_are_kept_and_say_who_has_seen_them(
+    folders,
+    model,
+    store,
+    monkeypatch,
+    no_figures,  # noqa: F811
+    tmp_path,
+):
+    def stiff(path, models, settings):
+        found = evaluate_trip(path, models, settings)
+        return replace(found, estimates=found.estimates | {"k_p": 1.5}, half_widths={"k_p": 0.01})
+
+    monkeypatch.setattr(fleet_module, "evaluate_trip", stiff)
+    results = read(folders[0], model, tmp_path / "one", store)
+    where = "am96", results[0].place
+    (alarm,) = (one for one in store.alarms(*where) if one.parameter == "k_p")
+    assert (alarm.cause, alarm.severity) == (Cause.LIMIT, Severity.ACT)
+    assert alarm.is_open
+    seen = Acknowledgement("k_p", Cause.LIMIT, alarm.severity, alarm.begin_km, "Kim", SEEN, "known")
+    store.acknowledge(*where, [seen])
+    read(folders[0], model, tmp_path / "two", store)
+    metrics = json.loads((tmp_path / "two" / "metrics.json").read_text())
+    (row,) = (one for one in metrics["alarms"] if one["parameter"] == "k_p")
+    assert (row["end_km"], row["cause"], row["severity"]) == (None, "limit", "act")
+    assert row["seen_by"] == "Kim"
+    assert metrics["severity"] == "act"

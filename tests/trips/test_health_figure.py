@@ -8,7 +8,8 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
-from suspnet.trips.health_figure import LEAST_SPAN_PERCENT, health_trend
+from suspnet.maintenance import Alarm, Cause, Life, Severity
+from suspnet.trips.health_figure import AHEAD, LEAST_SPAN_PERCENT, health_trend
 
 FEW = OUTPUTS[:2]
 FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"
@@ -168,3 +169,36 @@ def test_a_lone_flagged_trip_is_shown():
     axis = drawn([flagged(trip(3), k_p=0.2)])[0]
     np.testing.assert_allclose(points(axis, FLAGGED)[:, 0], [40.0, 20.0])
     assert BEYOND not in labels(axis)
+
+
+# alarms and remaining life
+
+
+def test_alarm_is_marked_where_it_began():
+    alarms = [Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 5e4)]
+    axes = drawn(measured(), alarms=alarms)
+    assert points(axes[0], "notice: an alarm begins").T.tolist() == [[50.0, 1.0]]
+    assert "notice: an alarm begins" not in labels(axes[1])
+
+
+def test_crossing_ahead_makes_room_for_itself():
+    """Of three lives one is near, one has no end in sight, one is over."""
+    trips = measured()
+    last = max(r.mileage_km for r in trips)
+    span = last - min(r.mileage_km for r in trips)
+    near = Life("linear", np.linspace(0.1, 2.0, 101) * span)
+    lives = {
+        "k_p": near,
+        "c_p": Life("no trend", np.full(3, np.inf)),
+        "k_s": Life("x", np.zeros(1)),
+    }
+    axes = drawn(trips, OUTPUTS[:3], lives=lives)
+    begin, end = points(axes[0], "act limit will be passed (80 %)")[0]
+    assert begin == pytest.approx((last + near.interval_km()[0]) / 1000)
+    assert end == pytest.approx((last + AHEAD * span) / 1000)
+    assert axes[0].get_xlim()[1] == pytest.approx(end)
+    for axis in axes[1:]:
+        assert "act limit will be passed (80 %)" not in labels(axis)
+    # far away, nothing is drawn
+    far = drawn(trips, FEW, lives={"k_p": Life("linear", np.array([9e6]))})
+    assert far[0].get_xlim()[1] < last / 1000 + 0.1 * span / 1000

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
+from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.recordings.manifest import Place
 from suspnet.trips import figures, health_figure, report
@@ -346,3 +347,30 @@ def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
     assert "\u25d0 Sides" in page.text
     _, page = write(tmp_path / "plain.html", [trip(0)])
     assert "\u25d0" not in page.text
+
+
+def test_alarms_and_remaining_life_are_shown(tmp_path):
+    results = fleet(6, missing=(), with_curves=False)
+    alarms = [
+        Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 1e4, 2e4, "fell by 1 % at about 9 000 km"),
+        Alarm("c_s", Cause.LIMIT, Severity.ACT, 3e4, words="at 60 % of <healthy>"),
+    ]
+    seen = [Acknowledgement("c_s", Cause.LIMIT, Severity.ACT, 4e4, "Kim", "2026-02-01T00:00+00:00")]
+    lives = [Life("linear", np.linspace(1e5, 2e5, 11)), Life("no trend", np.zeros(1)), None]
+    found = [
+        replace(one, life=life)
+        for one, life in zip(assessed(results), [*lives, None, None], strict=True)
+    ]
+    given = [OUTPUTS, {"trend": small_figure()}, found, {}, 0.9, DEFAULT_LIMITS, (), ()]
+    report.write_report(tmp_path / "r.html", "Suspension report", results, *given, alarms, seen)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    table = text[text.index('<h2 id="alarms">') :]
+    # what stands comes first
+    assert table.index("at 60 % of &lt;healthy&gt;".replace(" %", "\N{NO-BREAK SPACE}%")) < (
+        table.index("fell by")
+    )
+    assert "seen by Kim, 2026-02-01" in table
+    assert "stands" in table
+    plain = text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "150 000<small>110 000 to 190 000</small>" in plain
+    assert '<td class="n">passed</td>' in text
