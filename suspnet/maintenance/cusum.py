@@ -51,7 +51,7 @@ class Residuals:
     correlation : array of the shape of `standard`, [-]
         phi.
     usual : bool array of the shape of `standard`
-        Whether the trip may become part of the reference: |z| is at most ``CLIP``.
+        Whether the trip may become part of the reference: abs(z) is at most ``CLIP``.
     """
 
     standard: FloatArray
@@ -72,12 +72,12 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
       first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j and
       whose variance is (1 - phi^2) / j;
     - b and the variance s^2 of e are those of least squares on x_t - phi x_(t-1), s^2 at least
-      ``LEAST_SPREAD``^2 j / nu;
+      j / nu times the square of ``LEAST_SPREAD``;
     - e_t over s and the uncertainty of b follows Student's t and is turned into a standard normal
       by z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), nu = j - 1 less the length of x (Abramowitz
       and Stegun, 26.7.8).
 
-    A later trip with |z| above ``CLIP`` never becomes part of the reference, as one outlier there
+    A later trip with abs(z) above ``CLIP`` never becomes part of the reference, as one outlier there
     would hide changes: its x and y count as zeros, and not in j. A change of that size has raised
     its alarm before.
 
@@ -153,7 +153,7 @@ def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
 def cusum(standard: FloatArray) -> FloatArray:
     """Return the two CUSUMs of residuals, upwards and downwards.
 
-    S_t = max(0, S_(t-1) + s z_t - k) with s = 1 and -1, k = ``ALLOWANCE``, |z| at most ``CLIP``,
+    S_t = max(0, S_(t-1) + s z_t - k) with s = 1 and -1, k = ``ALLOWANCE``, abs(z) at most ``CLIP``,
     and S = 0 before the first trip (E. S. Page, Biometrika 41, 1954).
 
     Parameters
