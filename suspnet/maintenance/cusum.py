@@ -77,9 +77,9 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
       by z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), nu = j - 1 less the length of x (Abramowitz
       and Stegun, 26.7.8).
 
-    A later trip with abs(z) above ``CLIP`` never becomes part of the reference, as one outlier there
-    would hide changes: its x and y count as zeros, and not in j. A change of that size has raised
-    its alarm before.
+    A later trip with abs(z) above ``CLIP`` never becomes part of the reference, as one outlier
+    there would hide changes: its x and y count as zeros, and not in j. A change of that size has
+    raised its alarm before.
 
     Parameters
     ----------
