@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 def write_maintenance(
-    store: str,
+    store: str | None,
     folder: Path,
     *,
     vehicles: Mapping[str, Vehicle],
@@ -75,6 +75,8 @@ def write_maintenance(
     ValueError
         If it is empty, or a setting is out of range.
     """
+    if not store:
+        raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     if "://" not in store and not Path(store).is_file():
         raise ValueError(f"{store}: there is no such store; evaluate.py trips=DIR store= makes one")
     try:

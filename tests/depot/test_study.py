@@ -153,6 +153,8 @@ def test_html_in_names_is_text(tmp_path):
 def test_mistakes_are_told(tmp_path):
     with pytest.raises(ValueError, match="there is no such store"):
         run_study(tmp_path / "none.db", tmp_path)
+    with pytest.raises(ValueError, match="which history"):
+        run_study("", tmp_path)
     History(tmp_path / "empty.db").close()
     with pytest.raises(ValueError, match="no trip is kept here yet"):
         run_study(tmp_path / "empty.db", tmp_path)
