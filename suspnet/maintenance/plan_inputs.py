@@ -168,6 +168,11 @@ class Part:
         object.__setattr__(self, "samples_km", samples)
         object.__setattr__(self, "severity", Severity(self.severity))
 
+    @property
+    def is_passed(self) -> bool:
+        """Whether the limit is passed already, for sure."""
+        return bool((self.samples_km == 0).all())
+
     def __str__(self) -> str:
         """Return where it is, in words."""
         car = f"car {self.car}" if self.car else ""

@@ -153,7 +153,7 @@ class Plan:
                     *((visit.train, visit.urgency, visit.day, visit.latest) if first else [""] * 4),
                     f"{visit.mileage_km:.0f}" if first else "",
                     _words(job),
-                    f"{100 * job.probability:.1f} %",
+                    "passed" if job.part.is_passed else f"{100 * job.probability:.1f} %",
                 ]
                 for visit in self.visits
                 for first, job in zip([True] + [False] * len(visit.jobs), visit.jobs, strict=False)

@@ -231,7 +231,9 @@ def test_alarm_to_act_on_is_seen_to_on_the_first_day_and_takes_others_along():
     assert (visit.day, visit.urgency) == (TODAY + timedelta(days=14), "now")
     what = {job.part.suspension: job.what for job in visit.jobs}
     assert what == {"left": "inspect", "right": "replace"}
-    passed = planned(part([0.0] * 10, severity=Severity.ACT)).visits[0].jobs[0]
+    plan = planned(part([0.0] * 10, severity=Severity.ACT))
+    assert "| passed " in str(plan)
+    passed = plan.visits[0].jobs[0]
     assert passed.what == "replace"
 
 
