@@ -21,6 +21,8 @@ from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
 from suspnet.types import FloatArray, IntArray
 
 MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
+LEAST_EIGENVALUE = 1e-9
+"""Least eigenvalue of a covariance over its largest, where it could not be factored."""
 N_ONSETS = 40
 """Onsets that each model is tried with; "linear" and "exponential" then refine the best."""
 ONSET_PASSES = 3
@@ -259,7 +261,12 @@ class Fit:
             with_last, own = motion.with_last(since, blocks.last - start)
             self._with_last = variances * with_last / scale[:, None]
             self._own = variances * own
-        diagonal = np.diagonal(np.linalg.cholesky(total), axis1=-2, axis2=-1)
+        try:
+            factor = np.linalg.cholesky(total)
+        except np.linalg.LinAlgError:
+            total = _definite(total)
+            factor = np.linalg.cholesky(total)
+        diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
         self._inverse = np.linalg.inv(total)
         self._solve(2 * np.log(diagonal).sum(axis=-1), prior)
 
@@ -348,3 +355,15 @@ def shares(fits: list[Fit]) -> list[FloatArray]:
     weights = [np.exp(fit.log_weight - peak).reshape(-1) for fit in fits]
     total = sum(weight.sum() for weight in weights)
     return [weight / total for weight in weights]
+
+
+def _definite(covariance: FloatArray) -> FloatArray:
+    """Return covariances whose eigenvalues are positive, where blocks of uneven trips left others.
+
+    The covariance of a path between blocks is that of even trips within each, which is none when
+    trips of very different noise lie very unevenly.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    raised = np.maximum(values, LEAST_EIGENVALUE * values[..., -1:])
+    found = (vectors * raised[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray((found + np.swapaxes(found, -1, -2)) / 2)

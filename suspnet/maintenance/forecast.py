@@ -12,6 +12,9 @@ from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.limits import Limits
 from suspnet.types import FloatArray
 
+MOST_RATIO = 100.0
+MOST_WIDTH = 1.0
+"""Factor from healthy, and half width in logarithms, beyond which a trip says nothing."""
 Trips = tuple[FloatArray, FloatArray, FloatArray]
 """Mileage [km], estimates and half widths of the trips that a life is predicted from."""
 
@@ -60,11 +63,17 @@ def remaining_lives(
 def trips_of_life(
     mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
 ) -> Trips | None:
-    """Return the trips that a life can be predicted from, by mileage; None if there are too few."""
+    """Return the trips that a life can be predicted from, by mileage; None if there are too few.
+
+    Left out are flagged trips, and those of which nothing is known: an estimate beyond a factor of
+    ``MOST_RATIO``, or a half width above ``MOST_WIDTH``.
+    """
     km, centre, width = (
         np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)
     )
-    used = np.isfinite(km) & np.isfinite(centre) & (centre > 0) & ~np.asarray(flagged, dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = (np.abs(np.log(centre)) <= np.log(MOST_RATIO)) & ~(width > MOST_WIDTH)
+    used = np.isfinite(km) & known & ~np.asarray(flagged, dtype=bool)
     order = np.flatnonzero(used)[np.argsort(km[used], kind="stable")]
     if len(order) < MIN_TRIPS or km[order[-1]] <= km[order[0]]:
         return None

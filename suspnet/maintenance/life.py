@@ -37,6 +37,8 @@ from suspnet.maintenance.noise import (
 from suspnet.maintenance.passage import FUTURE, HORIZON_KM, changing_passage_km, first_passage_km
 from suspnet.types import BoolArray, FloatArray, IntArray
 
+BEST_TRIP = 0.01
+"""Least noise of a trip over the median of all: an interval of no width is not believed."""
 MIN_TRIPS = 5
 """Fewest trips with an estimate that a life is predicted from."""
 NOISE_TRIPS = 4.0
@@ -272,7 +274,7 @@ def _fits(
     sigma = half / NormalDist().inv_cdf((1 + level) / 2)
     known = np.isfinite(sigma)
     usual = np.median(sigma[known]) if known.any() else robust_spread(np.log(value))
-    sigma = np.maximum(np.where(known, sigma, usual), LEAST_NOISE)
+    sigma = np.maximum(np.where(known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
     value = tame(value)
     noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
     blocks = average(t, value, sigma)
