@@ -56,7 +56,7 @@ def metrics(folder):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    assert run_program(train, folder, *TRAIN) == 0
+    assert run_program(train, folder, *TRAIN, "figures=false") == 0
     return folder
 
 
