@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
+import torch._dynamo  # noqa: F401  torch.func.jvp imports it, which takes 2 s in each fork
 import yaml
 from PIL import Image
 
@@ -208,9 +209,9 @@ def inject(name, folder, n_kills, rng, counts):
     """Kill a program some times, a few in a row, and let it go on to its end."""
     module, begin, go_on = PROGRAMS[name]
     expected, seconds = whole(name, folder / f"{name} whole")
-    where, before = folder / name, {}
+    where, before, over = folder / name, {}, False
     for number in range(n_kills):
-        if number % IN_A_ROW == 0:
+        if number % IN_A_ROW == 0 or over:
             shutil.rmtree(where, ignore_errors=True)
             where.mkdir()
             before = {}
@@ -228,6 +229,7 @@ def inject(name, folder, n_kills, rng, counts):
             if code is None:
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
+        over = go_on is None and code == 0  # a finished fleet is refused, not written again
         last = time.monotonic() + ORPHANS_S
         while session(pid) and time.monotonic() < last:
             time.sleep(0.05)
@@ -254,9 +256,9 @@ def inject(name, folder, n_kills, rng, counts):
 
 def main(folder, n_kills, seed, names):
     rng, counts = random.Random(seed), Counter()
+    folder.mkdir(parents=True, exist_ok=True)
     if "evaluate" in names:
-        folder.mkdir(parents=True, exist_ok=True)
-    prepare(folder)
+        prepare(folder)
     for i, name in enumerate(names):
         share = n_kills * (i + 1) // len(names) - n_kills * i // len(names)
         inject(name, folder, share, rng, counts)

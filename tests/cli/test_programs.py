@@ -197,6 +197,7 @@ def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, 
     is_one_line(typed(program, *(o.format(file=file) for o in overrides), cwd=tmp_path), message)
 
 
+@pytest.mark.slow  # as a refused payload in test_trusted.py, which ends by the same lines
 def test_mistake_in_a_process_gets_one_line(tmp_path):
     is_one_line(command("evaluate.py", "run=nowhere", cwd=tmp_path), "run=nowhere does not exist")
 

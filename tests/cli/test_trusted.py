@@ -357,7 +357,14 @@ def test_there_are_many_payloads_of_distinct_names():
     assert len(NAMED) == len(PAYLOADS) >= 100
 
 
-@pytest.mark.parametrize("name", ["hydra_callback__touch", "handler_factory", "swept_experiments"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "hydra_callback__touch",  # a process of its own takes seconds: one of them by default
+        pytest.param("handler_factory", marks=pytest.mark.slow),
+        pytest.param("swept_experiments", marks=pytest.mark.slow),
+    ],
+)
 def test_payload_is_refused_in_a_process(name, tmp_path):
     arguments, cwd = laid_out(NAMED[name], tmp_path)
     is_refused(command("train.py", *arguments, *SMALL, cwd=cwd), tmp_path, cwd)
