@@ -122,7 +122,7 @@ def test_compressed_batch_is_refused(compression):
     ],
 )
 def test_bad_bytes_have_a_reason(reason, data):
-    with pytest.raises(FrameError, match="`|frame|batch|stream|samples") as error:
+    with pytest.raises(FrameError, match=r"`|frame|batch|stream|samples") as error:
         decode(data())
     assert error.value.reason == reason
     assert reason in REASONS
