@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -148,6 +149,10 @@ class Cleaner:
         self._found: dict[tuple[str, bool], tuple[int, int]] = {}  # (how many, the first)
         self._levels: list[FloatArray] = []
         self._sum = self._sum_of_squares = 0.0
+        self._longest_constant = int(self.settings.constant_s * rate_hz + 1e-9)
+        context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
+        core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
+        self._windows = _Windows(core, context)
 
     def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Yield values without NaN [m/s2] and where they are bad, in blocks of another size.
@@ -156,19 +161,56 @@ class Cleaner:
         ----------
         blocks : iterable of arrays of shape (n_samples,), [m/s2]
         """
-        longest_constant = int(self.settings.constant_s * self.rate_hz + 1e-9)
-        n_segments = math.ceil(max(longest_constant, 1) / self.segment)
-        context = n_segments * self.segment
-        core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
-        for window, lead, length in _windows(blocks, core, context):
-            values, bad, masks, centre = self._check(window, longest_constant)
-            inside = slice(lead, lead + length)
-            for (kind, repaired), mask in masks.items():
-                self._count(kind, repaired, mask[inside])
-            first = lead // self.segment
-            self._levels.append(centre[first : first + math.ceil(length / self.segment)])
-            self._add(values[inside], bad[inside])
-            yield values[inside], bad[inside]
+        for block in blocks:
+            yield from self.push(block)
+        yield from self.finish()
+
+    def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Yield what `clean` does as soon as enough of what follows is known.
+
+        Parameters
+        ----------
+        block : array of shape (n_samples,), [m/s2]
+            The next samples.
+        """
+        for window in self._windows.push(block):
+            yield self._cleaned(*window)
+
+    def finish(self) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Yield the rest: no sample follows."""
+        for window in self._windows.finish():
+            yield self._cleaned(*window)
+
+    def _cleaned(self, window: FloatArray, lead: int, length: int) -> tuple[FloatArray, BoolArray]:
+        """Return values and bad samples of `length` samples after the first `lead` of a window."""
+        values, bad, masks, centre = self._check(window, self._longest_constant)
+        inside = slice(lead, lead + length)
+        for (kind, repaired), mask in masks.items():
+            self._count(kind, repaired, mask[inside])
+        first = lead // self.segment
+        self._levels.append(centre[first : first + math.ceil(length / self.segment)])
+        self._add(values[inside], bad[inside])
+        return values[inside], bad[inside]
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values that `restore` makes the same cleaner of."""
+        return {
+            "pending": np.concatenate([np.empty(0), *self._windows.pending]),
+            "levels": np.concatenate([np.empty(0), *self._levels]),
+            "lead": self._windows.lead,
+            "sums": [self.lowest, self.highest, self._sum, self._sum_of_squares],
+            "counts": [self.n_samples, self.n_bad],
+            "found": [[*kind, *found] for kind, found in self._found.items()],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of a cleaner of the same settings."""
+        self._windows.pending = [state["pending"]]
+        self._windows.held, self._windows.lead = len(state["pending"]), state["lead"]
+        self._levels = [state["levels"]]
+        self.lowest, self.highest, self._sum, self._sum_of_squares = state["sums"]
+        self.n_samples, self.n_bad = state["counts"]
+        self._found = {(kind, fixed): (n, first) for kind, fixed, n, first in state["found"]}
 
     def _check(
         self, window: FloatArray, longest_constant: int
@@ -245,25 +287,32 @@ class Cleaner:
         return float(np.median(levels[-tenth:]) - np.median(levels[:tenth]))
 
 
-def _windows(
-    blocks: Iterable[FloatArray], core: int, context: int
-) -> Iterator[tuple[FloatArray, int, int]]:
-    """Yield windows that follow each other with an overlap of `context` on either side.
+class _Windows:
+    """Cuts a stream into windows that follow each other with an overlap of `context` either side.
 
     Each is (window, samples before its core, samples of its core); the cores are the signal.
     """
-    pending: list[FloatArray] = []
-    held = lead = 0
-    for block in blocks:
-        pending.append(block)
-        held += len(block)
-        if held < lead + core + context:
-            continue
-        buffer = np.concatenate(pending)
-        # core >= context: after the first window each takes `core` samples off the buffer
-        while len(buffer) >= lead + core + context:
-            yield buffer[: lead + core + context], lead, core
-            buffer, lead = buffer[lead + core - context :], context
-        pending, held = [buffer], len(buffer)
-    if held > lead:
-        yield np.concatenate(pending), lead, held - lead
+
+    def __init__(self, core: int, context: int) -> None:
+        self.core, self.context = core, context  # core >= context
+        self.pending: list[FloatArray] = []
+        self.held = self.lead = 0
+
+    def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, int, int]]:
+        """Yield the windows that the next samples complete."""
+        self.pending.append(block)
+        self.held += len(block)
+        size = self.core + self.context
+        if self.held < self.lead + size:
+            return
+        buffer = np.concatenate(self.pending)
+        # after the first window each takes `core` samples off the buffer
+        while len(buffer) >= self.lead + size:
+            yield buffer[: self.lead + size], self.lead, self.core
+            buffer, self.lead = buffer[self.lead + self.core - self.context :], self.context
+        self.pending, self.held = [buffer.copy()], len(buffer)  # a view would keep all of it
+
+    def finish(self) -> Iterator[tuple[FloatArray, int, int]]:
+        """Yield the last window, whose core is shorter; there may be none."""
+        if self.held > self.lead:
+            yield np.concatenate(self.pending), self.lead, self.held - self.lead

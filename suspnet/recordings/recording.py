@@ -21,7 +21,7 @@ from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clocks import offsets_s
 from suspnet.recordings.drifting import clock_faults
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
-from suspnet.recordings.resampling import Decimated, decimate, interpolate, support
+from suspnet.recordings.resampling import Resampler, decimate
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 from suspnet.recordings.timeline import Timeline
@@ -81,7 +81,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class _Stream:
+class SensorSignal:
     """One sensor on the common clock, for as long as it recorded.
 
     Attributes
@@ -140,11 +140,35 @@ def load_recording(
             pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz, cleaning)
             for name in sensors
         ]
-        streams: list[_Stream] = all_of([one.result for one in read], problems)
+        streams: list[SensorSignal] = all_of([one.result for one in read], problems)
     del read
+    return joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz)
+
+
+def joined(
+    manifest: TripManifest,
+    streams: Sequence[SensorSignal],
+    track: SpeedTrack | None,
+    offset_s: float,
+    rate_hz: float,
+) -> Recording:
+    """Return the time that all sensors of a trip cover; raises what `load_recording` does.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+    streams : sequence of SensorSignal
+        All sensors of the manifest.
+    track : SpeedTrack or None
+        None if the manifest gives the speed as one number.
+    offset_s : float, [s]
+        Zero of the speed's times on the trip's clock.
+    rate_hz : float, [Hz]
+        Of the common clock.
+    """
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
-    speed, speed_faults = speed_at(manifest, track, offsets.get("speed", 0.0), times_s)
+    speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
     touched = np.zeros(len(times_s), dtype=np.bool_)
     values = {}
     for stream in streams:
@@ -219,7 +243,7 @@ def _read_sensor(
     offset_s: float,
     wanted_hz: float,
     cleaning: CleaningSettings | None,
-) -> _Stream:
+) -> SensorSignal:
     """Read, clean and decimate one sensor as it streams by, and put it on the common clock."""
     where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
@@ -235,42 +259,42 @@ def _read_sensor(
         scaled = (source.size * block for block in chain([first_block], blocks))
         decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
     start_s = offset_s + channel.start_s + (0.0 if timeline is None else timeline.first_s)
-    faults = cleaner.faults(start_s)
-    _check_alive(where, cleaner, faults)
     rate_hz = _known_rate(where, source.rate_hz, timeline)
-    first, values, touched = _resampled(decimated, rate_hz, start_s, wanted_hz)
-    end_s = start_s + cleaner.n_samples / rate_hz
-    return _Stream(name, start_s, end_s, first, values, touched, faults, source.words)
+    second = Resampler(start_s, rate_hz, wanted_hz, decimated.first, decimated.factor)
+    first = second.next
+    resampled = second.push(decimated.values, decimated.touched)
+    return sensor_signal(where, cleaner, start_s, rate_hz, first, *resampled, source.words)
 
 
-def _resampled(
-    decimated: Decimated, rate_hz: float, start_s: float, wanted_hz: float
-) -> tuple[int, FloatArray, BoolArray]:
-    """Return the first instant of the common clock, values there, and where a bad one took part.
+def sensor_signal(
+    where: str,
+    cleaner: Cleaner,
+    start_s: float,
+    rate_hz: float,
+    first: int,
+    values: FloatArray,
+    touched: BoolArray,
+    words: str = "",
+) -> SensorSignal:
+    """Return one sensor on the common clock; TripError if it has no usable sample.
 
     Parameters
     ----------
-    decimated : Decimated
-    rate_hz : float, [Hz]
-        Before decimation.
+    where : str
+        Named in errors.
+    cleaner : Cleaner
+        Through which all samples have gone.
     start_s : float, [s]
-        Of the first sample, on the trip's clock.
-    wanted_hz : float, [Hz]
+        Of the first sample.
+    rate_hz : float, [Hz]
+        Of the sensor.
+    first, values, touched, words
+        As of `SensorSignal`.
     """
-    oversampling = rate_hz / decimated.factor / wanted_hz
-    half = support(oversampling)
-    ends = np.array([half, len(decimated.values) - 1 - half])
-    span_s = start_s + (decimated.first + ends * decimated.factor) / rate_hz
-    first = math.ceil(float(span_s[0]) * wanted_hz - 1e-9)
-    last = math.floor(float(span_s[1]) * wanted_hz + 1e-9)
-    if last < first or ends[1] < ends[0]:
-        return first, np.empty(0), np.empty(0, dtype=np.bool_)
-    positions = np.arange(first, last + 1) / wanted_hz
-    positions -= start_s  # in place, as a long trip has many
-    positions *= rate_hz
-    positions -= decimated.first
-    positions /= decimated.factor
-    return first, *interpolate(decimated.values, decimated.touched, positions, oversampling)
+    faults = cleaner.faults(start_s)
+    _check_alive(where, cleaner, faults)
+    end_s = start_s + cleaner.n_samples / rate_hz
+    return SensorSignal(cleaner.channel, start_s, end_s, first, values, touched, faults, words)
 
 
 def _values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
@@ -303,7 +327,9 @@ def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> Non
     raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
 
 
-def _common(manifest: TripManifest, streams: Sequence[_Stream], rate_hz: float) -> tuple[int, int]:
+def _common(
+    manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
+) -> tuple[int, int]:
     """Return the first and the last instant that all sensors have, in samples of the clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:

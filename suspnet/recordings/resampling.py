@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -69,21 +70,119 @@ def decimate(
     rate_hz : float, [Hz]
         The rate wanted after both stages.
     """
-    factor = max(int(input_rate_hz / (OVERSAMPLING * rate_hz)), 1)
-    taps = _first_stage(input_rate_hz, rate_hz, factor)
-    reach = len(taps) // 2
-    tail, bad_tail = np.empty(0), np.empty(0, dtype=np.bool_)
+    first_stage = Decimator(input_rate_hz, rate_hz)
     values, touched = np.empty(0), np.empty(0, dtype=np.bool_)
     for block, bad in blocks:
-        tail, bad_tail = np.concatenate([tail, block]), np.concatenate([bad_tail, bad])
-        n_new = (len(tail) - 2 * reach - 1) // factor + 1
-        if n_new <= 0:
-            continue
-        skip = 2 * reach // factor  # `reach` is a multiple of `factor`
-        _append(values, upfirdn(taps, tail, down=factor)[skip : skip + n_new])
-        _append(touched, _touched(bad_tail, factor * np.arange(n_new), len(taps)))
-        tail, bad_tail = tail[n_new * factor :], bad_tail[n_new * factor :]
-    return Decimated(values, touched, reach, factor)
+        new, new_touched = first_stage.push(block, bad)
+        if len(new):
+            _append(values, new)
+            _append(touched, new_touched)
+    return Decimated(values, touched, first_stage.first, first_stage.factor)
+
+
+class Decimator:
+    """The first stage, block by block.
+
+    Parameters
+    ----------
+    input_rate_hz, rate_hz : float, [Hz]
+        As of `decimate`.
+
+    Attributes
+    ----------
+    first, factor : int
+        As of `Decimated`.
+    tail, bad_tail : arrays of shape (n_samples,)
+        Samples that the next values need.
+    """
+
+    def __init__(self, input_rate_hz: float, rate_hz: float) -> None:
+        self.factor = max(int(input_rate_hz / (OVERSAMPLING * rate_hz)), 1)
+        self._taps = _first_stage(input_rate_hz, rate_hz, self.factor)
+        self.first = len(self._taps) // 2
+        self.tail, self.bad_tail = np.empty(0), np.empty(0, dtype=np.bool_)
+
+    def push(self, values: FloatArray, bad: BoolArray) -> tuple[FloatArray, BoolArray]:
+        """Return the values that the next samples complete, and where a bad one took part."""
+        tail = np.concatenate([self.tail, values])
+        bad_tail = np.concatenate([self.bad_tail, bad])
+        n_new = max((len(tail) - 2 * self.first - 1) // self.factor + 1, 0)
+        skip = 2 * self.first // self.factor  # `first` is a multiple of `factor`
+        new, touched = np.empty(0), np.empty(0, dtype=np.bool_)
+        if n_new:
+            new = upfirdn(self._taps, tail, down=self.factor)[skip : skip + n_new]
+            starts = self.factor * np.arange(n_new)
+            touched = _touched(bad_tail, starts, len(self._taps))
+        used = n_new * self.factor
+        self.tail, self.bad_tail = tail[used:].copy(), bad_tail[used:].copy()
+        return new, touched
+
+
+class Resampler:
+    """The second stage, block by block: instants of the common clock as soon as they are covered.
+
+    Parameters
+    ----------
+    start_s : float, [s]
+        Time of the first sample before the first stage, on the common clock.
+    input_rate_hz : float, [Hz]
+        Before the first stage.
+    rate_hz : float, [Hz]
+        The rate wanted.
+    first, factor : int
+        As of `Decimated`.
+
+    Attributes
+    ----------
+    next : int
+        The next value is of the instant ``next / rate_hz``.
+    n_before : int
+        Number of values pushed that are no longer held.
+    held, held_touched : arrays of shape (n,)
+    """
+
+    def __init__(
+        self, start_s: float, input_rate_hz: float, rate_hz: float, first: int, factor: int
+    ) -> None:
+        self.start_s, self.input_rate_hz, self.rate_hz = start_s, input_rate_hz, rate_hz
+        self.first, self.factor = first, factor
+        self.oversampling = input_rate_hz / factor / rate_hz
+        self.half = support(self.oversampling)
+        self.next = math.ceil(self._instant(self.half) - 1e-9)
+        self.n_before = 0
+        self.held, self.held_touched = np.empty(0), np.empty(0, dtype=np.bool_)
+
+    def push(self, values: FloatArray, touched: BoolArray) -> tuple[FloatArray, BoolArray]:
+        """Return values at the instants that the next samples complete, and which are touched."""
+        self.held = np.concatenate([self.held, values]) if len(self.held) else values
+        self.held_touched = np.concatenate([self.held_touched, touched])
+        end = self.n_before + len(self.held) - 1 - self.half
+        last = math.floor(self._instant(end) + 1e-9)
+        if last < self.next or end < self.half:
+            return np.empty(0), np.empty(0, dtype=np.bool_)
+        positions = self._positions(np.arange(self.next, last + 1))
+        positions -= self.n_before  # exact: a whole number, not larger than the positions
+        found = interpolate(self.held, self.held_touched, positions, self.oversampling)
+        self.next = last + 1
+        (following,) = self._positions(np.array([self.next]))
+        spare = max(math.floor(following) - self.half - self.n_before, 0)
+        self.held, self.held_touched = self.held[spare:].copy(), self.held_touched[spare:].copy()
+        self.n_before += spare
+        return found
+
+    def _instant(self, position: int) -> float:
+        """Return the time of a decimated sample, in samples of the common clock."""
+        seconds = self.start_s + (self.first + position * self.factor) / self.input_rate_hz
+        return seconds * self.rate_hz
+
+    def _positions(self, instants: IntArray) -> FloatArray:
+        """Return where some instants of the common clock lie among the decimated samples."""
+        positions = instants / self.rate_hz
+        positions -= self.start_s  # in place, as a long trip has many
+        positions *= self.input_rate_hz
+        positions -= self.first
+        positions /= self.factor
+        return np.asarray(positions)
 
 
 def _append(array: NDArray[Any], block: NDArray[Any]) -> None:
@@ -146,13 +245,16 @@ def _first_stage(input_rate_hz: float, rate_hz: float, factor: int) -> FloatArra
     return np.asarray(taps, dtype=np.float64)
 
 
+@lru_cache(maxsize=64)
 def _sinc_table(half: int, oversampling: float) -> FloatArray:
     """Return the weights of 2 `half` samples for each phase, shape (PHASES + 1, 2 half)."""
     cutoff = (PASS + STOP) / (PHASES * oversampling)
     window = ("kaiser", kaiser_beta(ATTENUATION_DB))
     sinc = PHASES * firwin(2 * half * PHASES + 1, cutoff, window=window)
     columns = (1 + np.arange(2 * half)) * PHASES
-    return np.asarray(sinc[columns - np.arange(PHASES + 1)[:, None]])
+    table = np.asarray(sinc[columns - np.arange(PHASES + 1)[:, None]])
+    table.flags.writeable = False  # the next caller gets the same
+    return table
 
 
 def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:

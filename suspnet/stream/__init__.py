@@ -1,0 +1,7 @@
+"""Live samples: frames, their order, and recordings that grow while a train runs."""
+
+from suspnet.stream.assembler import Assembler
+from suspnet.stream.frames import Frame, FrameError, decode, encode
+from suspnet.stream.running import Running, StateError
+
+__all__ = ["Assembler", "Frame", "FrameError", "Running", "StateError", "decode", "encode"]
