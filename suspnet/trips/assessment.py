@@ -23,8 +23,7 @@ TOLD_PERCENT = 2.0
 named."""
 FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = (
-    "all trips are flagged: they show what was not trained for, so that none of these numbers is "
-    "to be relied on"
+    "all trips are flagged, so that none of these numbers is to be relied on; the flags say why"
 )
 
 

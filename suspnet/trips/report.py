@@ -8,6 +8,7 @@ import io
 import math
 import re
 import statistics
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -263,13 +264,13 @@ def _doubts(trips: Sequence[TripResult]) -> str:
     done, flagged = sum(r.status == OK for r in trips), sum(bool(r.flags) for r in trips)
     if not flagged:
         return ""
+    reasons = Counter(r.flags for r in trips if r.flags)
+    most, n = reasons.most_common(1)[0]
+    why = most if len(reasons) == 1 else f"{n} of them: {most}"
     if flagged == done > 1:
-        return (
-            f"All {done} trips are flagged: what they show was not trained for, so that none of "
-            "these numbers is to be relied on; see the table."
-        )
-    they = "is flagged: what it shows" if flagged == 1 else "are flagged: what they show"
-    return f"{flagged} of {done} trips {they} was not trained for; see the table."
+        return f"All {done} trips are flagged, and none of these numbers is to be relied on: {why}."
+    are = "is" if flagged == 1 else "are"
+    return f"{flagged} of {done} trips {are} flagged, see the table; {why}."
 
 
 def _half_width(result: TripResult, name: str) -> float:

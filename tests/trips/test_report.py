@@ -243,7 +243,7 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
     results[3] = flagged(results[3], k_p=0.27)
     results[7] = flagged(results[7])
     text, page = write(tmp_path / "r.html", results)
-    assert "2 of 12 trips are flagged: what they show was not trained for; see" in page.text
+    assert "2 of 12 trips are flagged, see the table; " in page.text
     assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
     assert page.named("div")[0]["class"] == "result plain"  # else it would be good
     assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
@@ -258,8 +258,8 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
 @pytest.mark.parametrize(
     ("n", "sentence"),
     [
-        (1, "1 of 6 trips is flagged: what it shows was not trained for; see the table."),
-        (6, "All 6 trips are flagged: what they show was not trained for, so that none of these"),
+        (1, "1 of 6 trips is flagged, see the table; "),
+        (6, "All 6 trips are flagged, and none of these numbers is to be relied on: "),
     ],
 )
 def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
@@ -343,7 +343,9 @@ def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
     words = "primary spring: the left side is weaker (about 20 %)"
     _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words, flags=words)])
     assert "Left and right differ on 1 of the last 2 trips; on trip_001: primary" in page.text
-    assert page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 2
+    assert (
+        page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 3
+    )  # and as the flag's reason
     assert "\u25d0 Sides" in page.text
     _, page = write(tmp_path / "plain.html", [trip(0)])
     assert "\u25d0" not in page.text
