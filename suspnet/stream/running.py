@@ -12,6 +12,10 @@ sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with h
 a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
 chosen. So a recording has to end; `longest_s` bounds it, and with it the memory. Its cross spectra
 add to those of others where the batch is cut at the same times.
+
+Besides, each sensor holds the samples whose window is not yet complete (at most ``CORE_SAMPLES``
+and two seconds or so, 2.2 MB), and the frames of `Assembler`. Rates are those of the manifest:
+the mean rate that the batch takes from a column of times is known at its end only.
 """
 
 from __future__ import annotations
