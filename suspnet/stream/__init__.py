@@ -2,6 +2,17 @@
 
 from suspnet.stream.assembler import Assembler
 from suspnet.stream.frames import Frame, FrameError, decode, encode
-from suspnet.stream.running import Running, StateError
+from suspnet.stream.running import Running
+from suspnet.stream.sections import Sections
+from suspnet.stream.state import StateError
 
-__all__ = ["Assembler", "Frame", "FrameError", "Running", "StateError", "decode", "encode"]
+__all__ = [
+    "Assembler",
+    "Frame",
+    "FrameError",
+    "Running",
+    "Sections",
+    "StateError",
+    "decode",
+    "encode",
+]

@@ -130,6 +130,11 @@ class Assembler:
         return self._due(at_once=True)
 
     @property
+    def n_frames(self) -> int:
+        """Number of frames that were taken or are held back."""
+        return self.counts["taken"] + len(self._held)
+
+    @property
     def _tolerance(self) -> float:
         """How far a frame may be from its place, [samples]."""
         return max(0.5, self.settings.jitter_s * self.rate_hz)

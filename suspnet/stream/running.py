@@ -12,11 +12,14 @@ sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with h
 a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
 chosen. So a recording has to end; `longest_s` bounds it, and with it the memory. Its cross spectra
 add to those of others where the batch is cut at the same times.
+
+Besides, each sensor holds the samples whose window is not yet complete (at most ``CORE_SAMPLES``
+and two seconds or so, 2.2 MB), and the frames of `Assembler`. Rates are those of the manifest:
+the mean rate that the batch takes from a column of times is known at its end only.
 """
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
@@ -38,17 +41,11 @@ from suspnet.recordings.manifest import (
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, joined
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
 from suspnet.recordings.units import size_of
-from suspnet.storage import DamagedFileError, dump_arrays, read_arrays, write_atomically
 from suspnet.stream.assembler import Assembler, OrderSettings
 from suspnet.stream.frames import Frame, FrameError, decode
 from suspnet.stream.sensor import RunningSensor
+from suspnet.stream.state import read_state, save_state
 from suspnet.types import FloatArray
-
-FORMAT = "suspnet-running-1"
-
-
-class StateError(ValueError):
-    """A saved state is damaged, or of another recording."""
 
 
 class Running:
@@ -132,6 +129,11 @@ class Running:
     def n_refused(self) -> int:
         """Largest number of frames of a sensor that were refused for their time in a row."""
         return max(order.n_refused for order in self._orders.values())
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames that were taken or are held back."""
+        return sum(order.n_frames for order in self._orders.values())
 
     def take(self, data: bytes) -> str:
         """Take an encoded frame; return why it cannot be used in one word, or nothing."""
@@ -228,21 +230,9 @@ class Running:
 
     def save(self, path: Path) -> Path:
         """Write the state of the recording, which appears whole or not at all."""
-        self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
-        state = {
-            "format": FORMAT,
-            "of": self._identity(),
-            "counts": dict(self.counts),
-            "speeds": self._speeds[0],
-            "orders": {name: order.state() for name, order in self._orders.items()},
-            "sensors": {name: sensor.state() for name, sensor in self._sensors.items()},
-        }
-        arrays: dict[str, np.ndarray] = {}
-        described = json.dumps(_without_arrays(state, arrays, ""))
-        arrays["json"] = np.frombuffer(described.encode(), dtype=np.uint8)
-        return write_atomically(path, dump_arrays(arrays))
+        return save_state(path, self.identity, self.state())
 
-    def restore(self, path: Path) -> None:
+    def load(self, path: Path) -> None:
         """Go on from a saved state of the same recording.
 
         Raises
@@ -252,23 +242,29 @@ class Running:
         StateError
             If it is damaged, or of a recording with other sensors or settings; nothing has changed.
         """
-        try:
-            arrays = read_arrays(path)
-            state = _with_arrays(json.loads(arrays["json"].tobytes()), arrays)
-        except (DamagedFileError, KeyError, ValueError) as error:
-            raise StateError(f"{path} is no state of a recording: {error}") from None
-        if state.get("format") != FORMAT or state.get("of") != self._identity():
-            raise StateError(
-                f"{path} is the state of another recording: other sensors, settings or times"
-            )
+        self.restore(read_state(path, self.identity))
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values that `restore` makes the same recording of."""
+        self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
+        return {
+            "counts": dict(self.counts),
+            "speeds": self._speeds[0],
+            "orders": {name: order.state() for name, order in self._orders.items()},
+            "sensors": {name: sensor.state() for name, sensor in self._sensors.items()},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of a recording of the same identity."""
         self.counts = Counter(state["counts"])
-        self._speeds = [state["speeds"]] if len(state["speeds"]) else []
+        self._speeds = [state["speeds"]]
         for name, order in self._orders.items():
             order.restore(state["orders"][name])
         for name, sensor in self._sensors.items():
             sensor.restore(state["sensors"][name])
 
-    def _identity(self) -> list[Any]:
+    @property
+    def identity(self) -> list[Any]:
         """Return what a state must share with the recording that goes on from it."""
         sensors = {
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
@@ -276,25 +272,3 @@ class Running:
         }
         settings = [self.rate_hz, self.longest_s, asdict(self.cleaning), asdict(self.order)]
         return [self.manifest.suspension, self.zero_ns, sensors, *settings]
-
-
-def _without_arrays(value: Any, arrays: dict[str, np.ndarray], name: str) -> Any:
-    """Return JSON-able values in which each array is the name of one in `arrays`, which grows."""
-    if isinstance(value, np.ndarray):
-        arrays[name] = value
-        return {"array": name}
-    if isinstance(value, dict):
-        return {
-            key: _without_arrays(one, arrays, f"{name}/{key}".lstrip("/"))
-            for key, one in value.items()
-        }
-    return value
-
-
-def _with_arrays(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """Return what `_without_arrays` was given."""
-    if isinstance(value, dict):
-        if set(value) == {"array"}:
-            return arrays[value["array"]]
-        return {key: _with_arrays(one, arrays) for key, one in value.items()}
-    return value

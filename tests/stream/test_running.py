@@ -70,7 +70,7 @@ def check_case(folder, seed):
         if k in saved:
             stream.save(folder / "state")
             stream = running(folder)
-            stream.restore(folder / "state")
+            stream.load(folder / "state")
     stream.flush()
     assert_same(stream.recording(), expected)
     return stream, expected
@@ -145,7 +145,7 @@ def test_memory_of_pending_samples_is_bounded(tmp_path, monkeypatch):
 def test_saved_state_of_an_empty_recording_is_restored(tmp_path):
     stream = running(tmp_path)
     stream.save(tmp_path / "state")
-    running(tmp_path).restore(tmp_path / "state")
+    running(tmp_path).load(tmp_path / "state")
 
 
 # failure
@@ -213,11 +213,11 @@ def test_wrong_frame_raises_its_reason(tmp_path):
 
 def test_state_of_other_settings_or_damaged_is_refused(tmp_path):
     path = running(tmp_path).save(tmp_path / "state")
-    with pytest.raises(StateError, match="another recording"):
-        Running(manifest_in(tmp_path), ZERO_NS + 10**9, order=ORDER).restore(path)
+    with pytest.raises(StateError, match="another stream"):
+        Running(manifest_in(tmp_path), ZERO_NS + 10**9, order=ORDER).load(path)
     path.write_bytes(path.read_bytes()[:50])
-    with pytest.raises(StateError, match="is no state of a recording"):
-        running(tmp_path).restore(path)
+    with pytest.raises(StateError, match="is no state of a stream"):
+        running(tmp_path).load(path)
 
 
 def test_starts_of_the_signals_differ():

@@ -1,0 +1,77 @@
+"""States of a stream as files: JSON-able values with arrays among them, in one safetensors file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.storage import DamagedFileError, dump_arrays, read_arrays, write_atomically
+
+FORMAT = "suspnet-stream-1"
+
+
+class StateError(ValueError):
+    """A saved state is damaged, or of another stream."""
+
+
+def save_state(path: Path, identity: Any, state: dict[str, Any]) -> Path:
+    """Write a state, which appears whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    identity : JSON-able
+        What the stream that goes on from the state must have in common with this one.
+    state : dict
+        Numbers, text, lists of these, arrays, and dicts of all; keys are text.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    plain = _without_arrays(state, arrays, "")
+    described = json.dumps({"format": FORMAT, "identity": identity, "state": plain})
+    arrays["json"] = np.frombuffer(described.encode(), dtype=np.uint8)
+    return write_atomically(path, dump_arrays(arrays))
+
+
+def read_state(path: Path, identity: Any) -> dict[str, Any]:
+    """Return the state that `save_state` wrote.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    StateError
+        If it is damaged, or of another identity.
+    """
+    try:
+        arrays = read_arrays(path)
+        content = json.loads(arrays["json"].tobytes())
+        found = content["format"], content["identity"]
+        state: dict[str, Any] = _with_arrays(content["state"], arrays)
+    except (DamagedFileError, KeyError, TypeError, ValueError) as error:
+        raise StateError(f"{path} is no state of a stream: {error}") from None
+    if found != (FORMAT, json.loads(json.dumps(identity))):
+        raise StateError(f"{path} is the state of another stream: other sensors, settings or times")
+    return state
+
+
+def _without_arrays(value: Any, arrays: dict[str, NDArray[Any]], name: str) -> Any:
+    """Return JSON-able values in which each array is the name of one in `arrays`, which grows."""
+    if isinstance(value, np.ndarray):
+        arrays[name] = value
+        return {"array": name}
+    if isinstance(value, dict):
+        return {key: _without_arrays(one, arrays, f"{name}/{key}") for key, one in value.items()}
+    return value
+
+
+def _with_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Return what `_without_arrays` was given."""
+    if isinstance(value, dict):
+        if set(value) == {"array"}:
+            return arrays[value["array"]]
+        return {key: _with_arrays(one, arrays) for key, one in value.items()}
+    return value
