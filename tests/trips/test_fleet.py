@@ -2,10 +2,8 @@
 
 import csv
 import json
-import multiprocessing
 import os
 import shutil
-import signal as signals
 from dataclasses import replace
 from html import unescape
 
@@ -15,6 +13,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from dying_readers import open_dying
+from dying_trips import mortal
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import OUTPUTS, changed, model_at, signal
 from trip_records import fleet as made_up
@@ -444,14 +443,6 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
 
 
 # failure
-
-
-def mortal(path, *arguments, **options):
-    """Do as `evaluate_trip` does, but die of some trips."""
-    if path.stem == "deadly":
-        assert multiprocessing.parent_process() is not None
-        os.kill(os.getpid(), signals.SIGKILL)
-    return evaluate_trip(path, *arguments, **options)
 
 
 def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, monkeypatch):
