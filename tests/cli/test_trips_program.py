@@ -3,6 +3,7 @@
 import json
 import runpy
 import signal as signals
+import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
@@ -168,7 +169,8 @@ def test_exit_code_is_that_of_the_worst_suspension(severities, complete, expecte
     assert evaluate.exit_code(done) == expected
 
 
-def test_simulate_as_a_module(tmp_path):
+def test_simulate_as_a_module(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "suspnet.simulate", raising=False)  # else runpy warns
     options = [*SIMULATE, "fleet.n_trips=2", "fleet.minutes=0.5", "scenario=random", "seed=3"]
     module = SimpleNamespace(
         __name__="suspnet.simulate",
