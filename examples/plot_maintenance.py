@@ -72,7 +72,7 @@ axes[0].set_ylabel("% of healthy")
 axes[1].set_ylabel("1 + CUSUM")
 axes[1].set_xlabel("mileage [1000 km]")
 axes[0].legend(ncols=4)
-axes[1].legend()
+_ = axes[1].legend()
 
 # %%
 # How long each will last
@@ -90,7 +90,7 @@ axis.hist(worn.samples_km[np.isfinite(worn.samples_km)] / 1000, bins=40)
 for end in worn.interval_km():
     axis.axvline(end / 1000, color="0.3", ls="--")
 axis.set_xlabel("mileage to go until c_s passes its act limit [1000 km]")
-axis.set_ylabel("samples")
+_ = axis.set_ylabel("samples")
 
 # %%
 # What to do
