@@ -63,7 +63,7 @@ limit = threshold(2000 / settings.km_per_false_alarm / 4, settings.n_reference)
 rest = residuals(np.log(estimates), np.empty((*estimates.shape, 0)), settings.n_reference)
 sums = cusum(rest.standard).max(axis=0)
 
-figure, axes = plt.subplots(2, 1, sharex=True, layout="constrained")
+figure, axes = plt.subplots(2, 1, sharex=True, figsize=(5.0, 4.5), layout="constrained")
 for i, name in enumerate(names):
     axes[0].plot(km / 1000, 100 * estimates[:, i], ".", label=f"${name}$")
     axes[1].semilogy(km[settings.n_reference :] / 1000, 1 + sums[:, i])
@@ -84,14 +84,6 @@ lives = remaining_lives(km, values, half_widths, flagged, DEFAULT_LIMITS)
 for name, life in lives.items():
     print(f"{name}: {life}")
 
-figure, axis = plt.subplots(layout="constrained")
-worn = lives["c_s"]
-axis.hist(worn.samples_km[np.isfinite(worn.samples_km)] / 1000, bins=40)
-for end in worn.interval_km():
-    axis.axvline(end / 1000, color="0.3", ls="--")
-axis.set_xlabel("mileage to go until c_s passes its act limit [1000 km]")
-_ = axis.set_ylabel("samples")
-
 # %%
 # What to do
 # ----------
@@ -104,7 +96,7 @@ parts = [
         f"train {i + 1}",
         f"bogie {j + 1}",
         "c_s",
-        worn.samples_km + 60_000 * i + 12_000 * j,
+        lives["c_s"].samples_km + 60_000 * i + 12_000 * j,
         400_000.0,
         Severity.NOTICE,
     )

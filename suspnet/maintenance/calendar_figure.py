@@ -74,6 +74,8 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     axis.xaxis.set_major_locator(locator)
     axis.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator))
     axis.yaxis.set_minor_locator(NullLocator())
+    axis.set_xlabel("day of the visit")
+    axis.set_ylabel("train")
     axis.grid(True, axis="x", alpha=0.3)
     for row in range(1, len(shown), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
