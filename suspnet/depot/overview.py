@@ -19,6 +19,7 @@ from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.overview import finding
 from suspnet.trips.report import data_uri, render
+from suspnet.trips.trend import PAYLOAD
 
 N_SHOWN = 30
 """Largest number of suspensions in the table of a terminal."""
@@ -76,7 +77,7 @@ def write_page(
         jobs=plan.rows(),
         calendar=data_uri(figure),
         sisters=[[rows[i] for i in one] for one in sisters],
-        parameters=[name for name in PARAMETERS if name != "M_s"],
+        parameters=[name for name in PARAMETERS if name != PAYLOAD],
     )
     write_atomically(path, page.encode("utf-8", errors="replace"))
 

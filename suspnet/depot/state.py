@@ -17,8 +17,8 @@ from suspnet.maintenance.life import Life, learn_fleet
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.watch import Watched, watch
+from suspnet.trips.trend import PAYLOAD
 
-PAYLOAD = "M_s"
 MOST_LEARNT = 200
 """Largest number of suspensions from which a fleet's rates of wear are learnt, evenly chosen."""
 

@@ -127,7 +127,7 @@ def _watch(
 def alarm_table(alarms: list[Alarm]) -> str:
     """Return alarms as a table for a terminal."""
     rows = [
-        [str(one.severity), one.parameter, one.cause, _km(one.begin_km), _end(one), one.words]
+        [str(one.severity), one.parameter, one.cause, km_words(one.begin_km), _end(one), one.words]
         for one in alarms
     ]
     return tabulate(rows, ["severity", "of", "cause", "since", "until", "why"], tablefmt="github")
@@ -141,7 +141,7 @@ def detector_words(changes: Changes, settings: ChangeSettings) -> str:
     unlike = f"; {changes.n_unlike} trips too unlike the first to be judged"
     return (
         f"armed by {changes.n_needed} trips, at most one false alarm in "
-        f"{_km(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
+        f"{km_words(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
     )
 
 
@@ -194,7 +194,7 @@ def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> A
     """Return the alarm of a change, with the level it has led to if it goes on."""
     about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
     verb = "fell" if change.percent < 0 else "rose"
-    words = f"{verb} by {abs(change.percent):.2g} % at about {_km(about)}"
+    words = f"{verb} by {abs(change.percent):.2g} % at about {km_words(about)}"
     before = float(np.nanmedian(values[: max(change.onset, 1)]))
     now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
     if change.end is None and abs(now) > GOES_ON * abs(change.percent):
@@ -233,9 +233,9 @@ def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
 
 def _end(alarm: Alarm) -> str:
     """Return the mileage at which an alarm ended, in words."""
-    return "now" if alarm.is_open else _km(alarm.end_km)
+    return "now" if alarm.is_open else km_words(alarm.end_km)
 
 
-def _km(value: float) -> str:
+def km_words(value: float) -> str:
     """Return a mileage in words."""
     return f"{value:,.0f} km".replace(",", " ")

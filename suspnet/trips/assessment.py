@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
-from suspnet.maintenance.watch import beside
+from suspnet.maintenance.watch import beside, km_words
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
 
@@ -131,7 +131,7 @@ def assess(
     if worst <= found.severity:
         return replace(found, alarms=tuple(alarms))
     why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
-    since = f"alarm since {_thousands(why.begin_km)}"
+    since = f"alarm since {km_words(why.begin_km)}"
     told = why.cause == Cause.CHANGE and trend.changed
     words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
     return replace(found, severity=worst, words=words, alarms=tuple(alarms))
@@ -328,9 +328,4 @@ def _percent(value: float) -> str:
 def _km(step: Step) -> str:
     """Return the mileage, rounded to the power of ten below the distance between the trips."""
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return _thousands(round(step.mileage_km, -digits))
-
-
-def _thousands(km: float) -> str:
-    """Return a mileage in words."""
-    return f"{km:,.0f} km".replace(",", " ")
+    return km_words(round(step.mileage_km, -digits))

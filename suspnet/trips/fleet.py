@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import logging
-import operator
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -389,10 +388,8 @@ def _assessments(
     """Return each parameter's assessment; a change that the models cannot resolve is none."""
     mileage = np.array([r.mileage_km for r in results])
     flagged = np.array([bool(r.flags) for r in results])
-    estimates, half_widths = (
-        {name: [part(r).get(name, np.nan) for r in results] for name in outputs}
-        for part in (operator.attrgetter("estimates"), operator.attrgetter("half_widths"))
-    )
+    estimates = {name: [r.estimates.get(name, np.nan) for r in results] for name in outputs}
+    half_widths = {name: [r.half_widths.get(name, np.nan) for r in results] for name in outputs}
     lives = remaining_lives(mileage, estimates, half_widths, flagged, limits, watched.passed)
     found = []
     for name in outputs:
