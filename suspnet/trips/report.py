@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import math
-import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.sides import sides_finding
 from suspnet.trips.templates import KILO, SEVERITIES, render, thousands, with_unit
+from suspnet.trips.trip_table import trip_table
 
 NAMES = {
     "k_p": "stiffness of the primary spring",
@@ -140,10 +140,9 @@ def write_report(
     severity, finding = overall(assessments)
     told = worst_first(assessments)
     doubts, sides = _doubts(trips), sides_finding(trips)
-    halves = {name: [_half_width(r, name) for r in trips] for name in outputs}
-    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    table = trip_table(trips, outputs, level)
     shown = {
-        "intervals": INTERVALS_SHOWN.format(level=f"{100 * level:g}") if known else "",
+        "intervals": INTERVALS_SHOWN.format(level=table.level) if table.level else "",
         "flags": FLAGS_SHOWN if doubts else "",
     }
     tone = SEVERITIES[severity][0]
@@ -163,16 +162,12 @@ def write_report(
             for one in sorted(alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
         ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
-        trips=trips,
+        table=table,
         anew=_anew(states, events),
         healthy=_healthy(trips),
-        halves=halves,
-        digits={name: _digits(column) for name, column in halves.items()},
-        level=f"{100 * level:g}" if known else "",
-        outputs=outputs,
+        level=table.level,
         names=NAMES,
         roles=ROLES,
-        ok=OK,
         details=details,
     )
     return write_atomically(path, page.encode("utf-8", errors="replace"))
@@ -222,21 +217,6 @@ def _doubts(trips: Sequence[TripResult]) -> str:
         return f"All {done} trips are flagged, and none of these numbers is to be relied on: {why}."
     are = "is" if flagged == 1 else "are"
     return f"{flagged} of {done} trips {are} flagged, see the table; {why}."
-
-
-def _half_width(result: TripResult, name: str) -> float:
-    """Return half an interval, [% of healthy]; NaN if there is none or the trip is flagged."""
-    low, high = result.interval(name)
-    return math.nan if result.flags else 100 * (high - low) / 2
-
-
-def _digits(half_widths: Sequence[float]) -> int:
-    """Return the number of decimals of a column of estimates and half widths: 1, 2 or 3."""
-    known = [half for half in half_widths if math.isfinite(half) and half > 0]
-    if not known:
-        return 1
-    further = math.ceil(math.log10(0.095 / statistics.median(known)))
-    return 1 + min(max(further, 0), 2)
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
