@@ -126,9 +126,7 @@ class Board:
         early = [State(s, Watched(kept.get((s.vehicle, s.place), []))) for s in fleet]
         early.sort(key=lambda one: -one.severity)
         version = self._view.version
-        self._view = fleet_view(
-            early, limits, seen, None, version=version + 1, is_complete=False
-        )
+        self._view = fleet_view(early, limits, seen, None, version=version + 1, is_complete=False)
         options = self.settings.changes, self.settings.sisters, self.settings.seed
         states = fleet_state(fleet, limits, *options)
         plan = plan_of(states, self.settings.plan, self.settings.day())

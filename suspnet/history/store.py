@@ -12,6 +12,7 @@ import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
+from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.database import (
     HistoryError,
     connect,
@@ -20,7 +21,6 @@ from suspnet.history.database import (
     reading,
     upsert,
 )
-from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.events import Event
 from suspnet.history.kept import Key, read_kept, replace_alarms, write_kept
 from suspnet.history.records import TripResult
