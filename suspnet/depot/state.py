@@ -17,6 +17,7 @@ from suspnet.maintenance.life import Life, learn_fleet
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.watch import Watched, watch
+from suspnet.recordings.manifest import Place
 from suspnet.trips.trend import PAYLOAD
 
 MOST_LEARNT = 200
@@ -39,6 +40,11 @@ class State:
     series: Series
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[str, Place]:
+        """Vehicle and place."""
+        return self.series.vehicle, self.series.place
 
     @property
     def alarms(self) -> list[Alarm]:
