@@ -35,7 +35,7 @@ def file(digest: str, name: str) -> Response:
     """Return a file, packed if the browser takes that."""
     if name not in FILES or digest != file_digest(name):
         abort(404)
-    packed = "gzip" in request.accept_encodings
+    packed = request.accept_encodings.quality("gzip") > 0
     found = Response(_packed(name) if packed else _content(name), mimetype=FILES[name][0])
     found.headers["Cache-Control"] = FOR_EVER
     found.headers["Vary"] = "Accept-Encoding"
@@ -56,7 +56,9 @@ def file_digest(name: str) -> str:
 def _content(name: str) -> bytes:
     """Return the parts of a file one after the other."""
     parts = (part.split(":") for part in FILES[name][1])
-    return b"\n".join(resources.files(package).joinpath(path).read_bytes() for package, path in parts)
+    return b"\n".join(
+        resources.files(package).joinpath(path).read_bytes() for package, path in parts
+    )
 
 
 @functools.cache

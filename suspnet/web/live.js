@@ -56,6 +56,6 @@ async function look() {
     lost.textContent = `The server does not answer since ${since}: what you see may be old.`;
     lost.hidden = false;
   }
-  setTimeout(look, 1000 * Number(main().dataset.every));
+  if (main().dataset.state) setTimeout(look, 1000 * Number(main().dataset.every));
 }
-setTimeout(look, 1000 * Number(main().dataset.every));
+if (main().dataset.state) setTimeout(look, 1000 * Number(main().dataset.every));
