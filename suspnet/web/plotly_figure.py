@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import escape
 from numpy.typing import ArrayLike
 
-MARGINS = {"l": 62, "r": 12, "t": 30, "b": 48}
+MARGINS = {"l": 62, "r": 12, "t": 50, "b": 48}
 """Margins of a figure, [pixel]."""
 PLAIN: dict[str, Any] = {
     "margin": MARGINS,

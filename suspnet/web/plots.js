@@ -1,12 +1,14 @@
 // Draws the figures of a page by plotly, in the colours of the page, and zooms by buttons.
 "use strict";
-const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
+const CONFIG = { displaylogo: false, responsive: true, displayModeBar: innerWidth < 640 ? false : "hover",
+  modeBarButtonsToRemove: ["lasso2d", "select2d"] };
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 function dressed(layout) { // the texts, grids and labels of a figure in the colours of the page
   const found = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
     font: { ...layout.font, color: colour("--text") },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("--dim"), activecolor: colour("--link") },
     hoverlabel: { bgcolor: colour("--back"), font: { color: colour("--text") } } };
   for (const name of Object.keys(found).filter((one) => /^[xy]axis/.test(one))) {
     found[name] = { ...found[name], gridcolor: colour("--line"), linecolor: colour("--dim"), zeroline: false };

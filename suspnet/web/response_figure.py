@@ -14,6 +14,8 @@ from suspnet.web.plotly_figure import MARGINS, PLAIN, axis_title, finite, html
 FIRST, NEWEST, BETWEEN = "#8a8f98", "#3b82c4", "#9cc3e6"
 PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")
 HEIGHT_PX = 520
+TICKS = [one * ten for ten in (0.001, 0.01, 0.1, 1, 10, 100) for one in (1, 2, 5)]
+"""Marks of the axes of amplification, [-]."""
 MOST_ROWS = 12
 """Number of frequencies in the table below the figure."""
 
@@ -52,7 +54,7 @@ def response_figure(kept: Sequence[TripResponses], name: str) -> dict[str, Any]:
                     },
                 }
             )
-    axis = {"type": "log", "dtick": "D2", "exponentformat": "none"}
+    axis = {"type": "log", "tickvals": TICKS, "ticktext": [f"{one:g}" for one in TICKS]}
     legends = {"orientation": "h", "x": 0, "y": 1.06, "yanchor": "bottom"}
     return {
         "data": data,

@@ -48,6 +48,7 @@ def trend_figure(state: State, limits: Mapping[str, Limits]) -> dict[str, Any]:
             "title": {"text": "mileage [km]"},
             "anchor": f"y{len(names)}" if len(names) > 1 else "y",
             "separatethousands": True,
+            "range": [km for _, *ends in ranges(state)[:1] for km in ends] or None,
             "exponentformat": "none",
         },
         "shapes": [],
@@ -87,7 +88,7 @@ def ranges(state: State) -> list[tuple[str, float, float]]:
     first, newest = float(km.min()), float(km.max())
     last = min(last, newest + max(newest - first, 100_000.0))
     pad = 0.02 * max(last - first, 1000.0)
-    found = [("All", first - pad, last + pad)]
+    found = [("All", max(first - pad, min(first, 0.0)), last + pad)]
     if newest - first > 100_000:
         found.append(
             ("Last 100\N{NO-BREAK SPACE}000\N{NO-BREAK SPACE}km", newest - 100_000, newest + 2000)
@@ -111,7 +112,7 @@ def _parameter(
         half = np.exp(series.half_widths[name][known])
     up, down = values * (half - 1), values * (1 - 1 / half)
     level = _level(state, name, limits)
-    low, high = _span(values[~flagged], level)
+    low, high = _span(values[~flagged], up[~flagged], down[~flagged], level)
     traces = [
         _trips(km, values, trips, ~flagged, (low, high)) | _bars(up[~flagged], down[~flagged]),
         _trips(km, values, trips, flagged, (low, high), is_flagged=True),
@@ -177,14 +178,21 @@ def _level(state: State, name: str, limits: Limits | None) -> float | None:
     return 100 * limit if (is_passing or is_alarm) and 0 < limit < np.inf else None
 
 
-def _span(values: FloatArray, level: float | None) -> tuple[float, float]:
-    """Return the range of an axis, [%]: unflagged trips, 100 % and a limit that is near."""
-    wide = [100.0, *values.tolist()] + ([] if level is None else [level])
-    low, high = min(wide), max(wide)
-    pad = (
-        MARGIN * (high - low) if high - low > LEAST_SPAN else (LEAST_SPAN - (high - low)) / 2 + 0.1
-    )
-    return low - pad, high + pad
+def _span(
+    values: FloatArray, up: FloatArray, down: FloatArray, level: float | None
+) -> tuple[float, float]:
+    """Return the range of an axis, [%]: unflagged trips, 100 % and a limit that is near.
+
+    Intervals widen it by half of that on each side at most.
+    """
+    base = np.array([100.0, *values] + ([] if level is None else [level]))
+    low, high = float(base.min()), float(base.max())
+    most = max(high - low, LEAST_SPAN) / 2
+    ends = np.concatenate([values + up, values - down])
+    ends = np.clip(ends[np.isfinite(ends)], low - most, high + most)
+    low, high = min([low, *ends]), max([high, *ends])
+    pad = max(MARGIN * (high - low), (LEAST_SPAN - (high - low)) / 2)
+    return float(low - pad), float(high + pad)
 
 
 def _levels(limits: Limits | None, axis: str) -> list[dict[str, Any]]:
