@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
@@ -14,12 +14,10 @@ from suspnet.history.database import upsert
 from suspnet.history.events import Event
 from suspnet.history.rows import key_of, or_null
 from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions
+from suspnet.history.suspensions import Key
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
-from suspnet.recordings.manifest import Place
 
 Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
-Key = tuple[str, Place]
-"""Vehicle and place: which suspension it is."""
 TABLES: dict[type, sql.Table] = {
     Event: events,
     Alarm: alarms,
@@ -57,23 +55,28 @@ def write_kept(
         upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
 
 
+def other_alarms(
+    connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
+) -> list[int]:
+    """Return the numbers of the suspensions whose kept alarms of some causes are not these."""
+    chosen = sql.select(alarms).where(alarms.c.cause.in_([str(one) for one in causes]))
+    there: dict[int, list[dict[str, Any]]] = {}
+    for row in connection.execute(chosen).mappings():
+        there.setdefault(row["suspension_id"], []).append(dict(row))
+    return [
+        one
+        for one, own in found.items()
+        if _by_key(there.get(one, [])) != _by_key(_row(one, alarm) for alarm in own)
+    ]
+
+
 def replace_alarms(
     connection: Connection, suspension: int, found: Sequence[Alarm], causes: Collection[Cause]
-) -> bool:
-    """Keep the alarms of some causes in place of those before; return False if they are the same.
-
-    Nothing is written then.
-    """
-    chosen = sql.and_(
-        alarms.c.suspension_id == suspension, alarms.c.cause.in_([str(one) for one in causes])
-    )
-    there = connection.execute(sql.select(alarms).where(chosen)).mappings()
-    new = _by_key(_row(suspension, one) for one in found)
-    if _by_key(map(dict, there)) == new:
-        return False
-    connection.execute(alarms.delete().where(chosen))
-    upsert(connection, alarms, list(new.values()))
-    return True
+) -> None:
+    """Keep the alarms of some causes of a suspension in place of those before."""
+    of_causes = alarms.c.cause.in_([str(one) for one in causes])
+    connection.execute(alarms.delete().where(alarms.c.suspension_id == suspension, of_causes))
+    write_kept(connection, suspension, found)
 
 
 def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:

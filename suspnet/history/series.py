@@ -13,9 +13,9 @@ from sqlalchemy.engine import Connection
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.history.events import Event
-from suspnet.history.kept import Key, read_kept
-from suspnet.history.rows import key_of
-from suspnet.history.schema import VALUES, suspensions, trips
+from suspnet.history.kept import read_kept
+from suspnet.history.schema import VALUES, trips
+from suspnet.history.suspensions import Key, known_suspensions
 from suspnet.recordings.manifest import Place
 from suspnet.types import BoolArray, FloatArray
 
@@ -80,11 +80,22 @@ class Series:
         since = max((event.mileage_km for event in self.events), default=-np.inf)
         return np.asarray(self.one_healthy & ~(self.mileage_km < since))
 
-
-def known_suspensions(connection: Connection) -> dict[int, Key]:
-    """Return vehicle and place of each suspension by its number."""
-    rows = connection.execute(sql.select(suspensions)).mappings()
-    return {int(row["id"]): key_of(row) for row in rows}
+    def equals(self, other: Series) -> bool:
+        """Return whether all of it is the same, NaN to NaN."""
+        if (self.vehicle, self.place, self.events) != (other.vehicle, other.place, other.events):
+            return False
+        for name in ("start", "flagged", *NUMBERS):
+            if not np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True):
+                return False
+        for mine, its in (
+            (self.estimates, other.estimates),
+            (self.half_widths, other.half_widths),
+        ):
+            if mine.keys() != its.keys() or not all(
+                np.array_equal(mine[name], its[name], equal_nan=True) for name in mine
+            ):
+                return False
+        return np.array_equal(self.trip, other.trip)
 
 
 def read_series(connection: Connection, keys: Collection[Key] | None = None) -> list[Series]:
@@ -136,7 +147,9 @@ def _columns(
     numbers = [trips.c.suspension_id, flagged, *(trips.c[name] for name in (*NUMBERS, *values))]
     query = sql.select(*numbers, *(trips.c[name] for name in TEXTS))
     if chosen is not None:  # numbers of our own: written into the statement, there may be many
-        wanted = sql.bindparam("chosen", chosen, expanding=True, literal_execute=True)
+        wanted: sql.BindParameter[list[int]] = sql.bindparam(
+            "chosen", chosen, expanding=True, literal_execute=True
+        )
         query = query.where(trips.c.suspension_id.in_(wanted))
     blocks = [np.zeros((0, len(numbers)))]
     texts = [[np.zeros(0, dtype=str)] for _ in TEXTS]

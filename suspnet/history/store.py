@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict
 from pathlib import Path
 
 import sqlalchemy as sql
@@ -22,11 +21,19 @@ from suspnet.history.database import (
     upsert,
 )
 from suspnet.history.events import Event
-from suspnet.history.kept import Key, read_kept, replace_alarms, write_kept
+from suspnet.history.kept import other_alarms, read_kept, replace_alarms, write_kept
 from suspnet.history.records import TripResult
 from suspnet.history.rows import key_of, result_of, row_of
 from suspnet.history.schema import suspensions, trips
-from suspnet.history.series import Series, known_suspensions, read_series
+from suspnet.history.series import Series, read_series
+from suspnet.history.suspensions import (
+    Key,
+    add_suspensions,
+    is_of,
+    numbers_of,
+    places_of,
+    raise_revisions,
+)
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.recordings.manifest import Place
 
@@ -78,7 +85,7 @@ class History:
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
         with self._reading() as connection:
-            return _places(connection)
+            return places_of(connection)
 
     def revisions(self) -> dict[Key, int]:
         """Return a number of each suspension that grows with each change of what is kept of it.
@@ -102,8 +109,10 @@ class History:
             If the store cannot be written.
         """
         with self._writing() as connection:
-            ids = _ids(connection, ((result.vehicle, result.place) for result in results))
-            _raise_revisions(connection, ids.values())  # locks them, always in this order
+            ids = add_suspensions(
+                connection, ((result.vehicle, result.place) for result in results)
+            )
+            raise_revisions(connection, ids.values())  # locks them, always in this order
             rows = [row_of(ids[result.vehicle, result.place], result) for result in results]
             upsert(connection, trips, rows)
             of_each: dict[int, dict[bytes, TripResult]] = {}
@@ -114,7 +123,7 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
-        chosen = sql.select(trips).join(suspensions).where(_is(vehicle, place))
+        chosen = sql.select(trips).join(suspensions).where(is_of(vehicle, place))
         with self._reading() as connection:
             rows = connection.execute(chosen).mappings().all()
         found = [result_of(vehicle, place, row) for row in rows]
@@ -143,7 +152,7 @@ class History:
         HistoryError
             If the store cannot be read, or what it keeps of them was altered.
         """
-        where = _is(vehicle, place)
+        where = is_of(vehicle, place)
         with self._reading() as connection:
             return read_responses(connection, where, f"{self}: {vehicle}: {place}")
 
@@ -160,7 +169,7 @@ class History:
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
         with self._reading() as connection:
-            return read_kept(connection, Event, _is(vehicle, place)).get((vehicle, place), [])
+            return read_kept(connection, Event, is_of(vehicle, place)).get((vehicle, place), [])
 
     def keep_alarms(
         self,
@@ -206,18 +215,17 @@ class History:
         if others:
             raise ValueError(f"alarms of {', '.join(sorted(others))} are not of {list(causes)}")
         with self._writing() as connection:
-            ids = self._known(connection, found)
-            changed = [
-                one
-                for key, one in ids.items()
-                if replace_alarms(connection, one, found[key], causes)
-            ]
-            _raise_revisions(connection, changed)
+            ids = numbers_of(connection, found, str(self))
+            of_each = {one: found[key] for key, one in ids.items()}
+            changed = other_alarms(connection, of_each, causes)
+            raise_revisions(connection, changed)  # locks them, always in this order
+            for one in changed:
+                replace_alarms(connection, one, of_each[one], causes)
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, open or not, by the mileage where they begin."""
         with self._reading() as connection:
-            return read_kept(connection, Alarm, _is(vehicle, place)).get((vehicle, place), [])
+            return read_kept(connection, Alarm, is_of(vehicle, place)).get((vehicle, place), [])
 
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
@@ -237,7 +245,7 @@ class History:
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
         """Return the acknowledgements of a suspension's alarms, by mileage and time."""
         with self._reading() as connection:
-            found = read_kept(connection, Acknowledgement, _is(vehicle, place))
+            found = read_kept(connection, Acknowledgement, is_of(vehicle, place))
         return found.get((vehicle, place), [])
 
     def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
@@ -250,9 +258,9 @@ class History:
     ) -> None:
         """Keep what people did or said of a suspension."""
         with self._writing() as connection:
-            (one,) = self._known(connection, [(vehicle, place)]).values()
-            write_kept(connection, one, kept)
-            _raise_revisions(connection, [one])
+            ids = list(numbers_of(connection, [(vehicle, place)], str(self)).values())
+            raise_revisions(connection, ids)
+            write_kept(connection, ids[0], kept)
 
     def _reading(self) -> AbstractContextManager[Connection]:
         """Give a connection that sees one state of the store, and holds no writer up."""
@@ -273,52 +281,3 @@ class History:
             raise HistoryError(f"{self}: the store cannot be used ({words})") from None
         except SQLAlchemyError as error:
             raise HistoryError(f"{self}: the store cannot be used ({error})") from None
-
-    def _known(self, connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
-        """Return the numbers of suspensions that are known, for this transaction's writing alone.
-
-        They are in order, so that no two writers wait for each other.
-        """
-        wanted = list(keys)
-        there = {key: one for one, key in known_suspensions(connection).items()}
-        for vehicle, place in wanted:
-            if (vehicle, place) not in there:
-                known = "; ".join(f"{name}: {one}" for name, one in _places(connection))
-                raise HistoryError(
-                    f"{self}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
-                )
-        ids = dict(sorted(((key, there[key]) for key in wanted), key=lambda one: one[1]))
-        for one in ids.values():
-            connection.execute(
-                sql.select(suspensions.c.id).where(suspensions.c.id == one).with_for_update()
-            )
-        return ids
-
-
-def _is(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
-    """Return the condition that a row is of a suspension."""
-    wanted = asdict(place) | {"vehicle": vehicle}
-    return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
-
-
-def _ids(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
-    """Return the number of each suspension; new ones are added."""
-    wanted = list(dict.fromkeys(keys))
-    upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
-    chosen = (sql.select(suspensions.c.id).where(_is(*key)) for key in wanted)
-    found = (connection.execute(one).scalar_one() for one in chosen)
-    return dict(zip(wanted, map(int, found), strict=True))
-
-
-def _raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
-    """Raise the revisions of suspensions, and lock them for other writers until the end."""
-    rows = [{"one": one} for one in sorted(ids)]
-    if rows:
-        one = suspensions.update().where(suspensions.c.id == sql.bindparam("one"))
-        connection.execute(one.values(revision=suspensions.c.revision + 1), rows)
-
-
-def _places(connection: Connection) -> list[Key]:
-    """Return vehicle and place of each suspension, sorted."""
-    found = known_suspensions(connection).values()
-    return sorted(found, key=lambda one: (one[0], str(one[1])))
