@@ -20,6 +20,8 @@ from suspnet.history import History
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
 """Packages of the extra `live` that the pages need."""
+ANY = "0.0.0.0"
+"""Stands for all addresses of this computer."""
 
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="serve")
@@ -59,7 +61,8 @@ def serve(board: Board, config: DictConfig) -> None:
 
     logging.getLogger("waitress.queue").setLevel(logging.ERROR)  # waiting a moment is no fault
     refresher = Refresher(board, config.refresh_s)
-    app = create_app(refresher, list(config.hosts), config.refresh_s)
+    names = [*config.hosts, *([] if config.host == ANY else [config.host])]
+    app = create_app(refresher, names, config.refresh_s)
     try:
         server: Any = create_server(
             app, host=config.host, port=config.port, threads=config.threads, ident="suspnet"
@@ -84,6 +87,8 @@ def _check_address(config: DictConfig) -> None:
     """Raise ValueError if others could reach the pages and nobody has asked for that."""
     from suspnet.web.security import is_loopback
 
+    if ":" in config.host or not config.host:
+        raise ValueError(f"`host` must be an IPv4 address or a name, got {config.host!r}")
     if is_loopback(config.host):
         return
     if not config.open_to_network:
@@ -91,10 +96,8 @@ def _check_address(config: DictConfig) -> None:
             f"host={config.host} can be reached by other computers, and there is no login; give "
             "open_to_network=true if that is meant"
         )
-    if not config.hosts:
-        raise ValueError(
-            f"by which names may host={config.host} be asked for? Give hosts=[NAME, ...]"
-        )
+    if config.host == ANY and not config.hosts:
+        raise ValueError(f"by which names may host={ANY} be asked for? Give hosts=[NAME, ...]")
     log.warning(
         "warning: whoever reaches %s:%d sees the fleet and can acknowledge alarms: there is no "
         "login; put a reverse proxy with one in front",

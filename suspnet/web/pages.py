@@ -22,7 +22,7 @@ from flask import (
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
-from wtforms.validators import InputRequired, Length
+from wtforms.validators import DataRequired, Length
 
 from suspnet.depot.state import State
 from suspnet.depot.view import FleetView
@@ -55,7 +55,7 @@ pages = Blueprint("pages", __name__)
 class Seen(FlaskForm):  # type: ignore[misc]
     """The form by which a person says that an alarm has been seen."""
 
-    by = StringField("Your name", [InputRequired("Say who you are."), Length(max=80)])
+    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
     words = StringField("What is done about it", [Length(max=500)])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
@@ -252,7 +252,7 @@ def _up_to(severity: str | None) -> list[str]:
 
 def _fleet_version(view: FleetView) -> str:
     """Return what stands for the state of the fleet as the pages show it."""
-    return _digest(view.at, view.version if not view.trouble else "", _refresher().fault)
+    return _digest(view.at, view.version, _refresher().fault)
 
 
 def _suspension_version(view: FleetView, name: str) -> str:

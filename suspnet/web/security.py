@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from flask import Flask, Response, request
 from flask_wtf import CSRFProtect
 
-LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+LOOPBACK = ("127.0.0.1", "localhost")
 """Names by which a browser on this computer asks for the pages."""
 MAX_FORM_BYTES = 16_384
 SCRIPTS_AND_STYLES = (
@@ -33,7 +33,7 @@ WITH_PLOTS = "suspnet.plots"
 def is_loopback(host: str) -> bool:
     """Return whether only this computer reaches an address."""
     try:
-        return ipaddress.ip_address(host.strip("[]")).is_loopback
+        return ipaddress.IPv4Address(host).is_loopback
     except ValueError:
         return host == "localhost"
 
