@@ -191,7 +191,11 @@ class Board:
             self._early |= {state.key: state for state in states}
         if len(new) > AT_ONCE:
             self._show(history, is_complete=False)
-        self._found(self._fleet.update([], self._revisions.keys() - revisions.keys()))
+        gone = self._revisions.keys() - revisions.keys()
+        self._is_due |= bool(gone)
+        self._found(self._fleet.update([], gone))
+        self._unkept -= gone
+        self._kept = {key: alarms for key, alarms in self._kept.items() if key not in gone}
         for begin in range(0, len(series), AT_ONCE):
             self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
             if time.monotonic() - self._shown_at > SHOWN_S:
