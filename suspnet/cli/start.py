@@ -30,5 +30,7 @@ def _end(number: int, frame: object) -> None:
     os._exit(128 + number)
 
 
-PROGRAMS = ("train", "evaluate", "simulate", "check", "init", "history")
-train, evaluate, simulate, check, init, history = (functools.partial(start, n) for n in PROGRAMS)
+PROGRAMS = ("train", "evaluate", "simulate", "check", "init", "history", "serve")
+train, evaluate, simulate, check, init, history, serve = (
+    functools.partial(start, n) for n in PROGRAMS
+)

@@ -56,6 +56,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "suspnet.studies.reliability.write_reliability",
         "suspnet.depot.study.write_maintenance",
     ),
+    "board": ("suspnet.depot.board.BoardSettings",),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),
