@@ -168,3 +168,37 @@ def test_frame_of_another_rate_is_refused():
 def test_settings_out_of_range_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         OrderSettings(**changes)
+
+
+def drifting(ppm, n_frames, rate_hz=1000.0, n=500):
+    """Return frames of a logger whose clock is right and whose rate is not."""
+    step_ns = 1e9 / (rate_hz * (1 + 1e-6 * ppm))
+    return [
+        Frame("", "body", k, ZERO_NS + round(k * n * step_ns), rate_hz, "m/s2", np.zeros(n))
+        for k in range(n_frames)
+    ]
+
+
+@pytest.mark.parametrize("ppm", [-150, -50, 50, 150])
+def test_a_slow_drift_of_the_rate_is_no_gap(ppm):
+    order = Assembler(1000.0)
+    given = [part for one in drifting(ppm, 600) for part in order.push(one)]
+    assert order.counts == {"taken": 600}
+    assert np.isfinite(np.concatenate(given)).all()
+
+
+def test_a_lost_frame_is_a_gap_of_its_length_after_a_long_drift():
+    order, frames = Assembler(1000.0, OrderSettings(window=0)), drifting(100, 600)
+    for one in frames[:500] + frames[501:]:
+        order.push(one)
+    assert (order.counts["gap"], order.counts["gap_samples"]) == (1, 500)
+
+
+@pytest.mark.parametrize("ppm", [-2000, 2000])
+def test_a_rate_that_is_wrong_is_brought_back_in_steps_and_counted(ppm):
+    order = Assembler(1000.0)
+    for one in drifting(ppm, 600):
+        order.push(one)
+    assert order.counts["gap"] > 5
+    ends_s = 600 * 0.5 / (1 + 1e-6 * ppm)
+    assert abs(order.n_samples / 1000.0 - ends_s) < 0.5 + 3e-4 * ends_s
