@@ -127,6 +127,17 @@ class Running:
         """Number of frames that were taken or are held back."""
         return sum(order.n_frames for order in self._orders.values())
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no acceleration has come."""
+        return not any(self._orders[name].n_frames for name in self._sensors)
+
+    @property
+    def n_seconds(self) -> float:
+        """Length of what has come of each sensor at least, with gaps, [s]; 0 before a first."""
+        orders = [self._orders[name] for name in self._sensors]
+        return min(order.n_samples / order.rate_hz for order in orders)
+
     def add(self, frame: Frame) -> None:
         """Take a frame.
 

@@ -49,7 +49,6 @@ class Sections:
     Attributes
     ----------
     counts : Counter
-        Frames refused, by reason. Beyond those of `Running`: "late", for a section that is over.
         "dropped" are sections of wrong times that were given up.
     identity : JSON-able
         What a state must share with the stream that goes on from it.
@@ -80,17 +79,14 @@ class Sections:
         self._next = 0
         self.identity = [section_s, late_s, self._begun(0).identity]
 
-    def take(self, frame: Frame) -> str:
-        """Take a frame; return why it cannot be used in one word, or nothing."""
-        try:
-            self.add(frame)
-        except FrameError as error:
-            self.counts[error.reason] += 1
-            return error.reason
-        return ""
-
     def add(self, frame: Frame) -> None:
-        """Take a frame; raises FrameError as `Running` does, or if a section of it is over."""
+        """Take a frame.
+
+        Raises
+        ------
+        FrameError
+            As `Running.add` does, or "late" if a section of it is over; its other part is taken.
+        """
         if len(frame.samples) > self.section_s * frame.rate_hz:
             raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
         wrong: FrameError | None = None
@@ -121,6 +117,11 @@ class Sections:
         window = self.order.window
         passed = [k for k, n in self._after.items() if max(n.values(), default=0) > window]
         return self._close(max(passed, default=-1))
+
+    @property
+    def open(self) -> list[Running]:
+        """The sections that are not over, the earliest first."""
+        return [self._open[k] for k in sorted(self._open)]
 
     def close(self) -> list[Running]:
         """Return all sections: the stream has ended."""
