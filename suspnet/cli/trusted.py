@@ -61,6 +61,17 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),
+    "source": (
+        "suspnet.live.pipe.Pipe",
+        "suspnet.live.drop_folder.DropFolder",
+        "suspnet.live.mqtt.Mqtt",
+    ),
+    "sink": (
+        "suspnet.live.sinks.StandardOutput",
+        "suspnet.live.sinks.Folder",
+        "suspnet.live.sinks.MqttSink",
+    ),
+    "broker": ("suspnet.live.broker.Broker",),
     "others": ("suspnet.cli.configs.read_vehicles",),
     "vehicles": ("suspnet.cli.configs.read_vehicles",),
 }
