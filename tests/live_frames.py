@@ -44,6 +44,11 @@ def trip_frames(path, rng=None, n_cuts=60, suspension=None):
     return found
 
 
+def all_frames(path):
+    """Return the encoded frames of a trip by their time, without its mileage."""
+    return by_time([one for several in trip_frames(path).values() for one in several])
+
+
 def mileage_frame(path):
     """Return the frame that tells a trip's mileage."""
     manifest = read_manifest(path)

@@ -28,6 +28,7 @@ def compose(config: DictConfig) -> None:
     for key in ("run", "suspensions", "store"):
         if config.get(key, None) is None:
             raise ValueError(f"`{key}` is missing: suspnet-monitor --help says what it is")
+    program.log_to_stderr()
     program.n_threads(config.threads)
     program.save_config(config, program.run_folder())
     named = config.run if isinstance(config.run, ListConfig) else [config.run]

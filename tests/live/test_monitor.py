@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from live_frames import ListSource, by_time, mileage_frame, trip_frames
+from live_frames import ListSource, all_frames, by_time, mileage_frame, trip_frames
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, small_fleet
 
@@ -124,16 +124,16 @@ def test_each_section_is_a_trip_with_its_mileage(tmp_path, fleet):
 
 def test_the_mileage_goes_on_with_the_speed(tmp_path, fleet):
     live = replace(LIVE, section_s=100)
-    source = ListSource(by_time(sum(trip_frames(fleet[1]).values(), [])))
+    source = ListSource(all_frames(fleet[1]))
     found, _ = monitored(tmp_path, fleet, source, live)
     start_km = read_manifest(fleet[0]).mileage_km  # the suspension's manifest, no frame tells it
-    np.testing.assert_allclose([one.mileage_km for one in found][0], start_km)
+    np.testing.assert_allclose(found[0].mileage_km, start_km)
     steps = np.diff([one.mileage_km for one in found])
     np.testing.assert_allclose(steps, 7.0, rtol=0.03)  # 100 s at 70 m/s, but for the ends
 
 
 def test_estimates_come_while_a_section_runs(tmp_path, fleet):
-    source = ListSource(by_time(sum(trip_frames(fleet[0]).values(), [])))
+    source = ListSource(all_frames(fleet[0]))
     found, _ = monitored(tmp_path, fleet, source, replace(LIVE, every_s=100.0))
     told = [row["final"] for kind, _, row in source.published if kind == "estimates"]
     assert told == [False, False, True]
@@ -198,10 +198,8 @@ def test_fifty_kills_lose_and_double_nothing(tmp_path, fleet):
 
 def test_bad_frames_are_counted_and_change_nothing(tmp_path, fleet):
     rng = np.random.default_rng(0)
-    frames = by_time(sum(trip_frames(fleet[0]).values(), []))
+    frames = all_frames(fleet[0])
     good = Frame(str(read_manifest(fleet[0]).place), "body", 1, 10**18, 250.0, "m/s2", np.ones(9))
-    sensor = [name for name in trip_frames(fleet[0]) if name.startswith("body")][0]
-    good = replace(good, sensor=sensor)
     nan = bytearray(encode(replace(good, samples=np.full(9, 7.0))))
     at = nan.index(np.full(9, 7.0).tobytes())
     nan[at : at + 8] = np.array([np.nan]).tobytes()
@@ -233,7 +231,9 @@ def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fl
     for several in frames.values():
         for k in range(40, 50):
             several[k] = replace(several[k], time_ns=several[k].time_ns - 200 * 10**9)
-    every = sorted((k, one.sensor, one) for several in frames.values() for k, one in enumerate(several))
+    every = sorted(
+        (k, one.sensor, one) for several in frames.values() for k, one in enumerate(several)
+    )
     source = ListSource([encode(one) for *_, one in every])
     (found,), _ = monitored(tmp_path, fleet, source)
     told = source.published[-1][2]["frames"]
@@ -301,7 +301,10 @@ def test_manifests_of_a_folder_need_no_files(tmp_path, fleet):
 
 
 def test_two_manifests_of_one_suspension_are_refused(fleet, tmp_path):
-    with Journal(tmp_path / "journal") as journal, pytest.raises(ValueError, match="same suspension"):
+    with (
+        Journal(tmp_path / "journal") as journal,
+        pytest.raises(ValueError, match="same suspension"),
+    ):
         Monitor(suspensions(fleet) * 2, ListSource([]), journal, print)
 
 
