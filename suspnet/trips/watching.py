@@ -8,7 +8,7 @@ import numpy as np
 
 from suspnet.history import Event, History
 from suspnet.history.records import TripResult
-from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.alarms import OWN_CAUSES, Alarm
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import Limits
 from suspnet.maintenance.watch import Watched, watch
@@ -70,7 +70,7 @@ def keep_trips(
     every = with_earlier(results, place, models, store)
     era = of_last_era(every, commissionings(models, every))
     watched = watch_trips(era, store.events(vehicle, place), outputs, limits, settings)
-    store.keep_alarms(vehicle, place, watched.alarms)
+    store.keep_alarms(vehicle, place, watched.alarms, OWN_CAUSES)
     return watched.alarms
 
 
