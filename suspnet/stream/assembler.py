@@ -43,7 +43,8 @@ class OrderSettings:
         A frame begins no more than this before or after the end of the one before, as its rate
         says; half a sample if that is longer. All together may drift by ``MOST_DRIFT``.
     longest_gap_s : float, [s]
-        Frames that lie further ahead are refused: a recording does not go on after a longer gap.
+        A frame that lies further ahead is taken only after `window` others that did: one wrong
+        time does not begin a gap that takes the place of the samples to come.
 
     Raises
     ------
@@ -84,9 +85,6 @@ class Assembler:
         Time of the first sample.
     n_samples : int
         Number of samples given, with those of gaps.
-    n_refused : int
-        Number of frames in a row that were refused for their time. Where it goes on growing the
-        clock was set back or the gap is too long, and a new recording must be begun.
     """
 
     def __init__(self, rate_hz: float, settings: OrderSettings | None = None) -> None:
@@ -94,8 +92,7 @@ class Assembler:
         self.settings = OrderSettings() if settings is None else settings
         self.counts: Counter[str] = Counter()
         self.first_ns: int | None = None
-        self.n_samples = self.n_refused = 0
-        self._end_ns = 0
+        self.n_samples = self._n_far = self._end_ns = 0
         self._next: int | None = None
         self._held: dict[int, Frame] = {}
         self._n_held = 0
@@ -185,13 +182,15 @@ class Assembler:
         distance = self._distance(frame)
         n_gap = round(distance) if distance > self._tolerance else 0
         reason = "clock" if distance < -self._tolerance else ""
-        reason = "far" if n_gap > self.settings.longest_gap_s * self.rate_hz else reason
+        is_far = n_gap > self.settings.longest_gap_s * self.rate_hz
+        if is_far and self._n_far < self.settings.window:
+            reason = "far"
         if reason:
             self.counts[reason] += 1
-            self.n_refused += 1
+            self._n_far += reason == "far"
             return []
         self.counts["taken"] += 1
-        self.n_refused = 0
+        self._n_far = 0
         self.n_samples += n_gap + len(frame.samples)
         self._end_ns = frame.time_ns + round(len(frame.samples) * SECOND_NS / self.rate_hz)
         samples = np.asarray(frame.samples, dtype=np.float64)
@@ -206,7 +205,7 @@ class Assembler:
         encoded = [encode(frame) for frame in self._held.values()]
         return {
             "counts": dict(self.counts),
-            "at": [self.first_ns, self._end_ns, self.n_samples, self.n_refused, self._next],
+            "at": [self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next],
             "lost": list(map(list, self._lost)),
             "sizes": [len(one) for one in encoded],
             "held": np.frombuffer(b"".join(encoded), dtype=np.uint8),
@@ -216,7 +215,7 @@ class Assembler:
         """Go on from a state of an assembler of the same sensor."""
         self.counts = Counter(state["counts"])
         at = state["at"]
-        self.first_ns, self._end_ns, self.n_samples, self.n_refused, self._next = at
+        self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next = at
         self._lost = deque(((low, high) for low, high in state["lost"]), maxlen=MOST_LOSSES)
         held, ends = state["held"].tobytes(), np.cumsum([0, *state["sizes"]])
         frames = [decode(held[start:end]) for start, end in pairwise(ends)]

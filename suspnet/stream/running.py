@@ -118,11 +118,6 @@ class Running:
         return {name: order.counts for name, order in self._orders.items()}
 
     @property
-    def n_refused(self) -> int:
-        """Largest number of frames of a sensor that were refused for their time in a row."""
-        return max(order.n_refused for order in self._orders.values())
-
-    @property
     def n_frames(self) -> int:
         """Number of frames that were taken or are held back."""
         return sum(order.n_frames for order in self._orders.values())

@@ -88,7 +88,6 @@ def test_clock_that_jumps_backwards_is_counted_and_never_doubles_samples():
     found, assembler = assembled([*frames[:20], *back])
     # 0.5 s are 12.5 frames: 13 are refused, and half a frame is missing before the next
     assert assembler.counts["clock"] == 13
-    assert assembler.n_refused == 0
     assert assembler.counts["gap_samples"] == 5
     assert len(found) == 200 + 5 + 270
 
@@ -102,11 +101,20 @@ def test_clock_that_jumps_forwards_leaves_a_gap():
     assert assembler.counts["missing"] == 0
 
 
-def test_gap_longer_than_a_recording_bears_is_refused_and_seen():
+def test_one_frame_far_ahead_is_refused():
+    frames = in_order(30)
+    found, assembler = assembled([*frames[:20], later(frames[20], 61.0), *frames[21:]])
+    assert assembler.counts["far"] == 1
+    assert assembler.counts["gap_samples"] == 10
+    assert len(found) == 300
+
+
+def test_a_long_gap_is_believed_after_a_window_of_frames():
     frames = in_order(30)
     found, assembler = assembled([*frames[:20], *(later(one, 61.0) for one in frames[20:])])
-    assert len(found) == 200
-    assert assembler.counts["far"] == assembler.n_refused == 10
+    assert assembler.counts["far"] == WINDOW
+    assert len(found) == 300 + 61 * RATE_HZ
+    np.testing.assert_array_equal(found[-40:], np.arange(260, 300))
 
 
 def test_jitter_within_the_tolerance_makes_no_gap():
