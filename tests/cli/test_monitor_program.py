@@ -4,6 +4,7 @@ import json
 
 import pytest
 from cli_runner import typed
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import model_at, small_fleet
 
 from suspnet.cli import monitor, replay
@@ -47,7 +48,10 @@ def test_replay_and_monitor_fill_the_history_and_tensorboard(tmp_path, run, flee
     with History(tmp_path / "fleet.db") as store:
         (key,) = store.places()
         assert len(store.read(*key)) == 6
-    assert list((tmp_path / "events").glob("*/events.out.*"))
+    (events,) = (tmp_path / "events").iterdir()
+    scalars = EventAccumulator(str(events)).Reload()
+    steps = [one.step for one in scalars.Scalars("trips/k_p")]
+    assert steps == [1000 * k for k in range(1, 7)]
     again = monitored(tmp_path, run, fleet)
     assert again.returncode == 0
     assert again.stdout == ""
