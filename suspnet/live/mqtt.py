@@ -187,7 +187,8 @@ class Mqtt:
             self._tell("rejected", str(reason))
             return
         with self._changed:
-            self._counts["reconnect"] += self._connection > 0
+            if self._connection:
+                self._counts["reconnect"] += 1
             self._connection += 1
             self._is_connected, self._is_away = True, False
             if flags.session_present and len(self._arrived) > self.in_flight:

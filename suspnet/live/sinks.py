@@ -196,9 +196,9 @@ class MqttSink:
             return
         for _ in range(self._most):
             self._room.acquire()
-        self._client.disconnect()
-        self._client.loop_stop()
-        self._client = None
+        client, self._client = self._client, None
+        client.disconnect()
+        client.loop_stop()
 
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
