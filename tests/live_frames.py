@@ -1,95 +1,102 @@
-"""Frames of simulated trips for the monitor, and a source that gives them."""
+"""Frames, and a real broker, for the tests of live sources."""
 
-import json
-from collections import Counter
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
+import pytest
 
-from suspnet.recordings import read_manifest
-from suspnet.recordings.manifest import SpeedSource
-from suspnet.storage import write_atomically
-from suspnet.stream import Frame, encode
+from suspnet.stream import Frame, decode, encode
+
+CONFIGURATION = Path(__file__).parents[1] / "examples" / "mosquitto.conf"
+ANSWERS_S = 8.0
 
 
-def columns_of(manifest):
-    """Return the samples of each sensor and of the speed of a simulated trip, and their rates."""
-    sources = {**manifest.sensors()}
-    if isinstance(manifest.speed, SpeedSource):
-        sources["speed"] = manifest.speed
-    found = {}
-    for name, source in sources.items():
-        samples = pq.read_table(manifest.file_of(source))[source.column].to_numpy()
-        found[name] = (source.rate_hz, source.unit, samples)
+def frame(k=0, suspension="train 1, car 2", sensor="body", n=20, **changes):
+    """Return the kth frame of a sensor; its samples tell which one it is."""
+    samples = np.arange(k, k + n, dtype=np.float32)
+    options = {
+        "samples": samples,
+        "sequence": k,
+        "time_ns": 10**18 + k * 10**9,
+        "rate_hz": float(n),
+        "unit": "m/s2",
+    }
+    return Frame(suspension, sensor, **(options | changes))
+
+
+def encoded(n, **options):
+    """Return n encoded frames that follow each other."""
+    return [encode(frame(k, **options)) for k in range(n)]
+
+
+def numbers(frames):
+    """Return suspension, sensor and number of each encoded frame."""
+    decoded = map(decode, frames)
+    return [(one.suspension, one.sensor, one.sequence) for one in decoded]
+
+
+def until(condition, seconds=ANSWERS_S):
+    """Return the first true value of a condition, or its last one after a time."""
+    last = time.monotonic() + seconds
+    while not (found := condition()) and time.monotonic() < last:
+        time.sleep(0.02)
     return found
 
 
-def trip_frames(path, rng=None, n_cuts=60, suspension=None):
-    """Return the frames of each sensor of a trip, cut at random or into equal parts."""
-    manifest = read_manifest(path)
-    zero_ns = round(manifest.start.timestamp()) * 10**9
-    found = {}
-    for name, (rate_hz, unit, samples) in columns_of(manifest).items():
-        if rng is None:
-            starts = np.unique(np.linspace(0, len(samples), n_cuts, endpoint=False).astype(int))
-        else:
-            starts = np.unique([0, *rng.integers(len(samples), size=n_cuts)])
-        parts = zip(starts, np.split(samples, starts[1:]), strict=True)
-        where = str(manifest.place) if suspension is None else suspension
-        found[name] = [
-            Frame(where, name, k, zero_ns + round(at / rate_hz * 1e9), rate_hz, unit, part)
-            for k, (at, part) in enumerate(parts)
-        ]
+def received(source, n, seconds=ANSWERS_S):
+    """Return the frames that a source gives until there are n, without confirming them."""
+    last, found = time.monotonic() + seconds, []
+    while len(found) < n and time.monotonic() < last:
+        found += source.receive(0.1) or []
     return found
 
 
-def all_frames(path):
-    """Return the encoded frames of a trip by their time, without its mileage."""
-    return by_time([one for several in trip_frames(path).values() for one in several])
+class Mosquitto:
+    """A broker with the example configuration in a folder, on a port of its own."""
 
+    def __init__(self, folder, *lines, port=None):
+        program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+        if program is None:
+            pytest.skip("mosquitto is not installed")
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = port or free.getsockname()[1]
+        text = CONFIGURATION.read_text(encoding="utf-8")
+        assert "\nlistener 1883 127.0.0.1\n" in text
+        text = text.replace("\nlistener 1883 ", f"\nlistener {self.port} ")
+        if os.geteuid() == 0:  # mosquitto would become a user who cannot write here
+            lines = ("user root", *lines)
+        file = folder / "mosquitto.conf"
+        file.write_text("\n".join([text, *lines, ""]), encoding="utf-8")
+        self.command, self.folder = [program, "-c", str(file)], folder
+        self.log = folder / "mosquitto.log"
+        self.process = None
 
-def mileage_frame(path):
-    """Return the frame that tells a trip's mileage."""
-    manifest = read_manifest(path)
-    zero_ns = round(manifest.start.timestamp()) * 10**9
-    km = np.array([manifest.mileage_km])
-    return Frame(str(manifest.place), "mileage", 0, zero_ns, 1.0, "km", km)
+    def start(self):
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(self.command, cwd=self.folder, stderr=log)
+        assert until(self.answers), self.log.read_text()
+        return self
 
+    def answers(self):
+        with socket.socket() as client:
+            return client.connect_ex(("127.0.0.1", self.port)) == 0
 
-def by_time(frames):
-    """Return encoded frames by their time."""
-    return [encode(one) for one in sorted(frames, key=lambda one: one.time_ns)]
+    def save(self):
+        """Have the broker write its state, as it does every few seconds."""
+        database = self.folder / "mosquitto.db"
+        before = database.stat().st_mtime_ns if database.exists() else 0
+        self.process.send_signal(signal.SIGUSR1)
+        assert until(lambda: database.exists() and database.stat().st_mtime_ns > before)
 
-
-class ListSource:
-    """Encoded frames of a list; what is confirmed is kept in a file, and not given again."""
-
-    def __init__(self, frames, at_once=20, offset: Path | None = None):
-        self.frames, self.at_once, self.offset = frames, at_once, offset
-        self.counts: Counter[str] = Counter()
-        self.published: list[tuple[str, str, dict]] = []
-        self.at = self.confirmed = 0
-        if offset is not None and offset.exists():
-            self.at = self.confirmed = int(offset.read_text())
-
-    def subscribe(self, suspensions):
-        return suspensions
-
-    def receive(self, timeout_s):
-        if self.at >= len(self.frames):
-            return None
-        given = self.frames[self.at : self.at + self.at_once]
-        self.at += len(given)
-        return given
-
-    def confirm(self):
-        self.confirmed = self.at
-        if self.offset is not None:
-            write_atomically(self.offset, str(self.at))
-
-    def publish(self, kind, suspension, payload):
-        self.published.append((kind, suspension, json.loads(payload)))
-
-    def close(self):
-        pass
+    def end(self, number=signal.SIGTERM):
+        if self.process is not None:
+            self.process.send_signal(number)
+            self.process.wait(ANSWERS_S)
+            self.process = None

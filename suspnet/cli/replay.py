@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import closing
 from pathlib import Path
 
 import hydra
@@ -26,12 +25,12 @@ def compose(config: DictConfig) -> None:
     sink: Sink = program.build(config, "sink")
     sink.open()
     n_frames = n_samples = 0
-    with closing(sink):
-        disable = None if config.progress else True
-        for frame in tqdm(replay.frames(), unit=" frames", disable=disable):
-            pace.wait(frame)
-            sink.send(frame)
-            n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
+    disable = None if config.progress else True
+    for frame in tqdm(replay.frames(), unit=" frames", disable=disable):
+        pace.wait(frame)
+        sink.send(frame)
+        n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
+    sink.close()
     words = (
         f"{n_frames} frames with {n_samples} samples of {replay.n_trips} trips of "
         f"{replay.n_suspensions} suspensions in {time.monotonic() - begin_s:.1f} s"

@@ -168,18 +168,21 @@ class DropFolder:
         try:
             with path.open("rb") as file:
                 identity = _identity(file)
-                while data := file.read(PIECE_BYTES):
+                data = file.read(PIECE_BYTES)
+                if not data:
+                    splitter.counts["truncated"] += 1
+                while following := file.read(PIECE_BYTES):
                     yield splitter.push(data)
+                    data = following
         except OSError as error:
             self._give_up(path, error)
             self._counts += splitter.counts
             return
-        rest = splitter.finish()
-        if identity[-1] == 0:
-            splitter.counts["truncated"] += 1
+        last = splitter.push(data) + splitter.finish()
         self._counts += splitter.counts
+        # from here on all of its frames are given
         self._read.append(_File(path, identity, not splitter.counts))
-        yield rest
+        yield last
 
     def _put_away(self, file: _File) -> None:
         """Move or delete a file, unless another one has its name by now."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import json
 import logging
 import re
 import threading
@@ -14,16 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from suspnet.checks import check_number
 from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
-from suspnet.live.source import Kind
+from suspnet.live.source import Kind, plain_json
 from suspnet.stream.frames import MOST_BYTES
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
-MOST_PACKET_BYTES = MOST_BYTES + 2**12
-"""Largest message that the broker is to send: a frame, its topic and the rest."""
-
 MOST_UNACKNOWLEDGED = 20
 """Largest number of results that the broker has not acknowledged; of others the latest waits."""
 
@@ -38,9 +36,11 @@ class Mqtt:
     confirmed, while it is away, too (QoS 1, no clean start, session expiry): each frame comes at
     least once. The client connects again with backoff, also if the broker was never there.
 
-    The broker sends at most `in_flight` messages before one is acknowledged, and none of more than
-    ``MOST_PACKET_BYTES``. Two times `in_flight` messages are held at most, as what came over one
-    connection may come again over the next one.
+    At most `in_flight` frames are held that `receive` has not yet given. The broker is asked to
+    send no more before some are acknowledged; as not every release of every broker keeps to that,
+    the connection is not read beyond it. A message that is larger than any frame is acknowledged
+    and forgotten at once. The broker is not asked to withhold those: they would take up places
+    among the messages on the way, and never leave them (Mosquitto 2.0.11).
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Mqtt:
     part : str
         "K/N" for the Kth of N processes that share a broker; see `is_in_part`.
     in_flight : int
-        Number of frames that may be received and not confirmed.
+        Number of frames that may be on the way to the monitor.
     session_h : float, [h]
         How long the broker keeps the session of a monitor that is away.
 
@@ -80,7 +80,8 @@ class Mqtt:
         # of the thread of the client and of ours: what came, by the number of the connection
         self._changed = threading.Condition()
         self._arrived: deque[tuple[int, int, bytes]] = deque()
-        self._connection, self._is_connected, self._is_away = 0, False, False
+        self._connection = 0
+        self._is_connected = self._is_away = self._is_closing = False
         # of ours alone
         self._given: list[tuple[int, int]] = []
         self._results: dict[str, bytes] = {}
@@ -89,7 +90,7 @@ class Mqtt:
 
     @property
     def counts(self) -> Counter[str]:
-        """Events: "reconnect", "unreachable", "rejected" by the broker, frames "again"."""
+        """Events: "reconnect", "unreachable", "rejected" by the broker, "size" of a message."""
         return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
@@ -104,7 +105,6 @@ class Mqtt:
         properties = properties_of_connect(
             SessionExpiryInterval=round(3600 * self.session_h),
             ReceiveMaximum=self.in_flight,
-            MaximumPacketSize=MOST_PACKET_BYTES,
         )
         client.connect_async(
             self.broker.host,
@@ -124,6 +124,7 @@ class Mqtt:
             self._changed.wait_for(lambda: self._arrived, timeout_s)
             arrived = list(self._arrived)
             self._arrived.clear()
+            self._changed.notify_all()
         self._given += [(connection, number) for connection, number, _ in arrived]
         return [payload for _, _, payload in arrived]
 
@@ -142,7 +143,7 @@ class Mqtt:
         """Publish a retained message; of those that wait for the broker the latest a topic."""
         topic = self.broker.topic(kind, suspension)
         self._results.pop(topic, None)
-        self._results[topic] = payload
+        self._results[topic] = json.dumps(plain_json(payload)).encode()
         self._send()
 
     def close(self) -> None:
@@ -155,6 +156,9 @@ class Mqtt:
             if not self._results and not self._unacknowledged:
                 break
             time.sleep(0.01)
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
         self._client.disconnect()
         self._client.loop_stop()
         self._client = None
@@ -182,17 +186,15 @@ class Mqtt:
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
     ) -> None:
-        """Subscribe; what came over the last connection and is not acknowledged comes again."""
+        """Subscribe; what was not acknowledged over the last connection comes again by itself."""
         if reason.is_failure:
             self._tell("rejected", str(reason))
             return
         with self._changed:
-            self._counts["reconnect"] += self._connection > 0
+            if self._connection:
+                self._counts["reconnect"] += 1
             self._connection += 1
             self._is_connected, self._is_away = True, False
-            if flags.session_present and len(self._arrived) > self.in_flight:
-                self._counts["again"] += len(self._arrived)
-                self._arrived.clear()
         log.info("connected to the broker at %s:%d", self.broker.host, self.broker.port)
         options = importlib.import_module("paho.mqtt.subscribeoptions").SubscribeOptions
         once = options(qos=1, retainHandling=options.RETAIN_DO_NOT_SEND)
@@ -215,7 +217,12 @@ class Mqtt:
                 self._tell("rejected", f"a subscription: {reason}")
 
     def _on_message(self, client: Client, userdata: Any, message: Any) -> None:
+        if len(message.payload) > MOST_BYTES:
+            self._counts["size"] += 1
+            client.ack(message.mid, message.qos)
+            return
         with self._changed:
+            self._changed.wait_for(lambda: len(self._arrived) < self.in_flight or self._is_closing)
             self._arrived.append((self._connection, message.mid, message.payload))
             self._changed.notify_all()
 

@@ -147,7 +147,7 @@ class MqttSink:
         self.broker = Broker() if broker is None else broker
         self.in_flight = in_flight
         self._counts: Counter[str] = Counter()
-        self._room = threading.Semaphore(in_flight)
+        self._most = in_flight
         self._answered = threading.Event()
         self._refusal = ""
         self._client: Client | None = None
@@ -168,6 +168,7 @@ class MqttSink:
         client = self.broker.client("")  # the broker names us, unlike any other
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
         client.on_disconnect = self._on_disconnect
+        client.max_inflight_messages_set(self.in_flight)
         where = f"{self.broker.host}:{self.broker.port}"
         try:
             client.connect(self.broker.host, self.broker.port, KEEPALIVE_S)
@@ -180,6 +181,7 @@ class MqttSink:
             client.disconnect()
             client.loop_stop()
             raise ValueError(f"the broker at {where}: {self._refusal}")
+        self._room = threading.Semaphore(self._most)
         self._client = client
 
     def send(self, frame: Frame) -> None:
@@ -192,20 +194,21 @@ class MqttSink:
         """Wait until the broker has taken all frames, and disconnect."""
         if self._client is None:
             return
-        for _ in range(self.in_flight):
+        for _ in range(self._most):
             self._room.acquire()
-        self._client.disconnect()
-        self._client.loop_stop()
-        self._client = None
+        client, self._client = self._client, None
+        client.disconnect()
+        client.loop_stop()
 
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
     ) -> None:
         """Keep to what the broker takes at once; it would close the connection otherwise."""
+        if self._answered.is_set():  # what it said first holds
+            return
         if reason.is_failure:
             self._refusal = str(reason)
-        most = getattr(properties, "ReceiveMaximum", self.in_flight)
-        client.max_inflight_messages_set(min(self.in_flight, most))
+        self._most = min(self.in_flight, getattr(properties, "ReceiveMaximum", self.in_flight))
         self._answered.set()
 
     def _on_disconnect(self, client: Client, *_: Any) -> None:

@@ -6,7 +6,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 Kind = Literal["estimates", "alarms"]
 
@@ -60,8 +60,16 @@ class Source(Protocol):
         ...
 
 
+def plain_json(payload: bytes) -> dict[str, Any]:
+    """Return what a JSON object holds, null for NaN and infinity; ValueError if it is none."""
+    found = json.loads(payload, parse_constant=lambda _: None)
+    if not isinstance(found, dict):
+        raise ValueError(f"a result is a JSON object, got {payload[:80]!r}")
+    return found
+
+
 def print_result(kind: Kind, suspension: str, payload: bytes) -> None:
     """Write a result to standard output, as one line of JSON with these two names first."""
-    told = {"kind": kind, "suspension": suspension, **json.loads(payload)}
+    told = {"kind": kind, "suspension": suspension, **plain_json(payload)}
     sys.stdout.write(json.dumps(told) + "\n")
     sys.stdout.flush()

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from live_frames import ListSource, all_frames, by_time, mileage_frame, trip_frames
+from monitor_frames import ListSource, all_frames, by_time, mileage_frame, trip_frames
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, small_fleet
 
