@@ -20,7 +20,8 @@ from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.output import write_table
-from suspnet.trips.report import PNG_DPI, data_uri, render
+from suspnet.trips.report import PNG_DPI, data_uri
+from suspnet.trips.templates import render
 from suspnet.uncertainty.physics import INCOMPLETE
 
 log = logging.getLogger(__name__)
