@@ -134,6 +134,11 @@ def write_json(path: Path, content: Any) -> Path:
     return write_atomically(path, json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
 
 
+def json_bytes(content: Any) -> bytes:
+    """Return `content` as JSON on one line; NaN becomes null."""
+    return json.dumps(_finite(content), allow_nan=False).encode()
+
+
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds.
 

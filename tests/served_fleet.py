@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 from trip_records import curves
+from waitress import wasyncore
 from waitress.server import create_server
 
 from suspnet.depot.board import Board, BoardSettings
@@ -66,7 +67,9 @@ def fill(path):
 def served(path, every_s=0.3):
     """Serve a store on a free port of this computer; give its address and the thread behind it."""
     refresher = Refresher(Board(str(path), SETTINGS), every_s)
-    server = create_server(create_app(refresher, (), every_s), host="127.0.0.1", port=0)
+    sockets = {}
+    app = create_app(refresher, (), every_s)
+    server = create_server(app, map=sockets, host="127.0.0.1", port=0)
     thread = threading.Thread(target=server.run, daemon=True)
     refresher.start()
     thread.start()
@@ -75,7 +78,7 @@ def served(path, every_s=0.3):
     finally:
         refresher.stop()
         server.task_dispatcher.shutdown(timeout=5)
-        server.trigger.pull_trigger(server.close)
+        server.trigger.pull_trigger(lambda: wasyncore.close_all(sockets, ignore_all=True))
         thread.join(5)
 
 

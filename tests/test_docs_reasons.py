@@ -35,13 +35,14 @@ TELLING = (
 RAISING = (
     "suspnet/trips/commissionings.py",
     "suspnet/trips/fleet.py",
+    "suspnet/trips/models.py",
     "suspnet/inspection/summary.py",
 )
 """Modules of which only what is raised or listed here is one."""
 OF_FILES = ("suspnet/inspection/contents.py",)
 """Modules whose errors are of data files without a trip, which suspnet-init tells."""
-OF_STREAMS = ("suspnet/stream/running.py",)
-"""Modules whose errors are of a stream, which no program reads yet."""
+OF_STREAMS = ("suspnet/live/replay.py", "suspnet/stream/running.py")
+"""Modules whose errors are of a stream, or of a replay as one."""
 ALSO = ("reads the same data as", "commissioning needs", "the trips differ in their sensors")
 """Beginnings of the sentences of ``RAISING`` that are reasons though nothing raises them."""
 NO_REASON = (

@@ -56,10 +56,23 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "suspnet.studies.reliability.write_reliability",
         "suspnet.depot.study.write_maintenance",
     ),
+    "live": ("suspnet.live.suspension.LiveSettings",),
+    "order": ("suspnet.stream.assembler.OrderSettings",),
     "board": ("suspnet.depot.board.BoardSettings",),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),
+    "source": (
+        "suspnet.live.pipe.Pipe",
+        "suspnet.live.drop_folder.DropFolder",
+        "suspnet.live.mqtt.Mqtt",
+    ),
+    "sink": (
+        "suspnet.live.sinks.StandardOutput",
+        "suspnet.live.sinks.Folder",
+        "suspnet.live.sinks.MqttSink",
+    ),
+    "broker": ("suspnet.live.broker.Broker",),
     "others": ("suspnet.cli.configs.read_vehicles",),
     "vehicles": ("suspnet.cli.configs.read_vehicles",),
 }

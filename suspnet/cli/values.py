@@ -17,9 +17,11 @@ SWITCHES = frozenset(
         "fit_intercept",
         "log_ratios",
         "mass_known",
+        "once",
         "progress",
         "refine",
         "short_waves",
+        "tls",
     }
 )
 """Keys, wherever they stand, that are either on or off."""

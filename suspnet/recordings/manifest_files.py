@@ -69,6 +69,30 @@ def parse_manifest(path: Path, content: Any) -> TripManifest:
     return manifest
 
 
+def read_live_manifest(path: Path) -> TripManifest:
+    """Return the manifest of sensors whose samples come as frames; files are not looked for.
+
+    Raises
+    ------
+    TripError
+        As `read_manifest`, but for files: `file` may be missing.
+    """
+    content = read_content(path)
+    if isinstance(content, dict):
+        content = content | {"speed": _with_file(content.get("speed"))}
+        channels = content.get("channels")
+        if isinstance(channels, dict):
+            content["channels"] = {name: _with_file(one) for name, one in channels.items()}
+    return _parse(path, content)
+
+
+def _with_file(source: Any) -> Any:
+    """Return a source, or each of a pair, with a name for its file if it has none."""
+    if isinstance(source, list):
+        return [_with_file(one) for one in source]
+    return {"file": "frames"} | source if isinstance(source, dict) else source
+
+
 def named_sources(content: Any) -> dict[str, dict[str, Any]]:
     """Return each mapping of a manifest's content that names a file, whatever else is wrong."""
     if not isinstance(content, dict):
@@ -162,15 +186,21 @@ UNFINISHED = "unfinished.json"
 
 
 def partial_words(folder: Path) -> str:
-    """Return in words how many trips a folder lacks whose simulation was interrupted; or ""."""
+    """Return in words what a folder lacks whose simulation was interrupted; or "".
+
+    That is trips of a suspension, or suspensions of some trains.
+    """
     if not (folder / UNFINISHED).is_file():
         return ""
-    n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
     try:
-        wanted = f" of {int(read_json(folder / UNFINISHED)['n_trips'])}"
+        marked = read_json(folder / UNFINISHED)
+        what = "suspensions" if "n_suspensions" in marked else "trips"
+        wanted = f" of {int(marked[f'n_{what}'])}"
     except (OSError, ValueError, LookupError, TypeError):
-        wanted = ""
-    return f"partial: {n_written}{wanted} trips are simulated"
+        what, wanted = "trips", ""
+    written = {path.parent for path in folder.glob("*/*.yaml") if what == "suspensions"}
+    n_written = len(written) or sum(path.is_file() for path in folder.glob("*.yaml"))
+    return f"partial: {n_written}{wanted} {what} are simulated"
 
 
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")

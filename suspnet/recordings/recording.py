@@ -248,9 +248,9 @@ def _read_sensor(
     where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
         timeline = None if source.times is None else Timeline(where, source.rate_hz)
-        blocks = _values(source, timeline)
+        blocks = even_values(source, timeline)
         first_block = next(blocks)
-        rate_hz = _known_rate(where, source.rate_hz, timeline)
+        rate_hz = known_rate(where, source.rate_hz, timeline)
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
         if rate_hz > HIGHEST_HZ:
@@ -259,7 +259,7 @@ def _read_sensor(
         scaled = (source.size * block for block in chain([first_block], blocks))
         decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
     start_s = offset_s + channel.start_s + (0.0 if timeline is None else timeline.first_s)
-    rate_hz = _known_rate(where, source.rate_hz, timeline)
+    rate_hz = known_rate(where, source.rate_hz, timeline)
     second = Resampler(start_s, rate_hz, wanted_hz, decimated.first, decimated.factor)
     first = second.next
     resampled = second.push(decimated.values, decimated.touched)
@@ -297,7 +297,7 @@ def sensor_signal(
     return SensorSignal(cleaner.channel, start_s, end_s, first, values, touched, faults, words)
 
 
-def _values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
+def even_values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
     """Yield a sensor's values in its own unit, evenly sampled."""
     if timeline is not None:
         yield from timeline.even(source.blocks())
@@ -306,7 +306,7 @@ def _values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArra
             yield block
 
 
-def _known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
+def known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
     """Return a sensor's rate as stated or by its time stamps, [Hz]."""
     if timeline is None:
         assert stated_hz is not None  # a source has times or a rate

@@ -161,9 +161,9 @@ def _size(where: str, kind: str, source: Source, column: Column) -> tuple[float,
     return size * (source.sign if isinstance(source, Channel) else 1), words
 
 
-def zero_of(manifest: TripManifest, source: Source, where: str) -> Zero:
-    """Return what the times of a channel are counted from; TripError if it cannot be read."""
-    with open_source(manifest, source, where, "acceleration") as opened:
+def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acceleration") -> Zero:
+    """Return what the times of a source are counted from; TripError if it cannot be read."""
+    with open_source(manifest, source, where, kind) as opened:
         if opened.times is not None:
             for times in read_columns(opened.path, opened.file, opened.names[:1]):
                 opened.times.seconds(times[0])

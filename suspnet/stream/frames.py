@@ -63,7 +63,7 @@ class Frame:
     Parameters
     ----------
     suspension : str
-        Which suspension it is of, in free text.
+        Which suspension it is of, as its `Place` is written: "train 1, car 2, front, left".
     sensor : str
         The channel, followed by the side in a pair: "axle_box", "bogie left"; or "speed".
     sequence : int
@@ -174,14 +174,14 @@ def _is_compressed(metadata: bytes) -> bool:
     the compression (Arrow's Message.fbs). struct.error if an offset leads out of it.
     """
     (root,) = struct.unpack_from("<I", metadata)
-    header = _field(metadata, root, 2)
+    header = flatbuffer_field(metadata, root, 2)
     if header is None:
         return False
     (to_batch,) = struct.unpack_from("<I", metadata, header)
-    return _field(metadata, header + to_batch, 3) is not None
+    return flatbuffer_field(metadata, header + to_batch, 3) is not None
 
 
-def _field(buffer: bytes, table: int, number: int) -> int | None:
+def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
     """Return where a field of a flatbuffer's table is, None if the table lacks it."""
     (to_vtable,) = struct.unpack_from("<i", buffer, table)
     vtable = table - to_vtable

@@ -19,6 +19,7 @@ async function replace() {
   const page = new DOMParser().parseFromString(await answer.text(), "text/html");
   const old = main(), fresh = page.querySelector("main");
   if (!fresh || filled()) return;
+  for (const one of fresh.querySelectorAll("noscript")) one.remove(); // read as if there were no scripts
   for (const one of old.querySelectorAll("details[id]")) {
     const same = twin(fresh, one);
     if (same) same.open = one.open;
@@ -33,10 +34,10 @@ async function replace() {
   old.replaceWith(document.adoptNode(fresh));
   document.title = page.title;
   fresh.querySelectorAll(".scroll").forEach((one, i) => { one.scrollLeft = places[i] || 0; });
+  document.dispatchEvent(new Event("replaced"));
   const same = focused && (focused === old ? fresh : twin(fresh, focused));
   if (same) same.focus({ preventScroll: true });
   window.scrollTo({ top: height, behavior: "instant" });
-  document.dispatchEvent(new Event("replaced"));
 }
 
 async function look() {

@@ -16,19 +16,27 @@ function dressed(layout) { // the texts, grids and labels of a figure in the col
   return found;
 }
 
-function say(plot) { // the range shown, in words
+const km = (value) => Math.round(value).toLocaleString("en").replaceAll(",", "\u00a0");
+
+function say(plot) { // the range shown, in words and by its button
+  const range = plot.layout.xaxis.range.map(Number);
   const out = document.querySelector(`output[for="${plot.id}"]`);
-  const range = plot.layout && plot.layout.xaxis.range;
-  if (out && range) out.textContent = range.map((km) => Math.round(km).toLocaleString("en").replaceAll(",", "\u00a0")).join(" to ") + " km";
+  if (out) out.textContent = range.map(km).join(" to ") + " km";
+  for (const one of document.querySelectorAll(`button[data-plot="${plot.id}"]`)) {
+    one.setAttribute("aria-pressed", Number(one.dataset.from) === range[0] && Number(one.dataset.to) === range[1]);
+  }
 }
 
 async function draw(plot) {
   const answer = await fetch(plot.dataset.figure, { cache: "no-store" });
   if (!answer.ok) return;
-  const figure = await answer.json();
+  const { data, layout } = await answer.json();
   const isNew = !plot.classList.contains("js-plotly-plot");
+  const whole = layout.xaxis.range;
   if (isNew) plot.textContent = "";
-  await Plotly.react(plot, figure.data, dressed(figure.layout), CONFIG);
+  else if (whole && String(plot.layout.xaxis.range) !== plot.dataset.whole) layout.xaxis.range = plot.layout.xaxis.range;
+  plot.dataset.whole = String(whole);
+  await Plotly.react(plot, data, dressed(layout), CONFIG);
   if (isNew) plot.on("plotly_relayout", () => say(plot));
   say(plot);
 }
@@ -44,7 +52,6 @@ document.addEventListener("click", (event) => {
   const plot = document.getElementById(button.dataset.plot);
   const { from, to } = button.dataset;
   Plotly.relayout(plot, { "xaxis.range": [Number(from), Number(to)] });
-  for (const one of button.parentElement.querySelectorAll("button")) one.setAttribute("aria-pressed", one === button);
 });
 document.addEventListener("replaced", drawAll);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);

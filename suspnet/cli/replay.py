@@ -1,0 +1,47 @@
+"""Replay recorded trips as frames of live samples: suspnet-replay trips=DIR [KEY=VALUE ...]."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig
+from tqdm import tqdm
+
+from suspnet.cli import program
+from suspnet.live.replay import Pace, Replay
+from suspnet.live.sinks import Sink
+
+
+@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="replay")
+@program.task
+def compose(config: DictConfig) -> None:
+    """Send the frames of all trips of a folder; tell on standard error what was done."""
+    begin_s = time.monotonic()
+    pace = Pace(config.times)
+    replay = Replay(Path(config.trips), config.frame_s, config.start, config.zone)
+    sink: Sink = program.build(config, "sink")
+    sink.open()
+    n_frames = n_samples = 0
+    disable = None if config.progress else True
+    for frame in tqdm(replay.frames(), unit=" frames", disable=disable):
+        pace.wait(frame)
+        sink.send(frame)
+        n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
+    sink.close()
+    words = (
+        f"{n_frames} frames with {n_samples} samples of {replay.n_trips} trips of "
+        f"{replay.n_suspensions} suspensions in {time.monotonic() - begin_s:.1f} s"
+    )
+    for reason, n in sink.counts.items():
+        words += f"; {reason}: {n}"
+    print(words, file=sys.stderr)  # standard output may hold the frames
+    if replay.problems:
+        raise ValueError(f"{len(replay.problems)} trips are missing or not whole, see above")
+
+
+def main() -> None:
+    """Run the program."""
+    program.run(compose)

@@ -1,0 +1,130 @@
+"""An MQTT broker: where it is, who we are to it, and the topics."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from suspnet.checks import check_flag, check_number
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+log = logging.getLogger(__name__)
+KEEPALIVE_S = 30
+"""A connection over which nothing came for one and a half times this [s] is lost."""
+
+BACKOFF_S = (1, 30)
+"""Shortest and longest time between two attempts to connect, [s]."""
+
+MOST_PER_REQUEST = 100
+"""Largest number of topics in one request of a subscription."""
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Where an MQTT 5 broker is and how to connect to it.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+    prefix : str
+        First part of all topics; it may contain "/".
+    user : str, optional
+        With it, a password is read from the environment.
+    password_env : str
+        Name of the environment variable.
+    tls : bool
+    ca_file, cert_file, key_file : str, optional
+        With `tls`: certificates of authorities (None: the system's), our certificate and its key.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range.
+    """
+
+    host: str = "localhost"
+    port: int = 1883
+    prefix: str = "suspnet"
+    user: str | None = None
+    password_env: str = "SUSPNET_MQTT_PASSWORD"
+    tls: bool = False
+    ca_file: str | None = None
+    cert_file: str | None = None
+    key_file: str | None = None
+
+    def __post_init__(self) -> None:
+        check_number("port", self.port, low=1, high=65535, whole=True)
+        check_flag("tls", self.tls)
+        if not self.host:
+            raise ValueError("`host` is empty")
+        if not self.prefix or set("+#\0") & set(self.prefix) or self.prefix[0] in "$/":
+            raise ValueError(
+                "`prefix` must be the begin of a topic, without + and # and not after $ or /; "
+                f"got {self.prefix!r}"
+            )
+        files = (self.ca_file, self.cert_file, self.key_file)
+        if any(files) and not self.tls:
+            raise ValueError("`ca_file`, `cert_file` and `key_file` are for tls=true")
+
+    def topic(self, kind: str, suspension: str) -> str:
+        """Return the topic of a suspension's "frames", "estimates" or "alarms".
+
+        Examples
+        --------
+        >>> Broker().topic("frames", "train 1, car 2")
+        'suspnet/frames/train%201%2C%20car%202'
+        """
+        return f"{self.prefix}/{kind}/{quote(suspension, safe='')}"
+
+    def client(self, client_id: str, manual_ack: bool = False) -> Client:
+        """Return a client that is not yet connected, and tries again with backoff once it is.
+
+        Raises
+        ------
+        OSError, ValueError
+            If paho-mqtt is not installed, the password is not set, or a certificate not readable.
+        """
+        mqtt = paho()
+        client: Client = mqtt.Client(
+            mqtt.CallbackAPIVersion.VERSION2,
+            client_id,
+            protocol=mqtt.MQTTv5,
+            manual_ack=manual_ack,
+        )
+        client.reconnect_delay_set(*BACKOFF_S)
+        if self.user is not None:
+            password = os.environ.get(self.password_env)
+            if password is None:
+                raise ValueError(
+                    f"`user` is {self.user!r}, so the environment must hold the password: "
+                    f"export {self.password_env}=..."
+                )
+            client.username_pw_set(self.user, password)
+        if self.tls:
+            client.tls_set(self.ca_file, self.cert_file, self.key_file)
+        return client
+
+
+def paho() -> Any:
+    """Return the module of clients of paho-mqtt; ValueError says how to install it."""
+    try:
+        return importlib.import_module("paho.mqtt.client")
+    except ImportError as error:
+        raise ValueError('MQTT needs paho-mqtt; run: pip install "suspnet[live]"') from error
+
+
+def properties_of_connect(**values: int) -> Any:
+    """Return the properties of a request to connect, by their names in MQTT 5."""
+    paho()
+    names = importlib.import_module("paho.mqtt.packettypes").PacketTypes
+    found = importlib.import_module("paho.mqtt.properties").Properties(names.CONNECT)
+    for name, value in values.items():
+        setattr(found, name, value)
+    return found

@@ -1,0 +1,263 @@
+"""Frames from an MQTT 5 broker; results as retained messages on it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+import logging
+import re
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from suspnet.checks import check_number
+from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
+from suspnet.live.source import Kind, plain_json
+from suspnet.stream.frames import MOST_BYTES
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+log = logging.getLogger(__name__)
+MOST_UNACKNOWLEDGED = 20
+"""Largest number of results that the broker has not acknowledged; of others the latest waits."""
+
+LAST_WORDS_S = 5.0
+"""Longest time that `close` waits for the broker to take the results, [s]."""
+
+
+class Mqtt:
+    """Source of the frames on the topics PREFIX/frames/SUSPENSION, percent-encoded.
+
+    The broker keeps what this client has not acknowledged, which it does when frames are
+    confirmed, while it is away, too (QoS 1, no clean start, session expiry): each frame comes at
+    least once. The client connects again with backoff, also if the broker was never there.
+
+    At most `in_flight` frames are held that `receive` has not yet given. The broker is asked to
+    send no more before some are acknowledged; as not every release of every broker keeps to that,
+    the connection is not read beyond it. A message that is larger than any frame is acknowledged
+    and forgotten at once. The broker is not asked to withhold those: they would take up places
+    among the messages on the way, and never leave them (Mosquitto 2.0.11).
+
+    Parameters
+    ----------
+    broker : Broker, optional
+    client_id : str
+        Name by which the broker keeps the session; that of the part is added.
+    part : str
+        "K/N" for the Kth of N processes that share a broker; see `is_in_part`.
+    in_flight : int
+        Number of frames that may be on the way to the monitor.
+    session_h : float, [h]
+        How long the broker keeps the session of a monitor that is away.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range, or paho-mqtt is not installed.
+    """
+
+    def __init__(
+        self,
+        broker: Broker | None = None,
+        client_id: str = "suspnet-monitor",
+        part: str = "1/1",
+        in_flight: int = 2000,
+        session_h: float = 24.0,
+    ) -> None:
+        check_number("in_flight", in_flight, low=1, high=65535, whole=True)
+        check_number("session_h", session_h, above=0, high=10_000)
+        self.broker = Broker() if broker is None else broker
+        self.part, self.n_parts = read_part(part)
+        self.client_id = f"{client_id}-{self.part}-of-{self.n_parts}"
+        self.in_flight, self.session_h = in_flight, session_h
+        self._counts: Counter[str] = Counter()
+        self._client: Client | None = None
+        self._topics: list[str] = []
+        # of the thread of the client and of ours: what came, by the number of the connection
+        self._changed = threading.Condition()
+        self._arrived: deque[tuple[int, int, bytes]] = deque()
+        self._connection = 0
+        self._is_connected = self._is_away = self._is_closing = False
+        # of ours alone
+        self._given: list[tuple[int, int]] = []
+        self._results: dict[str, bytes] = {}
+        self._unacknowledged: set[int] = set()
+        self._acknowledged: deque[int] = deque()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Events: "reconnect", "unreachable", "rejected" by the broker, "size" of a message."""
+        return Counter(self._counts)
+
+    def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
+        """Begin to connect; return the suspensions of this process's part. See `Source`."""
+        mine = [name for name in suspensions if is_in_part(name, self.part, self.n_parts)]
+        self._topics = [self.broker.topic("frames", name) for name in mine]
+        client = self.broker.client(self.client_id, manual_ack=True)
+        client.max_queued_messages_set(MOST_UNACKNOWLEDGED)
+        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
+        client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
+        properties = properties_of_connect(
+            SessionExpiryInterval=round(3600 * self.session_h),
+            ReceiveMaximum=self.in_flight,
+        )
+        client.connect_async(
+            self.broker.host,
+            self.broker.port,
+            keepalive=KEEPALIVE_S,
+            clean_start=False,
+            properties=properties,
+        )
+        client.loop_start()
+        self._client = client
+        return mine
+
+    def receive(self, timeout_s: float) -> list[bytes]:
+        """Return the frames that have come; there may always be more. See `Source`."""
+        self._send()
+        with self._changed:
+            self._changed.wait_for(lambda: self._arrived, timeout_s)
+            arrived = list(self._arrived)
+            self._arrived.clear()
+            self._changed.notify_all()
+        self._given += [(connection, number) for connection, number, _ in arrived]
+        return [payload for _, _, payload in arrived]
+
+    def confirm(self) -> None:
+        """Acknowledge all frames that `receive` gave."""
+        assert self._client is not None
+        with self._changed:  # no new connection begins meanwhile
+            for connection, number in self._given:
+                # what came over an earlier connection comes again, under the same number or not
+                if self._is_connected and connection == self._connection:
+                    self._client.ack(number, 1)
+        self._given.clear()
+        self._send()
+
+    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+        """Publish a retained message; of those that wait for the broker the latest a topic."""
+        topic = self.broker.topic(kind, suspension)
+        self._results.pop(topic, None)
+        self._results[topic] = json.dumps(plain_json(payload)).encode()
+        self._send()
+
+    def close(self) -> None:
+        """Hand results over as far as the broker takes them, and disconnect; the session stays."""
+        if self._client is None:
+            return
+        deadline = time.monotonic() + LAST_WORDS_S
+        while time.monotonic() < deadline and self._is_connected:
+            self._send()
+            if not self._results and not self._unacknowledged:
+                break
+            time.sleep(0.01)
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
+        self._client.disconnect()
+        self._client.loop_stop()
+        self._client = None
+
+    def _send(self) -> None:
+        """Give the client the results that wait, as far as the broker has taken the others.
+
+        No lock is held here: the client calls `_on_publish` under a lock of its own.
+        """
+        while self._acknowledged:  # ends: at most as many as were sent
+            self._unacknowledged.discard(self._acknowledged.popleft())
+        while (  # ends: each round takes a result
+            self._client is not None
+            and self._is_connected
+            and self._results
+            and len(self._unacknowledged) < MOST_UNACKNOWLEDGED
+        ):
+            topic = next(iter(self._results))
+            sent = self._client.publish(topic, self._results[topic], qos=1, retain=True)
+            if sent.rc:  # the connection is gone, or the client's queue is full
+                return
+            del self._results[topic]
+            self._unacknowledged.add(sent.mid)
+
+    def _on_connect(
+        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
+    ) -> None:
+        """Subscribe; what was not acknowledged over the last connection comes again by itself."""
+        if reason.is_failure:
+            self._tell("rejected", str(reason))
+            return
+        with self._changed:
+            if self._connection:
+                self._counts["reconnect"] += 1
+            self._connection += 1
+            self._is_connected, self._is_away = True, False
+        log.info("connected to the broker at %s:%d", self.broker.host, self.broker.port)
+        options = importlib.import_module("paho.mqtt.subscribeoptions").SubscribeOptions
+        once = options(qos=1, retainHandling=options.RETAIN_DO_NOT_SEND)
+        for start in range(0, len(self._topics), MOST_PER_REQUEST):
+            part = self._topics[start : start + MOST_PER_REQUEST]
+            client.subscribe([(topic, once) for topic in part])
+
+    def _on_disconnect(self, client: Client, *_: Any) -> None:
+        with self._changed:
+            self._is_connected = False
+
+    def _on_connect_fail(self, client: Client, userdata: Any) -> None:
+        self._tell("unreachable", "nobody answers")
+
+    def _on_subscribe(
+        self, client: Client, userdata: Any, number: int, reasons: Any, properties: Any
+    ) -> None:
+        for reason in reasons:
+            if reason.is_failure:
+                self._tell("rejected", f"a subscription: {reason}")
+
+    def _on_message(self, client: Client, userdata: Any, message: Any) -> None:
+        if len(message.payload) > MOST_BYTES:
+            self._counts["size"] += 1
+            client.ack(message.mid, message.qos)
+            return
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._arrived) < self.in_flight or self._is_closing)
+            self._arrived.append((self._connection, message.mid, message.payload))
+            self._changed.notify_all()
+
+    def _on_publish(
+        self, client: Client, userdata: Any, number: int, reason: Any, properties: Any
+    ) -> None:
+        if reason.is_failure:
+            self._tell("rejected", f"a result: {reason}")
+        self._acknowledged.append(number)
+
+    def _tell(self, reason: str, words: str) -> None:
+        """Count what goes wrong with the broker, and log the first since it was there."""
+        self._counts[reason] += 1
+        if not self._is_away:
+            where = f"{self.broker.host}:{self.broker.port}"
+            log.warning("the broker at %s: %s; it is tried again until it answers", where, words)
+        self._is_away = True
+
+
+def read_part(text: str) -> tuple[int, int]:
+    """Return K and N of the text "K/N"; ValueError unless 1 <= K <= N <= 1000."""
+    found = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text) if isinstance(text, str) else None
+    part, n_parts = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= part <= n_parts <= 1000:
+        raise ValueError(f'`part` must be "K/N" with 1 <= K <= N <= 1000, got {text!r}')
+    return part, n_parts
+
+
+def is_in_part(suspension: str, part: int, n_parts: int) -> bool:
+    """Return whether a suspension belongs to a part of the processes: by SHA-256 of its name.
+
+    Examples
+    --------
+    >>> [k for k in (1, 2, 3) if is_in_part("train 1, car 2", k, 3)]
+    [1]
+    """
+    digest = hashlib.sha256(suspension.encode()).digest()
+    return int.from_bytes(digest[:8], "big") % n_parts == part - 1

@@ -1,0 +1,94 @@
+"""Frames on standard input, one after the other; results as lines of JSON on standard output."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import threading
+from collections import Counter
+from collections.abc import Sequence
+
+from suspnet.checks import check_number
+from suspnet.live.framing import Splitter
+from suspnet.live.inbox import Inbox
+from suspnet.live.source import Kind, print_result
+
+PIECE_BYTES = 2**16
+"""Largest number of bytes that are read at once: what a pipe of Linux holds."""
+
+
+class Pipe:
+    """Source of the frames on standard input.
+
+    What was read cannot be read again: after a kill, the sender must send again what was not yet
+    kept. Reading stops while the buffer is full, so that a sender that is too fast waits.
+
+    Parameters
+    ----------
+    buffer_mb : float, [MB]
+        Frames that wait for the monitor.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is out of range.
+    """
+
+    def __init__(self, buffer_mb: float = 16.0) -> None:
+        check_number("buffer_mb", buffer_mb, low=1, high=4096)
+        self.buffer_mb = buffer_mb
+        self._inbox = Inbox(round(buffer_mb * 1e6))
+        self._splitter = Splitter()
+        self._reader: threading.Thread | None = None
+
+    @property
+    def counts(self) -> Counter[str]:
+        """As `Splitter.counts`, and "unreadable" if reading failed, which is the end."""
+        return Counter(self._splitter.counts)
+
+    def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
+        """Begin to read; all suspensions are this process's. See `Source`."""
+        if sys.stdin is None:
+            raise ValueError("source=stdin needs a standard input, which is closed")
+        self._awake, self._wake = os.pipe()
+        self._reader = threading.Thread(target=self._read, args=(sys.stdin.fileno(),), daemon=True)
+        self._reader.start()
+        return suspensions
+
+    def receive(self, timeout_s: float) -> list[bytes] | None:
+        """Return the frames that have come; None after the end of the input. See `Source`."""
+        return self._inbox.take(timeout_s)
+
+    def confirm(self) -> None:
+        """Do nothing: a pipe cannot keep what was read."""
+
+    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+        """Write a line of JSON to standard output."""
+        print_result(kind, suspension, payload)
+
+    def close(self) -> None:
+        """End the reading."""
+        self._inbox.end()
+        if self._reader is not None:
+            os.close(self._wake)
+            self._reader.join()
+            os.close(self._awake)
+            self._reader = None
+
+    def _read(self, file: int) -> None:
+        """Read until the input ends or `close` wakes it; runs in a thread."""
+        while True:  # ends: with the input, or when the other end of the wake-up pipe is closed
+            ready, _, _ = select.select([file, self._awake], [], [])
+            if self._awake in ready:
+                return
+            try:
+                data = os.read(file, PIECE_BYTES)
+            except OSError:
+                self._splitter.counts["unreadable"] += 1
+                data = b""
+            for frame in self._splitter.push(data) if data else self._splitter.finish():
+                self._inbox.put(frame)
+            if not data:
+                self._inbox.end()
+                return

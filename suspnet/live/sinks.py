@@ -1,0 +1,226 @@
+"""Where the replay of recorded trips sends frames: standard output, a folder, a broker."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from suspnet.checks import check_number
+from suspnet.live.broker import KEEPALIVE_S, Broker
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.storage import write_atomically
+from suspnet.stream.frames import Frame, encode
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client
+
+log = logging.getLogger(__name__)
+MOST_FILE_BYTES = 2**23
+"""Size of a file of frames, [bytes], beyond which the next one is begun."""
+
+ANSWER_S = 10.0
+"""Longest time that a broker may take to answer the first request to connect, [s]."""
+
+
+class Sink(Protocol):
+    """What a replay asks of the place that frames go to."""
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What went wrong, by its reason in one word."""
+        ...
+
+    def open(self) -> None:
+        """Get ready; raises OSError or ValueError."""
+        ...
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame; waits while the other side does not take it."""
+        ...
+
+    def close(self) -> None:
+        """Send what is held back, and wait until it is taken."""
+        ...
+
+
+class StandardOutput:
+    """Writes frames to standard output, one after the other, as ``source=stdin`` reads them."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def open(self) -> None:
+        """Raise ValueError if standard output is a terminal: frames are no text."""
+        if sys.stdout.isatty():
+            raise ValueError(
+                "frames are no text: pipe them into suspnet-monitor source=stdin or a file, "
+                "or give sink=folder or sink=mqtt"
+            )
+
+    def send(self, frame: Frame) -> None:
+        """Write a frame at once."""
+        sys.stdout.buffer.write(encode(frame))
+        sys.stdout.buffer.flush()
+
+    def close(self) -> None:
+        """Do nothing: all is written."""
+
+
+class Folder:
+    """Writes frames into files as ``source=folder`` reads them: of all sensors, in their order.
+
+    A file appears whole. It holds at most ``MOST_FILE_BYTES`` and one frame.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Made if it is not there.
+    file_s : float, [s]
+        Time that a file covers.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `file_s` is out of range.
+    """
+
+    def __init__(self, folder: str | Path, file_s: float = 10.0) -> None:
+        check_number("file_s", file_s, above=0, high=86400)
+        self.counts: Counter[str] = Counter()
+        self.folder, self.file_s = Path(folder), file_s
+        self._held: list[bytes] = []
+        self._n_bytes = self._n_files = self._first_ns = 0
+
+    def open(self) -> None:
+        """Make the folder; the names of files go on from those that are there."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        there = [int(p.stem) for p in self.folder.rglob("*.frames") if p.stem.isdecimal()]
+        self._n_files = max(there, default=0)
+
+    def send(self, frame: Frame) -> None:
+        """Put a frame into the file, and write it if it is full."""
+        is_over = frame.time_ns - self._first_ns >= self.file_s * SECOND_NS
+        if self._held and (is_over or self._n_bytes >= MOST_FILE_BYTES):
+            self.close()
+        if not self._held:
+            self._first_ns = frame.time_ns
+        self._held.append(encode(frame))
+        self._n_bytes += len(self._held[-1])
+
+    def close(self) -> None:
+        """Write the frames that are held back."""
+        if not self._held:
+            return
+        self._n_files += 1
+        write_atomically(self.folder / f"{self._n_files:09d}.frames", b"".join(self._held))
+        self._held.clear()
+        self._n_bytes = 0
+
+
+class MqttSink:
+    """Publishes frames to PREFIX/frames/SUSPENSION, with QoS 1.
+
+    At most `in_flight` frames, or as many as the broker takes at once, are on the way; then `send`
+    waits, also for a broker that went away.
+
+    Parameters
+    ----------
+    broker : Broker, optional
+    in_flight : int
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range, or paho-mqtt is not installed.
+    """
+
+    def __init__(
+        self,
+        broker: Broker | None = None,
+        in_flight: int = 100,
+    ) -> None:
+        check_number("in_flight", in_flight, low=1, high=65535, whole=True)
+        self.broker = Broker() if broker is None else broker
+        self.in_flight = in_flight
+        self._counts: Counter[str] = Counter()
+        self._most = in_flight
+        self._answered = threading.Event()
+        self._refusal = ""
+        self._client: Client | None = None
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Frames "rejected" by the broker, and how often it went away ("disconnect")."""
+        return Counter(self._counts)
+
+    def open(self) -> None:
+        """Connect to the broker.
+
+        Raises
+        ------
+        OSError, ValueError
+            If nobody answers there, or the broker does not let us in.
+        """
+        client = self.broker.client("")  # the broker names us, unlike any other
+        client.on_connect, client.on_publish = self._on_connect, self._on_publish
+        client.on_disconnect = self._on_disconnect
+        client.max_inflight_messages_set(self.in_flight)
+        where = f"{self.broker.host}:{self.broker.port}"
+        try:
+            client.connect(self.broker.host, self.broker.port, KEEPALIVE_S)
+        except OSError as error:
+            raise ConnectionError(error.errno, f"no broker: {error.strerror}", where) from error
+        client.loop_start()
+        if not self._answered.wait(ANSWER_S):
+            self._refusal = f"no answer within {ANSWER_S:g} s"
+        if self._refusal:
+            client.disconnect()
+            client.loop_stop()
+            raise ValueError(f"the broker at {where}: {self._refusal}")
+        self._room = threading.Semaphore(self._most)
+        self._client = client
+
+    def send(self, frame: Frame) -> None:
+        """Publish a frame as soon as there is room for it."""
+        assert self._client is not None
+        self._room.acquire()
+        self._client.publish(self.broker.topic("frames", frame.suspension), encode(frame), qos=1)
+
+    def close(self) -> None:
+        """Wait until the broker has taken all frames, and disconnect."""
+        if self._client is None:
+            return
+        for _ in range(self._most):
+            self._room.acquire()
+        client, self._client = self._client, None
+        client.disconnect()
+        client.loop_stop()
+
+    def _on_connect(
+        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
+    ) -> None:
+        """Keep to what the broker takes at once; it would close the connection otherwise."""
+        if self._answered.is_set():  # what it said first holds
+            return
+        if reason.is_failure:
+            self._refusal = str(reason)
+        self._most = min(self.in_flight, getattr(properties, "ReceiveMaximum", self.in_flight))
+        self._answered.set()
+
+    def _on_disconnect(self, client: Client, *_: Any) -> None:
+        if self._client is not None:
+            self._counts["disconnect"] += 1
+            log.warning("the broker at %s has gone; waiting for it", self.broker.host)
+
+    def _on_publish(
+        self, client: Client, userdata: Any, number: int, reason: Any, properties: Any
+    ) -> None:
+        if reason.is_failure:
+            if not self._counts["rejected"]:
+                log.warning("the broker refuses a frame: %s; others are only counted", reason)
+            self._counts["rejected"] += 1
+        self._room.release()

@@ -1,0 +1,420 @@
+"""Frames from a real broker, which is stopped, killed and restarted while they flow."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+
+import pytest
+from live_frames import Mosquitto, encoded, frame, numbers, received, until
+
+from suspnet.live.broker import Broker
+from suspnet.live.mqtt import Mqtt, is_in_part, read_part
+from suspnet.live.sinks import MqttSink
+from suspnet.stream import encode
+from suspnet.stream.frames import MOST_SAMPLES
+
+paho = pytest.importorskip("paho.mqtt.client")
+NAMES = [f"train {k // 4}, car {k % 4}, leading bogie" for k in range(12)]
+ONE = "train 1, car 2"
+
+
+@pytest.fixture
+def broker(tmp_path):
+    found = Mosquitto(tmp_path).start()
+    yield found
+    found.end()
+
+
+@pytest.fixture
+def opened(request):
+    """Return a function that opens sources and sinks, which are closed at the end."""
+    made = []
+
+    def open_(part, names=(ONE,)):
+        part.subscribe(list(names)) if isinstance(part, Mqtt) else part.open()
+        made.append(part)
+        if isinstance(part, Mqtt):  # the session has to be known to the broker
+            until(lambda: part._is_connected, 2.0)
+            time.sleep(0.05)
+        return part
+
+    yield open_
+    for one in made:
+        one.close()
+
+
+def at(broker, **options):
+    return Broker(port=broker.port, **options)
+
+
+def send(sink, n, start=0, **options):
+    for k in range(start, start + n):
+        sink.send(frame(k, **options))
+
+
+def raw_client(broker):
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+    client.connect("127.0.0.1", broker.port)
+    client.loop_start()
+    return client
+
+
+def retained(broker):
+    """Return the retained messages of a broker by topic."""
+    found = {}
+    client = raw_client(broker)
+    client.on_message = lambda _, __, message: found.update({message.topic: message.payload})
+    client.subscribe("suspnet/#", qos=1)
+    time.sleep(0.3)
+    client.disconnect()
+    client.loop_stop()
+    return {topic: json.loads(payload) for topic, payload in found.items()}
+
+
+def abandon(source):
+    """Break a source's connection off without a word, as a kill does."""
+    client, source._client = source._client, None
+    client._thread_terminate = True
+    client._sock_close()
+    client.loop_stop()
+
+
+def test_confirmed_frames_never_come_again(broker, opened):
+    first, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
+    send(sink, 300)
+    assert numbers(received(first, 300)) == numbers(encoded(300))
+    first.confirm()
+    send(sink, 5, 300)
+    assert len(received(first, 5)) == 5
+    first.close()  # without a confirmation
+    send(sink, 5, 305)
+    second = opened(Mqtt(at(broker)))
+    assert [number for *_, number in numbers(received(second, 10))] == list(range(300, 310))
+    assert second.receive(0.1) == []
+    assert second.counts == {}
+
+
+def test_frames_come_again_to_a_monitor_that_was_killed_before_it_confirmed(broker, opened):
+    script = (
+        "import sys\n"
+        "from suspnet.live.broker import Broker\n"
+        "from suspnet.live.mqtt import Mqtt\n"
+        f"source, n = Mqtt(Broker(port={broker.port})), 0\n"
+        f"source.subscribe([{ONE!r}])\n"
+        "print('begun', flush=True)\n"
+        "while n < 20:\n"
+        "    n += len(source.receive(1.0))\n"
+        "    if n <= 10: source.confirm()\n"
+        "print(n, flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    monitor = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with monitor:
+        assert monitor.stdout.readline() == b"begun\n"
+        sink = opened(MqttSink(at(broker)))
+        time.sleep(0.3)
+        for k in range(20):
+            sink.send(frame(k))
+            time.sleep(0.005)
+        assert monitor.stdout.readline() == b"20\n"
+        monitor.kill()
+    found = [number for *_, number in numbers(received(opened(Mqtt(at(broker))), 10))]
+    assert set(range(10, 20)) <= set(found)
+    assert len(found) == len(set(found))
+
+
+def test_broker_restarted_while_frames_flow_loses_none(broker, opened):
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker), in_flight=10))
+    thread = threading.Thread(target=send, args=(sink, 300))
+    thread.start()
+    found = received(source, 30)
+    source.confirm()
+    broker.end()
+    assert until(lambda: not source._is_connected)
+    source.confirm()
+    time.sleep(0.2)
+    broker.start()
+    seen = set(numbers(found))
+    last = time.monotonic() + 8
+    while len(seen) < 300 and time.monotonic() < last:
+        seen |= set(numbers(source.receive(0.1)))
+        source.confirm()
+    thread.join()
+    assert [number for *_, number in sorted(seen)] == list(range(300))
+    assert source.counts["reconnect"] == 1
+    assert sink.counts["disconnect"] == 1
+
+
+def test_killed_broker_keeps_what_it_had_saved(broker, opened):
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
+    abandon(source)
+    send(sink, 50)
+    sink.close()
+    broker.save()
+    broker.end(signal.SIGKILL)
+    broker.start()
+    again = opened(Mqtt(at(broker)))
+    assert [number for *_, number in numbers(received(again, 50))] == list(range(50))
+
+
+def test_broker_that_is_not_there_yet_is_waited_for(tmp_path, opened, caplog):
+    broker = Mosquitto(tmp_path)
+    source = opened(Mqtt(at(broker)))
+    begin = time.monotonic()
+    assert source.receive(0.1) == []
+    assert time.monotonic() - begin < 2
+    source.confirm()
+    source.publish("estimates", ONE, b'{"k": 1}')
+    source.publish("estimates", ONE, b'{"k": 2}')
+    assert until(lambda: source.counts["unreachable"])
+    assert [one.getMessage() for one in caplog.records if "nobody answers" in one.getMessage()]
+    broker.start()
+    try:
+        assert until(lambda: source._is_connected)
+        sink = opened(MqttSink(at(broker)))
+        send(sink, 3)
+        assert len(received(source, 3)) == 3
+        assert until(lambda: retained(broker) == {f"suspnet/estimates/{quoted(ONE)}": {"k": 2}}, 2)
+        source.close()
+        sink.close()
+    finally:
+        broker.end()
+
+
+def quoted(name):
+    return name.replace(" ", "%20").replace(",", "%2C")
+
+
+def test_results_are_retained_the_latest_of_each_topic(broker, opened):
+    source = opened(Mqtt(at(broker)), NAMES)
+    for k in range(20):
+        for name in NAMES:
+            source.publish("estimates", name, json.dumps({"k": k}).encode())
+            source.publish("alarms", name, b'{"alarm": NaN}')
+        assert len(source._results) <= 2 * len(NAMES)
+    broker.end()
+    assert until(lambda: not source._is_connected)
+    for k in range(20, 90):
+        for name in NAMES:
+            source.publish("estimates", name, json.dumps({"k": k}).encode())
+    assert len(source._results) <= 2 * len(NAMES)
+    broker.start()
+    assert until(lambda: source._is_connected)
+    source.close()
+    found = retained(broker)
+    expected = {f"suspnet/estimates/{quoted(name)}": {"k": 89} for name in NAMES}
+    assert found == expected | {f"suspnet/alarms/{quoted(name)}": {"alarm": None} for name in NAMES}
+
+
+def test_result_that_is_no_json_object_is_refused():
+    source = Mqtt()
+    for payload in (b"", b"{", b"[1]", b"\xff"):
+        with pytest.raises(ValueError, match=r"."):
+            source.publish("alarms", ONE, payload)
+
+
+def test_parts_share_the_suspensions(broker, opened):
+    sources = [opened(Mqtt(at(broker), part=f"{k}/3"), NAMES) for k in (1, 2, 3)]
+    sink = opened(MqttSink(at(broker)))
+    for name in NAMES:
+        send(sink, 4, suspension=name)
+    sink.close()
+    until(lambda: sum(len(one._arrived) for one in sources) == 48)
+    found = [numbers(received(one, 1)) for one in sources]
+    assert all(found)
+    taken = Counter(name for part in found for name in {name for name, *_ in part})
+    assert taken == dict.fromkeys(NAMES, 1)
+    assert sum(map(len, found)) == 48
+    expected = [[name for name in NAMES if is_in_part(name, k, 3)] for k in (1, 2, 3)]
+    assert [list(dict.fromkeys(name for name, *_ in part)) for part in found] == expected
+
+
+def test_parts_of_names_are_disjoint_complete_and_of_like_size():
+    names = [f"train {k}" for k in range(1000)]
+    for n_parts in (1, 2, 7):
+        parts = [[n for n in names if is_in_part(n, k + 1, n_parts)] for k in range(n_parts)]
+        assert sorted(name for part in parts for name in part) == sorted(names)
+        assert min(map(len, parts)) > 0.8 * 1000 / n_parts
+    assert read_part("12/12") == (12, 12)
+
+
+def test_no_more_frames_are_on_the_way_than_asked_for(broker, opened):
+    source, sink = opened(Mqtt(at(broker), in_flight=7)), opened(MqttSink(at(broker)))
+    send(sink, 300)
+    sink.close()
+    time.sleep(0.2)
+    found = []
+    while len(found) < 300:  # ends: a test has a time limit
+        part = source.receive(1.0)
+        assert 0 < len(part) <= 7
+        found += part
+        source.confirm()
+    assert numbers(found) == numbers(encoded(300))
+    assert source.counts == {}
+
+
+def test_monitor_that_is_busy_is_disconnected_and_misses_nothing(broker, opened):
+    source, sink = opened(Mqtt(at(broker), in_flight=10)), opened(MqttSink(at(broker)))
+    send(sink, 40)
+    sink.close()
+    for k in range(1, 4):
+        assert until(lambda: len(source._arrived) == 10)
+        source._client._sock.shutdown(socket.SHUT_RDWR)  # as a broker does that hears nothing
+        assert len(source.receive(1.0)) <= 10
+        assert until(lambda k=k: source.counts["reconnect"] == k)
+    seen = set()
+    while len(seen) < 40:  # ends: a test has a time limit
+        seen |= set(numbers(source.receive(1.0)))
+        source.confirm()
+    assert source.receive(0.1) == []
+
+
+def test_message_that_is_no_frame_is_given_like_any_other(broker, opened):
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
+    client, topic = raw_client(broker), at(broker).topic("frames", ONE)
+    largest = encode(frame(n=MOST_SAMPLES))
+    messages = [b"", b"foreign", os.urandom(1000), largest]
+    for payload in messages:
+        client.publish(topic, payload, qos=1).wait_for_publish(5)
+    send(sink, 1, 1)
+    assert received(source, 5) == [*messages, encode(frame(1))]
+    client.disconnect()
+    client.loop_stop()
+
+
+def test_sender_of_messages_that_are_too_large_is_disconnected_alone(broker, opened):
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
+    client, ends = raw_client(broker), []
+    client.on_disconnect = lambda *_: ends.append(1)
+    client.publish(at(broker).topic("frames", ONE), bytes(2_000_000), qos=1)
+    assert until(lambda: ends)
+    client.loop_stop()
+    send(sink, 3)
+    assert len(received(source, 3)) == 3
+
+
+def test_messages_that_the_broker_lets_through_are_counted(tmp_path, opened):
+    broker = Mosquitto(tmp_path, "max_packet_size 20000000").start()
+    try:
+        source, sink = opened(Mqtt(at(broker), in_flight=5)), opened(MqttSink(at(broker)))
+        client, topic = raw_client(broker), at(broker).topic("frames", ONE)
+        for _ in range(20):
+            client.publish(topic, bytes(1_000_000), qos=1).wait_for_publish(5)
+        send(sink, 3)
+        assert numbers(received(source, 3)) == numbers(encoded(3))
+        assert source.counts == {"size": 20}
+        client.disconnect()
+        client.loop_stop()
+        source.close()
+        sink.close()
+    finally:
+        broker.end()
+
+
+def test_password_is_read_from_the_environment(tmp_path, opened, monkeypatch):
+    program = shutil.which("mosquitto_passwd")
+    if program is None:
+        pytest.skip("mosquitto_passwd is not installed")
+    passwords = tmp_path / "passwords"
+    subprocess.run([program, "-b", "-c", passwords, "monitor", "right"], check=True)
+    passwords.chmod(0o644)
+    broker = Mosquitto(tmp_path, f"password_file {passwords}")
+    file = tmp_path / "mosquitto.conf"
+    file.write_text(file.read_text().replace("\nallow_anonymous true", "\nallow_anonymous false"))
+    broker.start()
+    try:
+        with pytest.raises(ValueError, match="export SUSPNET_MQTT_PASSWORD="):
+            Mqtt(at(broker, user="monitor")).subscribe([])
+        monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "wrong")
+        with pytest.raises(ValueError, match=r"the broker at .*: Not authorized"):
+            MqttSink(at(broker, user="monitor")).open()
+        refused = Mqtt(at(broker, user="monitor"), "other")
+        refused.subscribe([ONE])
+        assert until(lambda: refused.counts["rejected"])
+        refused.close()
+        monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "right")
+        source = opened(Mqtt(at(broker, user="monitor")))
+        sink = opened(MqttSink(at(broker, user="monitor")))
+        send(sink, 2)
+        assert len(received(source, 2)) == 2
+        source.close()
+        sink.close()
+    finally:
+        broker.end()
+
+
+# paho-mqtt leaves the socket of a handshake that failed to the garbage collector
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")
+def test_connection_with_tls(tmp_path, opened):
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    subprocess.run(
+        [
+            *("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"),
+            *("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem"),
+            *("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"),
+        ],
+        check=True,
+        capture_output=True,
+    )
+    (tmp_path / "key.pem").chmod(0o644)
+    certificate = str(tmp_path / "cert.pem")
+    # of the listener that the configuration ends with
+    broker = Mosquitto(tmp_path, f"certfile {certificate}", f"keyfile {tmp_path / 'key.pem'}")
+    broker.start()
+    try:
+        settings = at(broker, tls=True, ca_file=certificate)
+        source, sink = opened(Mqtt(settings)), opened(MqttSink(settings))
+        send(sink, 2)
+        assert len(received(source, 2)) == 2
+        distrusting = Mqtt(at(broker, tls=True), "other")
+        distrusting.subscribe([ONE])
+        assert until(lambda: distrusting.counts["unreachable"])
+        distrusting.close()
+        source.close()
+        sink.close()
+    finally:
+        broker.end()
+
+
+def test_sink_without_a_broker_is_a_mistake(tmp_path):
+    broker = Mosquitto(tmp_path)
+    with pytest.raises(ConnectionError, match="no broker: Connection refused"):
+        MqttSink(at(broker)).open()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Mqtt(part="0/2"), '`part` must be "K/N"'),
+        (lambda: Mqtt(part="3/2"), '`part` must be "K/N"'),
+        (lambda: Mqtt(part=2), '`part` must be "K/N"'),
+        (lambda: Mqtt(in_flight=0), "`in_flight` must be"),
+        (lambda: Mqtt(session_h=0), "`session_h` must be"),
+        (lambda: MqttSink(in_flight=70_000), "`in_flight` must be"),
+        (lambda: Broker(port=0), "`port` must be"),
+        (lambda: Broker(prefix="a/#"), "`prefix` must be"),
+        (lambda: Broker(prefix=""), "`prefix` must be"),
+        (lambda: Broker(host=""), "`host` is empty"),
+        (lambda: Broker(ca_file="x"), "are for tls=true"),
+    ],
+)
+def test_settings_out_of_range_are_refused(make, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        make()
+
+
+def test_missing_paho_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
+    with pytest.raises(ValueError, match=r'pip install "suspnet\[live\]"'):
+        Mqtt().subscribe([])
