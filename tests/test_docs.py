@@ -195,7 +195,13 @@ def test_nothing_imports_from_below_its_row_of_the_layout():
             floors.setdefault(name, floor)
     for file in (ROOT / "suspnet").rglob("*.py"):
         room = file.relative_to(ROOT / "suspnet").parts[0].removesuffix(".py")
-        if room in ("__init__", "simulate", "check", "init", "replay"):  # the public names, and programs
+        if room in (
+            "__init__",
+            "simulate",
+            "check",
+            "init",
+            "replay",
+        ):  # the public names, and programs
             continue
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             for module in imported(node):
