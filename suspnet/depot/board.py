@@ -29,6 +29,8 @@ from suspnet.maintenance.watch import Watched
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
 """Time after which a refresh that is not done shows what it has, [s]."""
+READ_AT_ONCE = 100
+"""Number of suspensions that are read in one transaction."""
 AT_ONCE = 50
 """Number of suspensions whose alarms are found before the time is looked at."""
 
@@ -178,7 +180,12 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int]) -> None:
         """Read the suspensions that changed, and find their alarms."""
         changed = [key for key, one in revisions.items() if self._revisions.get(key) != one]
-        series = history.series(None if len(changed) == len(revisions) else changed)
+        changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
+        series = [  # not all at once: an SQLite file is not written meanwhile
+            one
+            for begin in range(0, len(changed), READ_AT_ONCE)
+            for one in history.series(changed[begin : begin + READ_AT_ONCE])
+        ]
         for vehicle in {one.vehicle for one in series} - self._limits.keys():
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
