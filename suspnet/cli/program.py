@@ -182,6 +182,8 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             read_values(config)
             _check_limits(config)
             return function(config)
+        except BrokenPipeError:  # whoever read our output has ended, which is no mistake
+            raise
         except MISTAKES as error:
             if _debugging:
                 raise
