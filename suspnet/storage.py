@@ -134,6 +134,11 @@ def write_json(path: Path, content: Any) -> Path:
     return write_atomically(path, json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
 
 
+def json_bytes(content: Any) -> bytes:
+    """Return `content` as JSON on one line; NaN becomes null."""
+    return json.dumps(_finite(content), allow_nan=False).encode()
+
+
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds.
 
@@ -171,15 +176,33 @@ def read_arrays(path: Path, sha256: str | None = None) -> dict[str, NDArray[Any]
     DamagedFileError
         If the file is truncated, altered or of another format.
     """
-    content = path.read_bytes()
+    return load_arrays(path.read_bytes(), str(path), sha256)
+
+
+def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[str, NDArray[Any]]:
+    """Return the arrays of bytes in the safetensors format.
+
+    Parameters
+    ----------
+    content : bytes
+    name : str
+        What the error's message begins with.
+    sha256 : str, optional
+        The hash the bytes must have.
+
+    Raises
+    ------
+    DamagedFileError
+        If they are truncated, altered or of another format.
+    """
     if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
         raise DamagedFileError(
-            f"{path} is damaged: its {len(content)} bytes do not match the hash in its JSON file"
+            f"{name} is damaged: its {len(content)} bytes do not match the hash kept with it"
         )
     try:
         return load(content)
     except (SafetensorError, ValueError, KeyError) as error:
-        raise DamagedFileError(f"{path} is damaged or not a safetensors file ({error})") from error
+        raise DamagedFileError(f"{name} is damaged or not a safetensors file ({error})") from error
 
 
 def content_hash(description: Any) -> str:

@@ -6,7 +6,8 @@ import pyarrow.parquet as pq
 
 from suspnet.recordings import load_recording
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
-from suspnet.stream import Frame, encode
+from suspnet.stream import Frame, FrameError, decode, encode
+from suspnet.stream.state import dump_state, load_state
 
 ZERO_NS = 1_700_000_000_000_000_000
 RATES_HZ = {"axle_box": 400.0, "bogie": 250.0, "body": 250.0, "speed": 4.0}
@@ -107,3 +108,18 @@ def batch(manifest, columns):
 def encoded(frames):
     """Return frames as bytes."""
     return [encode(frame) for frame in frames]
+
+
+def taken(stream, data):
+    """Give a stream an encoded frame; return why it cannot be used, or nothing."""
+    try:
+        stream.add(decode(data))
+    except FrameError as error:
+        return error.reason
+    return ""
+
+
+def gone_on(stream, other):
+    """Return another stream of the same kind that goes on from the saved state of the first."""
+    other.restore(load_state(dump_state(stream.identity, stream.state()), other.identity))
+    return other

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 import os
 import signal
 import sys
@@ -283,6 +284,13 @@ def n_threads(wanted: int | None) -> int:
     check_number("threads", wanted, low=1, most=1024, whole=True, optional=True)
     torch.set_num_threads(wanted)
     return wanted
+
+
+def log_to_stderr() -> None:
+    """Let log lines go to standard error: standard output is for results."""
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, logging.StreamHandler) and handler.stream is sys.stdout:
+            handler.setStream(sys.stderr)
 
 
 def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def _end(number: int, frame: object) -> None:
     os._exit(128 + number)
 
 
-PROGRAMS = ("train", "evaluate", "simulate", "check", "init", "history", "replay")
-train, evaluate, simulate, check, init, history, replay = (
-    functools.partial(start, n) for n in PROGRAMS
+PROGRAMS = ("train", "evaluate", "simulate", "check", "init", "history", "monitor", "replay")
+train, evaluate, simulate, check, init, history, monitor, replay = (
+    functools.partial(start, name) for name in PROGRAMS
 )

@@ -56,6 +56,8 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "suspnet.studies.reliability.write_reliability",
         "suspnet.depot.study.write_maintenance",
     ),
+    "live": ("suspnet.live.suspension.LiveSettings",),
+    "order": ("suspnet.stream.assembler.OrderSettings",),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),

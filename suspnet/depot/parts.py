@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from datetime import date, datetime
+from datetime import date
 
 import numpy as np
 
@@ -44,20 +44,20 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
 
     A trip without a start is taken as of today.
     """
-    trips = defaultdict(list)
+    of_train = defaultdict(list)
     for state in states:
-        series = state.series
-        for start, km in zip(series.start, series.mileage_km, strict=True):
-            if np.isfinite(km):
-                trips[train_of(state)].append((float(km), start))
+        of_train[train_of(state)].append(state.series)
     found = []
-    for name, several in sorted(trips.items()):
-        several.sort(key=lambda one: one[0])
-        starts = ["" if np.isnat(start) else str(start) for _, start in several]
-        km = [one for one, _ in several]
-        day = datetime.fromisoformat(starts[-1]).date() if starts[-1] else today
+    for name, several in sorted(of_train.items()):
+        km = np.concatenate([one.mileage_km for one in several])
+        starts = np.concatenate([one.start for one in several])
+        order = np.argsort(km, kind="stable")[: int(np.isfinite(km).sum())]
+        if not len(order):
+            continue
+        km, starts = km[order], starts[order]
+        day = today if np.isnat(starts[-1]) else starts[-1].item().date()
         pace = km_per_day(starts, km, default_km_per_day)
-        found.append(Train(name, km[-1], min(day, today), pace))
+        found.append(Train(name, float(km[-1]), min(day, today), pace))
     return found
 
 

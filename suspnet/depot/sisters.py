@@ -13,16 +13,20 @@ Key = tuple[str, Place]
 """Vehicle and place: which suspension it is."""
 
 
-def of_same_car(series: Sequence[Series]) -> list[list[Series]]:
-    """Return the suspensions of each car that has several.
+def car_of(one: Series) -> tuple[str, ...]:
+    """Return what the suspensions of a car have in common.
 
     Where no car is named, those are of one car that differ in bogie or side alone.
     """
+    place = one.place
+    return one.vehicle, place.train, place.car, "" if place.car else place.suspension
+
+
+def of_same_car(series: Sequence[Series]) -> list[list[Series]]:
+    """Return the suspensions of each car that has several."""
     cars: dict[tuple[str, ...], list[Series]] = {}
     for one in series:
-        place = one.place
-        car = (one.vehicle, place.train, place.car, "" if place.car else place.suspension)
-        cars.setdefault(car, []).append(one)
+        cars.setdefault(car_of(one), []).append(one)
     return [sisters for sisters in cars.values() if len(sisters) > 1]
 
 

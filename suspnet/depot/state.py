@@ -1,4 +1,4 @@
-"""State of each suspension of a fleet, from its history alone: alarms and remaining life."""
+"""State of a suspension, from its history and its fleet's: alarms and remaining lives."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from suspnet.depot.sisters import alarms_of_sisters, of_same_car
+from suspnet.depot.sisters import Key, alarms_of_sisters
 from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.forecast import remaining_lives, trips_of_life
 from suspnet.maintenance.life import Life, learn_fleet
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
+from suspnet.maintenance.limits import Limits, Severity
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.watch import Watched, watch
 from suspnet.trips.trend import PAYLOAD
@@ -39,6 +39,11 @@ class State:
     series: Series
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
+
+    @property
+    def key(self) -> Key:
+        """Vehicle and place."""
+        return self.series.vehicle, self.series.place
 
     @property
     def alarms(self) -> list[Alarm]:
@@ -67,39 +72,8 @@ class State:
         return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
 
 
-def fleet_state(
-    fleet: Sequence[Series],
-    limits: Mapping[str, Mapping[str, Limits]],
-    settings: ChangeSettings,
-    sisters: SisterSettings,
-    seed: int = 0,
-) -> list[State]:
-    """Return the state of each suspension, the most severe first, then the shortest life.
-
-    Remaining lives are learnt together from the suspensions of a vehicle (``learn_fleet``).
-
-    Parameters
-    ----------
-    fleet : sequence of Series
-    limits : mapping from vehicle to mapping from parameter to Limits
-        A vehicle that is not there has ``DEFAULT_LIMITS``.
-    settings : ChangeSettings
-    sisters : SisterSettings
-    seed : int
-    """
-    known = {one.vehicle: limits.get(one.vehicle, DEFAULT_LIMITS) for one in fleet}
-    states = [_watched(one, known[one.vehicle], settings) for one in fleet]
-    states = _with_sisters(states, sisters)
-    priors = {vehicle: _priors(states, vehicle, limits) for vehicle, limits in known.items()}
-    states = [
-        _with_lives(one, known[one.series.vehicle], priors[one.series.vehicle], seed)
-        for one in states
-    ]
-    return sorted(states, key=_order)
-
-
-def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSettings) -> State:
-    """Return a suspension with its alarms, of the trips since its last commissioning."""
+def watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSettings) -> State:
+    """Return a suspension with its own alarms, of the trips since its last commissioning."""
     era = series.one_healthy
     names = [name for name in series.estimates if name != PAYLOAD]
     covariates = {
@@ -120,32 +94,26 @@ def _watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSetti
     return State(series, found)
 
 
-def _with_sisters(states: Sequence[State], settings: SisterSettings) -> list[State]:
-    """Return suspensions with the alarms of those that differ from their sisters.
+def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:
+    """Return the alarms of the suspensions of a car that differ from their sisters.
 
-    Where one of a car has an alarm of its own of that parameter, that explains the difference.
+    Where one of the car has an alarm of its own of that parameter, that explains the difference.
     """
-    fleet = [one.series for one in states]
-    alone: dict[int, set[str]] = {}
-    for car in of_same_car(fleet):
-        members = {id(one) for one in car}
-        told = {a.parameter for s in states if id(s.series) in members for a in s.alarms}
-        alone |= dict.fromkeys(members, told)
-    odd = alarms_of_sisters(fleet, settings)
-    found = []
-    for state in states:
-        told = alone.get(id(state.series), set())
-        more = odd.get((state.series.vehicle, state.series.place), [])
-        alarms = [*state.watched.alarms, *(a for a in more if a.parameter not in told)]
-        alarms.sort(key=lambda one: (one.begin_km, one.parameter))
-        found.append(replace(state, watched=replace(state.watched, alarms=alarms)))
-    return found
+    told = {alarm.parameter for state in car for alarm in state.alarms}
+    odd = alarms_of_sisters([state.series for state in car], settings)
+    kept = {key: [one for one in own if one.parameter not in told] for key, own in odd.items()}
+    return {key: alarms for key, alarms in kept.items() if alarms}
 
 
-def _priors(
-    states: Sequence[State], vehicle: str, limits: Mapping[str, Limits]
-) -> dict[str, FleetPrior]:
-    """Return what the suspensions of a vehicle show together of each parameter."""
+def with_alarms(state: State, more: Sequence[Alarm]) -> State:
+    """Return a suspension with more alarms than its own."""
+    alarms = [*state.watched.alarms, *more]
+    alarms.sort(key=lambda one: (one.begin_km, one.parameter))
+    return replace(state, watched=replace(state.watched, alarms=alarms))
+
+
+def learn_priors(states: Sequence[State], limits: Mapping[str, Limits]) -> dict[str, FleetPrior]:
+    """Return what the suspensions of one vehicle show together of each parameter."""
     found = {}
     for name in limits:
         trips = [
@@ -156,7 +124,6 @@ def _priors(
                 one.series.flagged[one.series.recent],
             )
             for one in states
-            if one.series.vehicle == vehicle
         ]
         known = [one for one in trips if one is not None]
         if len(known) > 1:
@@ -165,16 +132,16 @@ def _priors(
     return found
 
 
-def _with_lives(
+def lives_of(
     state: State, limits: Mapping[str, Limits], fleet: Mapping[str, FleetPrior], seed: int
-) -> State:
-    """Return a suspension with the remaining life of each of its parameters."""
+) -> dict[str, Life]:
+    """Return the remaining life of each parameter of a suspension."""
     series, used = state.series, state.series.recent
     values, half_widths = (
         {name: column[used] for name, column in part.items()}
         for part in (series.estimates, series.half_widths)
     )
-    lives = remaining_lives(
+    return remaining_lives(
         series.mileage_km[used],
         values,
         half_widths,
@@ -184,10 +151,9 @@ def _with_lives(
         fleet,
         seed,
     )
-    return replace(state, lives=lives)
 
 
-def _order(state: State) -> tuple[int, float, str, str]:
+def worst_first(state: State) -> tuple[int, float, str, str]:
     """Return the place of a suspension in the list: worst first, then the shortest life."""
     shortest = state.shortest
     life = shortest[1].quantile_km(0.1) if shortest else np.inf

@@ -5,22 +5,20 @@ from __future__ import annotations
 import io
 import logging
 from collections.abc import Mapping
-from datetime import date
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from suspnet.depot.overview import overview_rows, overview_table, write_page
-from suspnet.depot.parts import parts_of, trains_of
-from suspnet.depot.sisters import of_same_car
-from suspnet.depot.state import State, fleet_state
+from suspnet.depot.board import BoardSettings
+from suspnet.depot.fleet import fleet_state
+from suspnet.depot.overview import overview_table, write_page
+from suspnet.depot.state import State
+from suspnet.depot.view import fleet_view, plan_of
 from suspnet.dynamics import Vehicle
 from suspnet.history import History
 from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS, read_limits
-from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.storage import write_atomically, write_json
@@ -79,26 +77,18 @@ def write_maintenance(
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     if "://" not in store and not Path(store).is_file():
         raise ValueError(f"{store}: there is no such store; evaluate.py trips=DIR store= makes one")
-    try:
-        day = date.fromisoformat(str(today)) if today else date.today()
-    except ValueError:
-        raise ValueError(f"`today` must be a day like 2026-03-31, got {today!r}") from None
+    settings = BoardSettings(vehicles, limits, changes, sisters, plan, today, seed)
     with History(store) as history:
         fleet = history.series()
+        if not fleet:
+            raise ValueError(f"{store}: no trip is kept here yet")
+        own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
+        states = fleet_state(fleet, own, changes, sisters, seed)
+        history.keep_all_alarms({state.key: state.watched.alarms for state in states})
         acknowledged = history.all_acknowledgements()
-    if not fleet:
-        raise ValueError(f"{store}: no trip is kept here yet")
-    known = {one.vehicle: DEFAULT_LIMITS for one in fleet}
-    known |= {vehicle.name: vehicle.known_limits for vehicle in vehicles.values()}
-    own = {name: read_limits(limits or {}, one) for name, one in known.items()}
-    states = fleet_state(fleet, own, changes, sisters, seed)
-    with History(store) as history:
-        for state in states:
-            history.keep_alarms(state.series.vehicle, state.series.place, state.watched.alarms)
-    trains = trains_of(states, day, plan.km_per_day)
-    planned = make_plan(parts_of(states), trains, plan, day)
-    rows = overview_rows(states, acknowledged)
-    write_table(pa.Table.from_pylist(rows), folder / "overview")
+    planned = plan_of(states, plan, settings.day())
+    view = fleet_view(states, own, acknowledged, planned)
+    write_table(pa.Table.from_pylist(view.rows), folder / "overview")
     jobs: list[dict[str, Any]] = planned.rows()
     if jobs:
         write_table(pa.Table.from_pylist(jobs), folder / "plan")
@@ -106,9 +96,7 @@ def write_maintenance(
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=150)
     write_atomically(folder / "calendar.png", picture.getvalue())
-    places = {id(state.series): i for i, state in enumerate(states)}
-    cars = [[places[id(one)] for one in car] for car in of_same_car([s.series for s in states])]
-    write_page(folder / "overview.html", rows, cars, planned, figure)
+    write_page(folder / "overview.html", view.rows, view.cars, planned, figure)
     counts = {str(state.severity): 0 for state in states}
     for state in states:
         counts[str(state.severity)] += 1
@@ -122,5 +110,5 @@ def write_maintenance(
             "objective": planned.objective,
         },
     )
-    log.info("%s\n\n%s\n-> %s", overview_table(rows), planned, folder)
+    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)
     return states

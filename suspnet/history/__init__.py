@@ -9,14 +9,21 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from suspnet.history.curves import TripResponses
     from suspnet.history.database import HistoryError
     from suspnet.history.events import Event
     from suspnet.history.series import Series
     from suspnet.history.store import History
 
-_HOME = {"HistoryError": "database", "Event": "events", "Series": "series", "History": "store"}
+_HOME = {
+    "TripResponses": "curves",
+    "HistoryError": "database",
+    "Event": "events",
+    "Series": "series",
+    "History": "store",
+}
 
-__all__ = ["Event", "History", "HistoryError", "Series"]
+__all__ = ["Event", "History", "HistoryError", "Series", "TripResponses"]
 
 
 def __getattr__(name: str) -> Any:

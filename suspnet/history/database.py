@@ -15,6 +15,8 @@ from suspnet.history.schema import SCHEMA, metadata, versions
 
 WAIT_S = 60
 """Time that a writer waits for another one, [s]."""
+READS = "suspnet_reads"
+"""Option of a connection that SQLite begins without the lock of a writer."""
 LOCK = 0x73757370
 """Number of the lock of PostgreSQL under which the tables are made."""
 
@@ -77,9 +79,20 @@ def connect(url: URL) -> Engine:
 
     @sql.event.listens_for(engine, "begin")
     def _begun(connection: Connection) -> None:
-        connection.exec_driver_sql("BEGIN IMMEDIATE")
+        reads = connection.get_execution_options().get(READS)
+        connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
 
     return engine
+
+
+def reading(engine: Engine) -> Engine:
+    """Return the engine for transactions that only read: they see one state of the store.
+
+    In SQLite they wait for no writer that has not yet come to the end of its transaction.
+    """
+    if engine.dialect.name == "sqlite":
+        return engine.execution_options(**{READS: True})
+    return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
 
 
 def prepare(connection: Connection, name: str) -> None:

@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import fields
 
 from sqlalchemy import (
+    BigInteger,
     Column,
     Double,
     ForeignKey,
+    ForeignKeyConstraint,
     Integer,
     LargeBinary,
     MetaData,
@@ -23,7 +25,7 @@ from sqlalchemy import (
 from suspnet.dynamics import PARAMETERS
 from suspnet.history.records import Quality
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the tables; a store of another version is refused."""
 
 metadata = MetaData()
@@ -39,8 +41,10 @@ suspensions = Table(
     Column("id", Integer, primary_key=True),
     Column("vehicle", String, nullable=False),
     *(Column(name, String, nullable=False) for name in PLACE),
+    Column("revision", BigInteger, nullable=False, server_default="0"),
     UniqueConstraint("vehicle", *PLACE),
 )
+"""The revision grows with each transaction that changes what is kept of a suspension."""
 
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
@@ -69,6 +73,19 @@ trips = Table(
     Column("key", LargeBinary(16), nullable=False),
     UniqueConstraint("suspension_id", "key"),
 )
+
+curves = Table(
+    "curves",
+    metadata,
+    Column("suspension_id", Integer, primary_key=True),
+    Column("key", LargeBinary(16), primary_key=True),
+    Column("arrays", LargeBinary, nullable=False),
+    Column("sha256", String(64), nullable=False),
+    ForeignKeyConstraint(
+        ["suspension_id", "key"], ["trips.suspension_id", "trips.key"], ondelete="CASCADE"
+    ),
+)
+"""Curves of some of the trips: arrays in the safetensors format, and the hash of these bytes."""
 
 events = Table(
     "events",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -13,8 +13,9 @@ from sqlalchemy.engine import Connection
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.history.events import Event
-from suspnet.history.rows import key_of
-from suspnet.history.schema import VALUES, suspensions, trips
+from suspnet.history.kept import read_kept
+from suspnet.history.schema import VALUES, trips
+from suspnet.history.suspensions import Key, known_suspensions
 from suspnet.recordings.manifest import Place
 from suspnet.types import BoolArray, FloatArray
 
@@ -79,14 +80,30 @@ class Series:
         since = max((event.mileage_km for event in self.events), default=-np.inf)
         return np.asarray(self.one_healthy & ~(self.mileage_km < since))
 
+    def equals(self, other: Series) -> bool:
+        """Return whether all of it is the same, NaN to NaN."""
+        if (self.vehicle, self.place, self.events) != (other.vehicle, other.place, other.events):
+            return False
+        for name in ("start", "flagged", *NUMBERS):
+            if not np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True):
+                return False
+        for mine, its in (
+            (self.estimates, other.estimates),
+            (self.half_widths, other.half_widths),
+        ):
+            if mine.keys() != its.keys() or not all(
+                np.array_equal(mine[name], its[name], equal_nan=True) for name in mine
+            ):
+                return False
+        return np.array_equal(self.trip, other.trip)
 
-def read_series(
-    connection: Connection, events: Mapping[tuple[str, Place], Sequence[Event]]
-) -> list[Series]:
-    """Return all trips of each suspension, sorted by vehicle and place."""
-    rows = connection.execute(sql.select(suspensions)).mappings()
-    names = {row["id"]: key_of(row) for row in rows}
-    numbers, texts = _columns(connection)
+
+def read_series(connection: Connection, keys: Collection[Key] | None = None) -> list[Series]:
+    """Return all trips of each suspension, or of those named, sorted by vehicle and place."""
+    names = known_suspensions(connection)
+    chosen = None if keys is None else [one for one, key in names.items() if key in keys]
+    events = read_kept(connection, Event)
+    numbers, texts = _columns(connection, chosen)
     owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
     order = np.lexsort((texts[0], km, owner))  # NaN last
     numbers, texts = numbers[order], [one[order] for one in texts]
@@ -115,8 +132,10 @@ def read_series(
     return sorted(found, key=lambda s: (s.vehicle, str(s.place)))
 
 
-def _columns(connection: Connection) -> tuple[FloatArray, list[NDArray[np.str_]]]:
-    """Return the numbers of all trips, a row a trip, and each of their texts.
+def _columns(
+    connection: Connection, chosen: list[int] | None
+) -> tuple[FloatArray, list[NDArray[np.str_]]]:
+    """Return the numbers of all trips, or of some suspensions', a row a trip, and their texts.
 
     The numbers are: that of the suspension, whether the trip is flagged, ``NUMBERS``, estimates,
     half widths.
@@ -127,6 +146,11 @@ def _columns(connection: Connection) -> tuple[FloatArray, list[NDArray[np.str_]]
     flagged = sql.case((trips.c.flags == "", 0), else_=1)
     numbers = [trips.c.suspension_id, flagged, *(trips.c[name] for name in (*NUMBERS, *values))]
     query = sql.select(*numbers, *(trips.c[name] for name in TEXTS))
+    if chosen is not None:  # numbers of our own: written into the statement, there may be many
+        wanted: sql.BindParameter[list[int]] = sql.bindparam(
+            "chosen", chosen, expanding=True, literal_execute=True
+        )
+        query = query.where(trips.c.suspension_id.in_(wanted))
     blocks = [np.zeros((0, len(numbers)))]
     texts = [[np.zeros(0, dtype=str)] for _ in TEXTS]
     for rows in connection.execute(query, execution_options={"yield_per": ROWS}).partitions():

@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, fields
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
 
 import sqlalchemy as sql
-from sqlalchemy.engine import Connection
+from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from suspnet.history.database import HistoryError, connect, database_url, prepare, upsert
+from suspnet.history.curves import TripResponses, read_responses, write_curves
+from suspnet.history.database import (
+    HistoryError,
+    connect,
+    database_url,
+    prepare,
+    reading,
+    upsert,
+)
 from suspnet.history.events import Event
+from suspnet.history.kept import other_alarms, read_kept, replace_alarms, write_kept
 from suspnet.history.records import TripResult
-from suspnet.history.rows import key_of, or_null, result_of, row_of
-from suspnet.history.schema import acknowledgements, alarms, events, suspensions, trips
+from suspnet.history.rows import key_of, result_of, row_of
+from suspnet.history.schema import suspensions, trips
 from suspnet.history.series import Series, read_series
-from suspnet.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.history.suspensions import (
+    Key,
+    add_suspensions,
+    is_of,
+    numbers_of,
+    places_of,
+    raise_revisions,
+)
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.recordings.manifest import Place
-
-Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
-Key = tuple[str, Place]
-"""Vehicle and place: which suspension it is."""
 
 
 class History:
@@ -47,7 +58,7 @@ class History:
         self._url = database_url(place)
         self._engine = connect(self._url)
         try:
-            with self._transaction() as connection:
+            with self._writing() as connection:
                 prepare(connection, str(self))
         except BaseException:
             self.close()
@@ -73,39 +84,77 @@ class History:
 
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
-        with self._transaction() as connection:
-            return _places(connection)
+        with self._reading() as connection:
+            return places_of(connection)
+
+    def revisions(self) -> dict[Key, int]:
+        """Return a number of each suspension that grows with each change of what is kept of it.
+
+        Changes are those of its trips, maintenance, alarms and acknowledgements. What is read after
+        this is of these revisions or of later ones.
+        """
+        with self._reading() as connection:
+            rows = connection.execute(sql.select(suspensions)).mappings()
+            return {key_of(row): int(row["revision"]) for row in rows}
 
     def write(self, results: Sequence[TripResult]) -> None:
         """Keep trips, all or none. One that is there already is replaced by what was read last.
 
-        Their curves are not kept.
+        The curves of the first trip of each suspension that has any are kept, and those of the
+        ``N_NEWEST`` newest; not the overview of its signals.
 
         Raises
         ------
         HistoryError
             If the store cannot be written.
         """
-        with self._transaction() as connection:
-            ids = _ids(connection, ((result.vehicle, result.place) for result in results))
+        with self._writing() as connection:
+            ids = add_suspensions(
+                connection, ((result.vehicle, result.place) for result in results)
+            )
+            raise_revisions(connection, ids.values())  # locks them, always in this order
             rows = [row_of(ids[result.vehicle, result.place], result) for result in results]
             upsert(connection, trips, rows)
+            of_each: dict[int, dict[bytes, TripResult]] = {}
+            for row, result in zip(rows, results, strict=True):
+                of_each.setdefault(row["suspension_id"], {})[row["key"]] = result
+            for one, own in of_each.items():
+                write_curves(connection, one, own)
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
-        chosen = sql.select(trips).join(suspensions).where(_is(vehicle, place))
-        with self._transaction() as connection:
+        chosen = sql.select(trips).join(suspensions).where(is_of(vehicle, place))
+        with self._reading() as connection:
             rows = connection.execute(chosen).mappings().all()
         found = [result_of(vehicle, place, row) for row in rows]
         return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
-    def series(self) -> list[Series]:
+    def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
         """Return the trips of all suspensions as arrays, sorted by vehicle and place.
 
         Far quicker than ``read``: for a view of the whole fleet.
+
+        Parameters
+        ----------
+        keys : iterable of vehicle and place, optional
+            Of these suspensions alone; those that the store does not know are left out.
         """
-        with self._transaction() as connection:
-            return read_series(connection, _kept(connection, events, Event))
+        with self._reading() as connection:
+            return read_series(connection, None if keys is None else set(keys))
+
+    def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
+        """Return the transfer functions that are kept of a suspension, by mileage.
+
+        They are those of the first trip that had any, and of the newest.
+
+        Raises
+        ------
+        HistoryError
+            If the store cannot be read, or what it keeps of them was altered.
+        """
+        where = is_of(vehicle, place)
+        with self._reading() as connection:
+            return read_responses(connection, where, f"{self}: {vehicle}: {place}")
 
     def add_event(self, vehicle: str, place: Place, event: Event) -> None:
         """Keep a maintenance event; the same one again replaces its words.
@@ -115,36 +164,73 @@ class History:
         HistoryError
             If the store knows no trip of the suspension, or cannot be written.
         """
-        with self._transaction() as connection:
-            upsert(connection, events, [_row(self._id(connection, vehicle, place), event)])
+        self._keep(vehicle, place, [event])
 
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
-        with self._transaction() as connection:
-            return _kept(connection, events, Event, _is(vehicle, place)).get((vehicle, place), [])
+        with self._reading() as connection:
+            return read_kept(connection, Event, is_of(vehicle, place)).get((vehicle, place), [])
 
-    def keep_alarms(self, vehicle: str, place: Place, found: Sequence[Alarm]) -> None:
-        """Keep the alarms of a suspension in place of all that were kept of it before.
+    def keep_alarms(
+        self,
+        vehicle: str,
+        place: Place,
+        found: Sequence[Alarm],
+        causes: Collection[Cause] = tuple(Cause),
+    ) -> None:
+        """Keep the alarms of a suspension in place of those that were kept of it before.
+
+        Nothing is written where they are the same.
+
+        Parameters
+        ----------
+        vehicle : str
+        place : Place
+        found : sequence of Alarm
+        causes : collection of Cause
+            Those that `found` is all of; kept alarms of other causes stay as they are.
 
         Raises
         ------
         HistoryError
             If the store knows no trip of the suspension, or cannot be written.
+        ValueError
+            If an alarm is of another cause.
         """
-        with self._transaction() as connection:
-            one = self._id(connection, vehicle, place)
-            connection.execute(alarms.delete().where(alarms.c.suspension_id == one))
-            upsert(connection, alarms, [_row(one, alarm) for alarm in found])
+        self.keep_all_alarms({(vehicle, place): found}, causes)
+
+    def keep_all_alarms(
+        self, found: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
+    ) -> None:
+        """Keep the alarms of many suspensions, all or none; see ``keep_alarms``.
+
+        Raises
+        ------
+        HistoryError
+            If the store knows no trip of a suspension, or cannot be written.
+        ValueError
+            If an alarm is of another cause than `causes`.
+        """
+        others = {one.cause for alarms in found.values() for one in alarms} - set(causes)
+        if others:
+            raise ValueError(f"alarms of {', '.join(sorted(others))} are not of {', '.join(causes)}")
+        with self._writing() as connection:
+            ids = numbers_of(connection, found, str(self))
+            of_each = {one: found[key] for key, one in ids.items()}
+            changed = other_alarms(connection, of_each, causes)
+            raise_revisions(connection, changed)  # locks them, always in this order
+            for one in changed:
+                replace_alarms(connection, one, of_each[one], causes)
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, open or not, by the mileage where they begin."""
-        with self._transaction() as connection:
-            return _kept(connection, alarms, Alarm, _is(vehicle, place)).get((vehicle, place), [])
+        with self._reading() as connection:
+            return read_kept(connection, Alarm, is_of(vehicle, place)).get((vehicle, place), [])
 
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
-        with self._transaction() as connection:
-            return _kept(connection, alarms, Alarm)
+        with self._reading() as connection:
+            return read_kept(connection, Alarm)
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
         """Keep acknowledgements of alarms, for ever; the same one again replaces its words.
@@ -154,90 +240,44 @@ class History:
         HistoryError
             If the store knows no trip of the suspension, or cannot be written.
         """
-        with self._transaction() as connection:
-            one = self._id(connection, vehicle, place)
-            upsert(connection, acknowledgements, [_row(one, part) for part in seen])
+        self._keep(vehicle, place, seen)
 
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
         """Return the acknowledgements of a suspension's alarms, by mileage and time."""
-        with self._transaction() as connection:
-            found = _kept(connection, acknowledgements, Acknowledgement, _is(vehicle, place))
+        with self._reading() as connection:
+            found = read_kept(connection, Acknowledgement, is_of(vehicle, place))
         return found.get((vehicle, place), [])
 
     def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
         """Return the acknowledgements of each suspension that has any."""
-        with self._transaction() as connection:
-            return _kept(connection, acknowledgements, Acknowledgement)
+        with self._reading() as connection:
+            return read_kept(connection, Acknowledgement)
+
+    def _keep(
+        self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
+    ) -> None:
+        """Keep what people did or said of a suspension."""
+        with self._writing() as connection:
+            ids = list(numbers_of(connection, [(vehicle, place)], str(self)).values())
+            raise_revisions(connection, ids)
+            write_kept(connection, ids[0], kept)
+
+    def _reading(self) -> AbstractContextManager[Connection]:
+        """Give a connection that sees one state of the store, and holds no writer up."""
+        return self._transaction(reading(self._engine))
+
+    def _writing(self) -> AbstractContextManager[Connection]:
+        """Give a connection whose changes are kept together at the end, or not at all."""
+        return self._transaction(self._engine)
 
     @contextmanager
-    def _transaction(self) -> Iterator[Connection]:
-        """Give a connection whose changes are kept together at the end, or not at all."""
+    def _transaction(self, engine: Engine) -> Iterator[Connection]:
+        """Give a connection, and tell its errors as those of the store."""
         try:
-            with self._engine.begin() as connection:
+            with engine.begin() as connection:
                 yield connection
         except DBAPIError as error:
             words = str(error.orig).strip().splitlines()[0]
             raise HistoryError(f"{self}: the store cannot be used ({words})") from None
         except SQLAlchemyError as error:
             raise HistoryError(f"{self}: the store cannot be used ({error})") from None
-
-    def _id(self, connection: Connection, vehicle: str, place: Place) -> int:
-        """Return the number of a suspension that is known, for this transaction's writing alone."""
-        chosen = sql.select(suspensions.c.id).where(_is(vehicle, place)).with_for_update()
-        one = connection.execute(chosen).scalar()
-        if one is None:
-            known = "; ".join(f"{vehicle}: {one}" for vehicle, one in _places(connection))
-            raise HistoryError(
-                f"{self}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
-            )
-        return int(one)
-
-
-def _is(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
-    """Return the condition that a row is of a suspension."""
-    wanted = asdict(place) | {"vehicle": vehicle}
-    return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
-
-
-def _ids(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
-    """Return the number of each suspension; new ones are added."""
-    wanted = list(dict.fromkeys(keys))
-    upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
-    chosen = (sql.select(suspensions.c.id).where(_is(*key)) for key in wanted)
-    found = (connection.execute(one).scalar_one() for one in chosen)
-    return dict(zip(wanted, map(int, found), strict=True))
-
-
-def _places(connection: Connection) -> list[Key]:
-    """Return vehicle and place of each suspension, sorted."""
-    rows = connection.execute(sql.select(suspensions)).mappings()
-    return sorted((key_of(row) for row in rows), key=lambda one: (one[0], str(one[1])))
-
-
-def _kept(
-    connection: Connection,
-    table: sql.Table,
-    kind: type[Kept],
-    where: sql.ColumnElement[bool] | None = None,
-) -> dict[Key, list[Kept]]:
-    """Return what a table holds of each suspension, or of those chosen, in order of its key."""
-    names = [one.name for one in fields(kind)]
-    chosen = (
-        sql.select(suspensions, *(table.c[name] for name in names))
-        .join_from(table, suspensions)
-        .where(sql.true() if where is None else where)
-        .order_by(*table.primary_key.columns)
-    )
-    found: dict[Key, list[Kept]] = {}
-    for row in connection.execute(chosen).mappings():
-        values: dict[str, Any] = {
-            name: math.nan if row[name] is None else row[name] for name in names
-        }
-        found.setdefault(key_of(row), []).append(kind(**values))
-    return found
-
-
-def _row(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
-    """Return the row of what is kept of a suspension beside its trips."""
-    values = {name: or_null(value) for name, value in asdict(kept).items()}
-    return values | {"suspension_id": suspension}

@@ -24,6 +24,10 @@ class Cause(StrEnum):
     """A parameter differs from that of the sister suspensions of the car."""
 
 
+OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE)
+"""Causes of alarms that the trips of a suspension tell by themselves."""
+
+
 @dataclass(frozen=True)
 class Alarm:
     """One parameter called for attention, from one trip on until another.

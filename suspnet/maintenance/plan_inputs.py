@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import date, datetime
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from suspnet.checks import check_number
 from suspnet.maintenance.limits import Severity
@@ -179,13 +179,15 @@ class Part:
         return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
 
 
-def km_per_day(starts: Sequence[str], mileages_km: ArrayLike, default: float) -> float:
+def km_per_day(
+    starts: Sequence[str] | NDArray[np.datetime64], mileages_km: ArrayLike, default: float
+) -> float:
     """Return how far a train runs in a day, from the begins and mileages of its newest trips.
 
     Parameters
     ----------
-    starts : sequence of str
-        ISO 8601, or empty where it is not known.
+    starts : sequence of str, or array of datetime64, of shape (n_trips,)
+        ISO 8601, or empty or NaT where it is not known.
     mileages_km : array of shape (n_trips,), [km]
         NaN where it is not known.
     default : float
@@ -202,7 +204,7 @@ def km_per_day(starts: Sequence[str], mileages_km: ArrayLike, default: float) ->
             f"`mileages_km` must be one for each of {len(starts)} starts, "
             f"got shape {mileages.shape}"
         )
-    days = np.array([_ordinal(start) for start in starts], dtype=float)
+    days = _ordinals(starts)
     known = np.isfinite(days) & np.isfinite(mileages)
     days, mileages = days[known], mileages[known]
     if not days.size:
@@ -211,6 +213,14 @@ def km_per_day(starts: Sequence[str], mileages_km: ArrayLike, default: float) ->
     span = np.ptp(days[new])
     run = mileages[new][days[new].argmax()] - mileages[new][days[new].argmin()]
     return float(run / span) if span >= LEAST_DAYS and run > 0 else default
+
+
+def _ordinals(starts: Sequence[str] | NDArray[np.datetime64]) -> FloatArray:
+    """Return the days of time stamps as numbers, NaN where there is none."""
+    if isinstance(starts, np.ndarray) and starts.dtype.kind == "M":
+        days = starts.astype("datetime64[D]").astype(float)
+        return np.where(np.isnat(starts), np.nan, days)
+    return np.array([_ordinal(start) for start in starts], dtype=float)
 
 
 def _ordinal(start: str) -> float:

@@ -69,6 +69,30 @@ def parse_manifest(path: Path, content: Any) -> TripManifest:
     return manifest
 
 
+def read_live_manifest(path: Path) -> TripManifest:
+    """Return the manifest of sensors whose samples come as frames; files are not looked for.
+
+    Raises
+    ------
+    TripError
+        As `read_manifest`, but for files: `file` may be missing.
+    """
+    content = read_content(path)
+    if isinstance(content, dict):
+        content = content | {"speed": _with_file(content.get("speed"))}
+        channels = content.get("channels")
+        if isinstance(channels, dict):
+            content["channels"] = {name: _with_file(one) for name, one in channels.items()}
+    return _parse(path, content)
+
+
+def _with_file(source: Any) -> Any:
+    """Return a source, or each of a pair, with a name for its file if it has none."""
+    if isinstance(source, list):
+        return [_with_file(one) for one in source]
+    return {"file": "frames"} | source if isinstance(source, dict) else source
+
+
 def named_sources(content: Any) -> dict[str, dict[str, Any]]:
     """Return each mapping of a manifest's content that names a file, whatever else is wrong."""
     if not isinstance(content, dict):

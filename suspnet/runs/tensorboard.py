@@ -74,6 +74,10 @@ class RunLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Write what is left."""
         self._writer.close()
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:

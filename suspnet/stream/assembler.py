@@ -26,6 +26,10 @@ MOST_HELD = 2 * MOST_SAMPLES
 MOST_LOSSES = 64
 """Number of latest gaps in the sequence that are remembered: frames of them are late, not twice."""
 
+MOST_DRIFT = 2e-4
+"""Largest part by which a logger's true rate may differ from the stated one: 200 ppm, several times
+what quartz is off. Times then drift away from the stated rate without a gap."""
+
 
 @dataclass(frozen=True)
 class OrderSettings:
@@ -36,10 +40,11 @@ class OrderSettings:
     window : int
         A frame may come after at most this many later ones; then it counts as missing.
     jitter_s : float, [s]
-        Times of frames that follow each other differ by no more than this from what their rate
-        says; half a sample if that is longer.
+        A frame begins no more than this before or after the end of the one before, as its rate
+        says; half a sample if that is longer. All together may drift by ``MOST_DRIFT``.
     longest_gap_s : float, [s]
-        Frames that lie further ahead are refused: a recording does not go on after a longer gap.
+        A frame that lies further ahead is taken only after `window` others that did: one wrong
+        time does not begin a gap that takes the place of the samples to come.
 
     Raises
     ------
@@ -80,9 +85,6 @@ class Assembler:
         Time of the first sample.
     n_samples : int
         Number of samples given, with those of gaps.
-    n_refused : int
-        Number of frames in a row that were refused for their time. Where it goes on growing the
-        clock was set back or the gap is too long, and a new recording must be begun.
     """
 
     def __init__(self, rate_hz: float, settings: OrderSettings | None = None) -> None:
@@ -90,7 +92,7 @@ class Assembler:
         self.settings = OrderSettings() if settings is None else settings
         self.counts: Counter[str] = Counter()
         self.first_ns: int | None = None
-        self.n_samples = self.n_refused = 0
+        self.n_samples = self._n_far = self._end_ns = 0
         self._next: int | None = None
         self._held: dict[int, Frame] = {}
         self._n_held = 0
@@ -140,9 +142,19 @@ class Assembler:
         return max(0.5, self.settings.jitter_s * self.rate_hz)
 
     def _ahead(self, frame: Frame) -> float:
-        """Return how far a frame begins after the samples so far, [samples]."""
+        """Return how far a frame begins after the end of the last one, [samples]."""
+        return (frame.time_ns - self._end_ns) * self.rate_hz / SECOND_NS
+
+    def _distance(self, frame: Frame) -> float:
+        """Return how far a frame begins after the samples so far, [samples].
+
+        A logger's slow drift does not count, unless it is no drift of a clock any more.
+        """
         assert self.first_ns is not None
-        return (frame.time_ns - self.first_ns) * self.rate_hz / SECOND_NS - self.n_samples
+        ahead = self._ahead(frame)
+        beyond = (frame.time_ns - self.first_ns) * self.rate_hz / SECOND_NS - self.n_samples
+        is_drift = abs(beyond - ahead) <= self._tolerance + MOST_DRIFT * self.n_samples
+        return ahead if is_drift else beyond
 
     def _due(self, at_once: bool = False) -> list[FloatArray]:
         """Return the samples of the frames whose turn it is."""
@@ -166,18 +178,21 @@ class Assembler:
     def _placed(self, frame: Frame) -> list[FloatArray]:
         """Return a frame's samples after those so far, with the gap before them."""
         if self.first_ns is None:
-            self.first_ns = frame.time_ns
-        ahead = self._ahead(frame)
-        n_gap = round(ahead) if ahead > self._tolerance else 0
-        reason = "clock" if ahead < -self._tolerance else ""
-        reason = "far" if n_gap > self.settings.longest_gap_s * self.rate_hz else reason
+            self.first_ns = self._end_ns = frame.time_ns
+        distance = self._distance(frame)
+        n_gap = round(distance) if distance > self._tolerance else 0
+        reason = "clock" if distance < -self._tolerance else ""
+        is_far = n_gap > self.settings.longest_gap_s * self.rate_hz
+        if is_far and self._n_far < self.settings.window:
+            reason = "far"
         if reason:
             self.counts[reason] += 1
-            self.n_refused += 1
+            self._n_far += reason == "far"
             return []
         self.counts["taken"] += 1
-        self.n_refused = 0
+        self._n_far = 0
         self.n_samples += n_gap + len(frame.samples)
+        self._end_ns = frame.time_ns + round(len(frame.samples) * SECOND_NS / self.rate_hz)
         samples = np.asarray(frame.samples, dtype=np.float64)
         if not n_gap:
             return [samples]
@@ -190,7 +205,7 @@ class Assembler:
         encoded = [encode(frame) for frame in self._held.values()]
         return {
             "counts": dict(self.counts),
-            "at": [self.first_ns, self.n_samples, self.n_refused, self._next],
+            "at": [self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next],
             "lost": list(map(list, self._lost)),
             "sizes": [len(one) for one in encoded],
             "held": np.frombuffer(b"".join(encoded), dtype=np.uint8),
@@ -199,7 +214,8 @@ class Assembler:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state of an assembler of the same sensor."""
         self.counts = Counter(state["counts"])
-        self.first_ns, self.n_samples, self.n_refused, self._next = state["at"]
+        at = state["at"]
+        self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next = at
         self._lost = deque(((low, high) for low, high in state["lost"]), maxlen=MOST_LOSSES)
         held, ends = state["held"].tobytes(), np.cumsum([0, *state["sizes"]])
         frames = [decode(held[start:end]) for start, end in pairwise(ends)]

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,9 +41,8 @@ from suspnet.recordings.recording import HIGHEST_HZ, Recording, joined
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
 from suspnet.recordings.units import size_of
 from suspnet.stream.assembler import Assembler, OrderSettings
-from suspnet.stream.frames import Frame, FrameError, decode
+from suspnet.stream.frames import Frame, FrameError
 from suspnet.stream.sensor import RunningSensor
-from suspnet.stream.state import read_state, save_state
 from suspnet.types import FloatArray
 
 
@@ -64,11 +62,6 @@ class Running:
     order : OrderSettings, optional
     longest_s : float, [s]
         Frames that begin later after `zero_ns` are refused: then another recording is due.
-
-    Attributes
-    ----------
-    counts : Counter
-        Frames refused, by reason; those of each sensor are in `sensors`.
 
     Raises
     ------
@@ -94,7 +87,6 @@ class Running:
         self.longest_s = longest_s
         self.cleaning = CleaningSettings() if cleaning is None else cleaning
         self.order = OrderSettings() if order is None else order
-        self.counts: Counter[str] = Counter()
         self._sources: dict[str, Source] = dict(manifest.sensors())
         self._units = dict.fromkeys(self._sources, ("acceleration", ACCELERATION_UNITS))
         if isinstance(manifest.speed, SpeedSource):
@@ -126,23 +118,20 @@ class Running:
         return {name: order.counts for name, order in self._orders.items()}
 
     @property
-    def n_refused(self) -> int:
-        """Largest number of frames of a sensor that were refused for their time in a row."""
-        return max(order.n_refused for order in self._orders.values())
-
-    @property
     def n_frames(self) -> int:
         """Number of frames that were taken or are held back."""
         return sum(order.n_frames for order in self._orders.values())
 
-    def take(self, data: bytes) -> str:
-        """Take an encoded frame; return why it cannot be used in one word, or nothing."""
-        try:
-            self.add(decode(data))
-        except FrameError as error:
-            self.counts[error.reason] += 1
-            return error.reason
-        return ""
+    @property
+    def is_empty(self) -> bool:
+        """Whether no acceleration has come."""
+        return not any(self._orders[name].n_frames for name in self._sensors)
+
+    @property
+    def n_seconds(self) -> float:
+        """Length of what has come of each sensor at least, with gaps, [s]; 0 before a first."""
+        orders = [self._orders[name] for name in self._sensors]
+        return min(order.n_samples / order.rate_hz for order in orders)
 
     def add(self, frame: Frame) -> None:
         """Take a frame.
@@ -154,10 +143,10 @@ class Running:
             after the recording. What is already known of it is as before.
         """
         source = self._sources.get(frame.sensor)
-        if source is None or frame.suspension != self.manifest.suspension:
+        if source is None or frame.suspension != str(self.manifest.place):
             raise FrameError(
                 "sensor",
-                f"{self.manifest.suspension!r} has {list(self._sources)}, the frame is of "
+                f"{str(self.manifest.place)!r} has {list(self._sources)}, the frame is of "
                 f"{frame.sensor!r} of {frame.suspension!r}",
             )
         kind, units = self._units[frame.sensor]
@@ -228,27 +217,10 @@ class Running:
         step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / source.rate_hz
         return SpeedTrack(self._start_s("speed") + elapsed_s, speeds, Zero(), step_s, "")
 
-    def save(self, path: Path) -> Path:
-        """Write the state of the recording, which appears whole or not at all."""
-        return save_state(path, self.identity, self.state())
-
-    def load(self, path: Path) -> None:
-        """Go on from a saved state of the same recording.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        StateError
-            If it is damaged, or of a recording with other sensors or settings; nothing has changed.
-        """
-        self.restore(read_state(path, self.identity))
-
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values that `restore` makes the same recording of."""
         self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
         return {
-            "counts": dict(self.counts),
             "speeds": self._speeds[0],
             "orders": {name: order.state() for name, order in self._orders.items()},
             "sensors": {name: sensor.state() for name, sensor in self._sensors.items()},
@@ -256,7 +228,6 @@ class Running:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state of a recording of the same identity."""
-        self.counts = Counter(state["counts"])
         self._speeds = [state["speeds"]]
         for name, order in self._orders.items():
             order.restore(state["orders"][name])
@@ -271,4 +242,4 @@ class Running:
             for name, one in self._sources.items()
         }
         settings = [self.rate_hz, self.longest_s, asdict(self.cleaning), asdict(self.order)]
-        return [self.manifest.suspension, self.zero_ns, sensors, *settings]
+        return [str(self.manifest.place), self.zero_ns, sensors, *settings]

@@ -11,7 +11,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from suspnet.checks import check_number
@@ -19,9 +18,8 @@ from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.manifest import TripManifest
 from suspnet.stream.assembler import OrderSettings
-from suspnet.stream.frames import Frame, FrameError, decode
+from suspnet.stream.frames import Frame, FrameError
 from suspnet.stream.running import Running
-from suspnet.stream.state import read_state, save_state
 
 MOST_OPEN = 4
 """Largest number of open sections. Two are enough where clocks are right; the others are for frames
@@ -51,8 +49,9 @@ class Sections:
     Attributes
     ----------
     counts : Counter
-        Frames refused, by reason. Beyond those of `Running`: "late", for a section that is over.
         "dropped" are sections of wrong times that were given up.
+    identity : JSON-able
+        What a state must share with the stream that goes on from it.
 
     Raises
     ------
@@ -78,19 +77,16 @@ class Sections:
         self._open: dict[int, Running] = {}
         self._after: dict[int, Counter[str]] = {}
         self._next = 0
-        self._identity = [section_s, late_s, self._begun(0).identity]
-
-    def take(self, data: bytes) -> str:
-        """Take an encoded frame; return why it cannot be used in one word, or nothing."""
-        try:
-            self.add(decode(data))
-        except FrameError as error:
-            self.counts[error.reason] += 1
-            return error.reason
-        return ""
+        self.identity = [section_s, late_s, self._begun(0).identity]
 
     def add(self, frame: Frame) -> None:
-        """Take a frame; raises FrameError as `Running` does, or if a section of it is over."""
+        """Take a frame.
+
+        Raises
+        ------
+        FrameError
+            As `Running.add` does, or "late" if a section of it is over; its other part is taken.
+        """
         if len(frame.samples) > self.section_s * frame.rate_hz:
             raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
         wrong: FrameError | None = None
@@ -121,6 +117,11 @@ class Sections:
         window = self.order.window
         passed = [k for k, n in self._after.items() if max(n.values(), default=0) > window]
         return self._close(max(passed, default=-1))
+
+    @property
+    def open(self) -> list[Running]:
+        """The sections that are not over, the earliest first."""
+        return [self._open[k] for k in sorted(self._open)]
 
     def close(self) -> list[Running]:
         """Return all sections: the stream has ended."""
@@ -172,19 +173,17 @@ class Sections:
             section.flush()
         return found
 
-    def save(self, path: Path) -> Path:
-        """Write the state of the stream, which appears whole or not at all."""
-        state = {
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values that `restore` makes the same stream of."""
+        return {
             "counts": dict(self.counts),
             "next": self._next,
             "open": {str(k): section.state() for k, section in self._open.items()},
             "after": {str(k): dict(after) for k, after in self._after.items()},
         }
-        return save_state(path, self._identity, state)
 
-    def load(self, path: Path) -> None:
-        """Go on from a saved state of the same stream; raises as `Running.load`."""
-        state: dict[str, Any] = read_state(path, self._identity)
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of a stream of the same identity."""
         self.counts, self._next = Counter(state["counts"]), state["next"]
         self._open = {}
         for k, saved in state["open"].items():

@@ -1,15 +1,14 @@
-"""States of a stream as files: JSON-able values with arrays among them, in one safetensors file."""
+"""States of a stream as bytes: JSON-able values with arrays among them, as one safetensors file."""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.storage import DamagedFileError, dump_arrays, read_arrays, write_atomically
+from suspnet.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT = "suspnet-stream-1"
 
@@ -18,12 +17,11 @@ class StateError(ValueError):
     """A saved state is damaged, or of another stream."""
 
 
-def save_state(path: Path, identity: Any, state: dict[str, Any]) -> Path:
-    """Write a state, which appears whole or not at all.
+def dump_state(identity: Any, state: dict[str, Any]) -> bytes:
+    """Return a state as bytes.
 
     Parameters
     ----------
-    path : Path
     identity : JSON-able
         What the stream that goes on from the state must have in common with this one.
     state : dict
@@ -33,28 +31,26 @@ def save_state(path: Path, identity: Any, state: dict[str, Any]) -> Path:
     plain = _without_arrays(state, arrays, "")
     described = json.dumps({"format": FORMAT, "identity": identity, "state": plain})
     arrays["json"] = np.frombuffer(described.encode(), dtype=np.uint8)
-    return write_atomically(path, dump_arrays(arrays))
+    return dump_arrays(arrays)
 
 
-def read_state(path: Path, identity: Any) -> dict[str, Any]:
-    """Return the state that `save_state` wrote.
+def load_state(content: bytes, identity: Any) -> dict[str, Any]:
+    """Return the state that `dump_state` wrote.
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
     StateError
         If it is damaged, or of another identity.
     """
     try:
-        arrays = read_arrays(path)
-        content = json.loads(arrays["json"].tobytes())
-        found = content["format"], content["identity"]
-        state: dict[str, Any] = _with_arrays(content["state"], arrays)
+        arrays = load_arrays(content, "the state")
+        described = json.loads(arrays["json"].tobytes())
+        found = described["format"], described["identity"]
+        state: dict[str, Any] = _with_arrays(described["state"], arrays)
     except (DamagedFileError, KeyError, TypeError, ValueError) as error:
-        raise StateError(f"{path} is no state of a stream: {error}") from None
+        raise StateError(f"this is no state of a stream: {error}") from None
     if found != (FORMAT, json.loads(json.dumps(identity))):
-        raise StateError(f"{path} is the state of another stream: other sensors, settings or times")
+        raise StateError("this is the state of another stream: other sensors, settings or times")
     return state
 
 

@@ -20,7 +20,7 @@ from suspnet.data.parallel import quiet
 from suspnet.dynamics.limits import PARAMETERS, TIGHTEST, limits_words
 from suspnet.history import Event, History
 from suspnet.history.records import ERROR, TripResult, first_trips, relative_to_first
-from suspnet.maintenance.alarms import Acknowledgement
+from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.forecast import remaining_lives
 from suspnet.maintenance.limits import Limits, Severity, read_limits
@@ -291,8 +291,9 @@ def _evaluate_group(
     watched = watch_trips(era, events, outputs, limits, settings.changes)
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
-        store.keep_alarms(fitting[0].vehicle.name, group.place, watched.alarms)
-        seen = store.acknowledgements(fitting[0].vehicle.name, group.place)
+        vehicle = fitting[0].vehicle.name
+        store.keep_alarms(vehicle, group.place, watched.alarms, OWN_CAUSES)
+        seen = store.acknowledgements(vehicle, group.place)
     found = _assessments(recent, outputs, least, limits, watched)
     missing = _missing_reference(settings, recent)
     if missing:

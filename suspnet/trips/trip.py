@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import Any
@@ -47,16 +48,49 @@ def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSett
     result = TripResult(trip=path.stem, manifest=str(path), status=ERROR)
     try:
         manifest = read_manifest(path)
-        result = _described(result, manifest)
+    except Exception as error:
+        result = _failed(result, error)
+    else:
+        read = functools.partial(load_recording, manifest, settings.rate_hz)
+        result = evaluate_recording(manifest, read, models, settings)
+    return replace(result, seconds=time.perf_counter() - start)
+
+
+def evaluate_recording(
+    manifest: TripManifest,
+    read: Callable[[], Recording],
+    models: Sequence[TrainedModel],
+    settings: TripSettings,
+) -> TripResult:
+    """Return the estimate from a trip's recording, or why there is none; it never fails.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+    read : callable
+        Gives the recording; what it raises is the reason.
+    models, settings
+        As of `evaluate_trip`.
+    """
+    start = time.perf_counter()
+    result = TripResult(trip=manifest.name, manifest=str(manifest.path), status=ERROR)
+    result = _described(result, manifest)
+    try:
         models = models_at(models, manifest.mileage_km)
         result = replace(result, healthy_since_km=since_km(models[0]))
-        result = _estimated(result, manifest, models, settings)
-    except TripError as error:
-        result = replace(result, reason=str(error).removeprefix(f"{path}: "))
+        result = _estimated(result, manifest, read, models, settings)
     except Exception as error:  # a fault in one trip must not end the run of a fleet
-        log.debug("trip %s failed", path, exc_info=True)
-        result = replace(result, reason=f"{type(error).__name__}: {error}")
+        result = _failed(result, error)
     return _printable(replace(result, seconds=time.perf_counter() - start))
+
+
+def _failed(result: TripResult, error: Exception) -> TripResult:
+    """Return a result whose reason is an error."""
+    words = str(error).removeprefix(f"{result.manifest}: ")
+    if not isinstance(error, TripError):
+        log.debug("trip %s failed", result.manifest, exc_info=error)
+        words = f"{type(error).__name__}: {error}"
+    return _printable(replace(result, reason=words))
 
 
 def lost_trip(path: Path, reason: str) -> TripResult:
@@ -88,6 +122,7 @@ def _described(result: TripResult, manifest: TripManifest) -> TripResult:
 def _estimated(
     result: TripResult,
     manifest: TripManifest,
+    read: Callable[[], Recording],
     models: Sequence[TrainedModel],
     settings: TripSettings,
 ) -> TripResult:
@@ -97,7 +132,7 @@ def _estimated(
             raise TripError(
                 f"the trip is of vehicle {manifest.vehicle!r}, the model was trained for {name!r}"
             )
-    recording = load_recording(manifest, settings.rate_hz)
+    recording = read()
     quality = Quality(
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),

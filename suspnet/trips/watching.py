@@ -6,11 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from suspnet.history import Event
+from suspnet.history import Event, History
 from suspnet.history.records import TripResult
+from suspnet.maintenance.alarms import OWN_CAUSES, Alarm
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import Limits
 from suspnet.maintenance.watch import Watched, watch
+from suspnet.model.trained import TrainedModel
+from suspnet.recordings.manifest import Place
+from suspnet.trips.commissionings import commissionings, of_last_era
+from suspnet.trips.earlier import with_earlier
 from suspnet.trips.trend import PAYLOAD
 
 
@@ -44,6 +49,29 @@ def watch_trips(
         settings,
         [event.mileage_km for event in events],
     )
+
+
+def keep_trips(
+    results: Sequence[TripResult],
+    place: Place,
+    models: Sequence[TrainedModel],
+    limits: Mapping[str, Limits],
+    settings: ChangeSettings,
+    store: History,
+) -> list[Alarm]:
+    """Keep trips of a suspension in the store, and the alarms that its whole history raises.
+
+    Raises
+    ------
+    HistoryError
+        If the store cannot be used.
+    """
+    vehicle, outputs = models[0].vehicle.name, models[0].task.outputs
+    every = with_earlier(results, place, models, store)
+    era = of_last_era(every, commissionings(models, every))
+    watched = watch_trips(era, store.events(vehicle, place), outputs, limits, settings)
+    store.keep_alarms(vehicle, place, watched.alarms, OWN_CAUSES)
+    return watched.alarms
 
 
 def covariates(results: Sequence[TripResult]) -> dict[str, list[float]]:

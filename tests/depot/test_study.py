@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from suspnet.depot.fleet import fleet_state
 from suspnet.depot.overview import overview_rows, overview_table
 from suspnet.depot.parts import parts_of, train_of, trains_of
-from suspnet.depot.state import fleet_state
 from suspnet.depot.study import write_maintenance
 from suspnet.history import Event, History
 from suspnet.history.records import Quality, TripResult

@@ -2,26 +2,21 @@
 
 import math
 import multiprocessing
-import os
 import sqlite3
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-import sqlalchemy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
 from suspnet.history import Event, History, HistoryError
 from suspnet.history.records import TripResult
-from suspnet.history.schema import metadata
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
 from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import Place
 
-SERVER = "SUSPNET_TEST_POSTGRESQL"
-"""Environment variable with the URL of a database that the tests may empty."""
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"
 ALARMS = [
@@ -30,26 +25,6 @@ ALARMS = [
     Alarm("c_s", Cause.LIMIT, Severity.ACT, 20_000.0),
 ]
 SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")
-
-
-@pytest.fixture(params=["sqlite", "postgresql"])
-def store(request, tmp_path):
-    place = tmp_path / "history.db"
-    if request.param == "postgresql":
-        place = os.environ.get(SERVER)
-        if place is None:
-            pytest.skip(f"no server: {SERVER}=postgresql://user:password@host/database")
-        pytest.importorskip("psycopg")
-        emptied(place)
-    with History(place) as found:
-        yield found
-
-
-def emptied(url):
-    """Leave no table in the database of the tests."""
-    engine = sqlalchemy.create_engine(url.replace("postgresql:", "postgresql+psycopg:", 1))
-    metadata.drop_all(engine)
-    engine.dispose()
 
 
 def same(one, other):
@@ -143,8 +118,7 @@ def test_trips_of_the_same_name_on_other_days_are_others(store):
     assert len(store.read(VEHICLE, PLACE)) == 3
 
 
-def test_programs_that_write_at_once_lose_nothing(store):
-    place = store._url.render_as_string(hide_password=False).removeprefix("sqlite:///")
+def test_programs_that_write_at_once_lose_nothing(store, place):
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=write_many, args=(place, i, 10)) for i in range(2)]
     for worker in workers:
@@ -211,6 +185,23 @@ def test_acknowledgements_outlive_their_alarms(store):
     assert store.acknowledgements(VEHICLE, Place("other")) == []
 
 
+def test_alarms_of_sisters_and_those_of_the_trips_are_replaced_apart(store):
+    store.write([trip(0, with_curves=False), trip(1, with_curves=False, place=Place("x"))])
+    sister = Alarm("k_s", Cause.SISTER, Severity.NOTICE, 15_000.0)
+    store.keep_alarms(VEHICLE, PLACE, [sister], [Cause.SISTER])
+    store.keep_alarms(VEHICLE, PLACE, ALARMS, OWN_CAUSES)
+    assert len(store.alarms(VEHICLE, PLACE)) == 4
+    store.keep_alarms(VEHICLE, PLACE, ALARMS[:1], OWN_CAUSES)
+    assert repr(store.alarms(VEHICLE, PLACE)) == repr([ALARMS[0], sister])
+    both = {(VEHICLE, PLACE): [], (VEHICLE, Place("x")): [sister]}
+    store.keep_all_alarms(both, [Cause.SISTER])
+    assert repr(store.all_alarms()) == repr(
+        {(VEHICLE, PLACE): ALARMS[:1], (VEHICLE, Place("x")): [sister]}
+    )
+    store.keep_all_alarms(both)
+    assert list(store.all_alarms()) == [(VEHICLE, Place("x"))]
+
+
 # failure
 
 
@@ -225,6 +216,20 @@ def test_alarms_of_an_unknown_suspension_are_refused(store):
         store.keep_alarms("am96", Place("x"), ALARMS)
     with pytest.raises(HistoryError, match="no trip of am96: x is kept here"):
         store.acknowledge("am96", Place("x"), [SEEN])
+
+
+def test_alarms_of_other_causes_than_those_kept_are_refused(store):
+    store.write([trip(0, with_curves=False)])
+    with pytest.raises(ValueError, match="alarms of limit are not of change, sister"):
+        store.keep_alarms(VEHICLE, PLACE, ALARMS, [Cause.CHANGE, Cause.SISTER])
+    assert store.alarms(VEHICLE, PLACE) == []
+
+
+def test_all_or_none_of_the_alarms_of_many_are_kept(store):
+    store.write([trip(0, with_curves=False)])
+    with pytest.raises(HistoryError, match="no trip of am96: x is kept here"):
+        store.keep_all_alarms({(VEHICLE, PLACE): ALARMS, ("am96", Place("x")): ALARMS})
+    assert store.all_alarms() == {}
 
 
 @pytest.mark.parametrize(
@@ -258,7 +263,7 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE suspnet_version SET schema = 99")
     connection.close()
-    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 2"):
+    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 3"):
         History(path)
 
 

@@ -88,7 +88,6 @@ def test_clock_that_jumps_backwards_is_counted_and_never_doubles_samples():
     found, assembler = assembled([*frames[:20], *back])
     # 0.5 s are 12.5 frames: 13 are refused, and half a frame is missing before the next
     assert assembler.counts["clock"] == 13
-    assert assembler.n_refused == 0
     assert assembler.counts["gap_samples"] == 5
     assert len(found) == 200 + 5 + 270
 
@@ -102,11 +101,20 @@ def test_clock_that_jumps_forwards_leaves_a_gap():
     assert assembler.counts["missing"] == 0
 
 
-def test_gap_longer_than_a_recording_bears_is_refused_and_seen():
+def test_one_frame_far_ahead_is_refused():
+    frames = in_order(30)
+    found, assembler = assembled([*frames[:20], later(frames[20], 61.0), *frames[21:]])
+    assert assembler.counts["far"] == 1
+    assert assembler.counts["gap_samples"] == 10
+    assert len(found) == 300
+
+
+def test_a_long_gap_is_believed_after_a_window_of_frames():
     frames = in_order(30)
     found, assembler = assembled([*frames[:20], *(later(one, 61.0) for one in frames[20:])])
-    assert len(found) == 200
-    assert assembler.counts["far"] == assembler.n_refused == 10
+    assert assembler.counts["far"] == WINDOW
+    assert len(found) == 300 + 61 * RATE_HZ
+    np.testing.assert_array_equal(found[-40:], np.arange(260, 300))
 
 
 def test_jitter_within_the_tolerance_makes_no_gap():
@@ -168,3 +176,37 @@ def test_frame_of_another_rate_is_refused():
 def test_settings_out_of_range_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         OrderSettings(**changes)
+
+
+def drifting(ppm, n_frames, rate_hz=1000.0, n=500):
+    """Return frames of a logger whose clock is right and whose rate is not."""
+    step_ns = 1e9 / (rate_hz * (1 + 1e-6 * ppm))
+    return [
+        Frame("", "body", k, ZERO_NS + round(k * n * step_ns), rate_hz, "m/s2", np.zeros(n))
+        for k in range(n_frames)
+    ]
+
+
+@pytest.mark.parametrize("ppm", [-150, -50, 50, 150])
+def test_a_slow_drift_of_the_rate_is_no_gap(ppm):
+    order = Assembler(1000.0)
+    given = [part for one in drifting(ppm, 600) for part in order.push(one)]
+    assert order.counts == {"taken": 600}
+    assert np.isfinite(np.concatenate(given)).all()
+
+
+def test_a_lost_frame_is_a_gap_of_its_length_after_a_long_drift():
+    order, frames = Assembler(1000.0, OrderSettings(window=0)), drifting(100, 600)
+    for one in frames[:500] + frames[501:]:
+        order.push(one)
+    assert (order.counts["gap"], order.counts["gap_samples"]) == (1, 500)
+
+
+@pytest.mark.parametrize("ppm", [-2000, 2000])
+def test_a_rate_that_is_wrong_is_brought_back_in_steps_and_counted(ppm):
+    order = Assembler(1000.0)
+    for one in drifting(ppm, 600):
+        order.push(one)
+    assert order.counts["gap"] > 5
+    ends_s = 600 * 0.5 / (1 + 1e-6 * ppm)
+    assert abs(order.n_samples / 1000.0 - ends_s) < 0.5 + 3e-4 * ends_s

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stream_signals import ZERO_NS, disturbed, encoded, interleaved
+from stream_signals import ZERO_NS, disturbed, encoded, interleaved, taken
 from trip_fixtures import OUTPUTS, RATES_HZ, model_at, signal, write_trips
 
 from suspnet.recordings import cleaning, load_recording, read_manifest
@@ -40,7 +40,7 @@ def test_estimate_of_the_stream_is_that_of_the_batch(trip, tmp_path, monkeypatch
     manifest = replace(manifest, speed=70.0)
     stream = Running(manifest, ZERO_NS)
     for data in encoded(interleaved(parts, rng)):
-        assert stream.take(data) == ""
+        assert taken(stream, data) == ""
     stream.flush()
     expected = model.estimate(load_recording(manifest))
     found = model.estimate(stream.recording())

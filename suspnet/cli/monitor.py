@@ -1,0 +1,65 @@
+"""Read frames as they come, and keep what they show: suspnet-monitor run=RUN suspensions=DIR."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import closing
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig, ListConfig
+
+from suspnet.cli import program
+from suspnet.history import History
+from suspnet.live.journal import Journal
+from suspnet.live.monitor import Monitor
+from suspnet.live.results import Results
+from suspnet.live.suspensions import read_suspensions
+from suspnet.model.checkpoint import load_model
+from suspnet.runs.evaluate import find_runs
+
+log = logging.getLogger(__name__)
+
+
+@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="monitor")
+@program.task
+def compose(config: DictConfig) -> None:
+    """Load models and manifests, and read the source until it ends."""
+    for key in ("run", "suspensions", "store"):
+        if config.get(key, None) is None:
+            raise ValueError(f"`{key}` is missing: suspnet-monitor --help says what it is")
+    program.log_to_stderr()
+    program.n_threads(config.threads)
+    program.save_config(config, program.run_folder())
+    named = config.run if isinstance(config.run, ListConfig) else [config.run]
+    runs = dict.fromkeys(run for one in named for run in find_runs(Path(one)))
+    models = [load_model(run, config.device) for run in runs]
+    settings = program.build(config, "monitor", _convert_="all")
+    live = program.build(config, "live")
+    suspensions = read_suspensions(Path(config.suspensions), models, settings, live)
+    source = program.build(config, "source")
+    events = None if config.tensorboard is None else Path(config.tensorboard)
+    with (
+        History(config.store) as store,
+        Journal(Path(config.journal)) as journal,
+        closing(source),
+        closing(Results(store, settings, source.publish, events)) as results,
+    ):
+        monitor = Monitor(suspensions, source, journal, results.tell, live.idle_s)
+        n_frames = monitor.resume()
+        log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)
+        try:
+            monitor.run()
+        finally:
+            log.info("frames: %s", words(monitor.counts + source.counts))
+
+
+def words(counts: dict[str, int]) -> str:
+    """Return counts in words, the largest first."""
+    largest = sorted(counts.items(), key=lambda one: -one[1])
+    return ", ".join(f"{n} {name}" for name, n in largest) or "none"
+
+
+def main() -> None:
+    """Run the program."""
+    program.run(compose)

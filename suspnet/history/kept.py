@@ -1,0 +1,91 @@
+"""What is kept of a suspension beside its trips: maintenance, alarms, acknowledgements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
+
+import sqlalchemy as sql
+from sqlalchemy.engine import Connection
+
+from suspnet.history.database import upsert
+from suspnet.history.events import Event
+from suspnet.history.rows import key_of, or_null
+from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions
+from suspnet.history.suspensions import Key
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+
+Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
+TABLES: dict[type, sql.Table] = {
+    Event: events,
+    Alarm: alarms,
+    Acknowledgement: acknowledgements,
+}
+"""Table of each kind."""
+
+
+def read_kept(
+    connection: Connection, kind: type[Kept], where: sql.ColumnElement[bool] | None = None
+) -> dict[Key, list[Kept]]:
+    """Return what is kept of each suspension, or of those chosen, in order of the table's key."""
+    table, names = TABLES[kind], [one.name for one in fields(kind)]
+    places = (suspensions.c[name] for name in ("vehicle", *PLACE))
+    chosen = (
+        sql.select(*places, *(table.c[name] for name in names))
+        .join_from(table, suspensions)
+        .where(sql.true() if where is None else where)
+        .order_by(*table.primary_key.columns)
+    )
+    found: dict[Key, list[Kept]] = {}
+    for row in connection.execute(chosen).mappings():
+        values: dict[str, Any] = {
+            name: math.nan if row[name] is None else row[name] for name in names
+        }
+        found.setdefault(key_of(row), []).append(kind(**values))
+    return found
+
+
+def write_kept(
+    connection: Connection, suspension: int, kept: Sequence[Event | Alarm | Acknowledgement]
+) -> None:
+    """Keep what is of one kind; the same one again takes its other values."""
+    if kept:
+        upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
+
+
+def other_alarms(
+    connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
+) -> list[int]:
+    """Return the numbers of the suspensions whose kept alarms of some causes are not these."""
+    chosen = sql.select(alarms).where(alarms.c.cause.in_([str(one) for one in causes]))
+    there: dict[int, list[dict[str, Any]]] = {}
+    for row in connection.execute(chosen).mappings():
+        there.setdefault(row["suspension_id"], []).append(dict(row))
+    return [
+        one
+        for one, own in found.items()
+        if _by_key(there.get(one, [])) != _by_key(_row(one, alarm) for alarm in own)
+    ]
+
+
+def replace_alarms(
+    connection: Connection, suspension: int, found: Sequence[Alarm], causes: Collection[Cause]
+) -> None:
+    """Keep the alarms of some causes of a suspension in place of those before."""
+    of_causes = alarms.c.cause.in_([str(one) for one in causes])
+    connection.execute(alarms.delete().where(alarms.c.suspension_id == suspension, of_causes))
+    write_kept(connection, suspension, found)
+
+
+def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """Return rows of alarms by what tells them apart."""
+    names = [one.name for one in alarms.primary_key.columns]
+    return {tuple(row[name] for name in names): row for row in rows}
+
+
+def _row(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+    """Return the row of what is kept."""
+    values = {name: or_null(value) for name, value in asdict(kept).items()}
+    return values | {"suspension_id": suspension}

@@ -1,0 +1,165 @@
+"""What a monitor tells: estimates and alarms in the history, as JSON, and in TensorBoard."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from suspnet.history import History, HistoryError
+from suspnet.history.records import ERROR, OK, TripResult
+from suspnet.live.source import Kind
+from suspnet.live.suspension import LiveSuspension, Told
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.limits import Severity
+from suspnet.model.trained import TrainedModel
+from suspnet.runs.tensorboard import RunLog
+from suspnet.storage import json_bytes
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.watching import keep_trips
+
+log = logging.getLogger(__name__)
+
+LEAST_KM = 0.5
+"""A section without an estimate is kept only if the train ran so far in it: a train that stands
+all night leaves no trips."""
+
+WAIT_S = 5.0
+"""Time until a store that cannot be written is tried again, [s]."""
+
+Publish = Callable[[Kind, str, bytes], None]
+
+
+class Results:
+    """Keeps and publishes what suspensions show.
+
+    Parameters
+    ----------
+    store : History
+    settings : FleetSettings
+        Limits and detector of the alarms; estimates are relative to the vehicle of the models.
+    publish : callable
+        Gets "estimates" or "alarms", the suspension and JSON.
+    tensorboard : Path, optional
+        Folder of the events, a subfolder for each suspension.
+    """
+
+    def __init__(
+        self,
+        store: History,
+        settings: FleetSettings,
+        publish: Publish,
+        tensorboard: Path | None = None,
+    ) -> None:
+        self._store, self._settings, self._publish = store, settings, publish
+        self._folder = tensorboard
+        self._logs: dict[str, RunLog] = {}
+
+    def tell(self, suspension: LiveSuspension, told: Told) -> None:
+        """Keep and publish an estimate; that of a section that is over raises and ends alarms.
+
+        The same estimate again replaces what was kept of it. A store that is away is waited for.
+        """
+        result = told.result
+        moved = result.status == OK or told.distance_km >= LEAST_KM
+        if told.is_final and result.status != ERROR and moved:
+            alarms = self._kept(result, suspension.models)
+            row = alarms_row(suspension.name, result, alarms)
+            self._publish("alarms", suspension.name, json_bytes(row))
+        row = estimate_row(suspension.name, told, self._settings.trips.level)
+        self._publish("estimates", suspension.name, json_bytes(row))
+        if self._folder is not None and result.status == OK:
+            self._log(suspension.name).scalars(
+                "trips" if told.is_final else "running",
+                result.estimates | {"n_averages": result.quality.n_averages},
+                round(result.mileage_km + (0.0 if told.is_final else told.distance_km)),
+            )
+        words = result.reason or result.flags
+        log.info("%s %s%s", suspension.name, summary(told), words and f": {words}")
+
+    def close(self) -> None:
+        """Close the events."""
+        for one in self._logs.values():
+            one.close()
+
+    def _kept(self, result: TripResult, models: Sequence[TrainedModel]) -> list[Alarm]:
+        """Keep a trip and return the suspension's alarms; wait where the store is away."""
+        while True:  # ends when the store is back, or with the process
+            try:
+                limits = self._settings.limits_of(models)
+                return keep_trips(
+                    [result], result.place, models, limits, self._settings.changes, self._store
+                )
+            except HistoryError as error:
+                log.warning("%s; tried again every %g s, nothing is lost", error, WAIT_S)
+                time.sleep(WAIT_S)
+
+    def _log(self, name: str) -> RunLog:
+        """Return the TensorBoard log of a suspension."""
+        assert self._folder is not None
+        if name not in self._logs:
+            folder = "".join(c if c.isalnum() or c in "-_." else "_" for c in name)
+            self._logs[name] = RunLog(self._folder / folder)
+        return self._logs[name]
+
+
+def summary(told: Told) -> str:
+    """Return an estimate on one line."""
+    result = told.result
+    km = f"{result.mileage_km:,.0f}".replace(",", " ")
+    values = ", ".join(f"{name} {value:.4g}" for name, value in result.estimates.items())
+    return (
+        f"{result.trip}, {km} km{'' if told.is_final else ' (so far)'}: {values or 'no estimate'}"
+    )
+
+
+def estimate_row(name: str, told: Told, level: float) -> dict[str, Any]:
+    """Return an estimate as it is published."""
+    result = told.result
+    ends = {key: result.interval(key) for key in result.estimates}
+    return {
+        "suspension": name,
+        "vehicle": result.vehicle,
+        "trip": result.trip,
+        "start": result.start,
+        "mileage_km": result.mileage_km,
+        "final": told.is_final,
+        "status": result.status,
+        "reason": result.reason,
+        "flags": result.flags,
+        "estimates": {
+            key: {"value": value, "low": ends[key][0], "high": ends[key][1]}
+            for key, value in result.estimates.items()
+        },
+        "level": level,
+        "speed_m_per_s": result.quality.speed_m_per_s,
+        "n_averages": result.quality.n_averages,
+        "duration_s": result.quality.duration_s,
+        "usable_percent": result.quality.usable_percent,
+        "faults": result.quality.faults,
+        "frames": told.frames,
+    }
+
+
+def alarms_row(name: str, result: TripResult, alarms: Sequence[Alarm]) -> dict[str, Any]:
+    """Return the alarms that stand as they are published."""
+    standing = [one for one in alarms if one.is_open]
+    severity = max((one.severity for one in standing), default=Severity.NONE)
+    return {
+        "suspension": name,
+        "vehicle": result.vehicle,
+        "mileage_km": result.mileage_km,
+        "severity": str(severity),
+        "alarms": [
+            {
+                "parameter": one.parameter,
+                "cause": str(one.cause),
+                "severity": str(one.severity),
+                "begin_km": one.begin_km,
+                "words": one.words,
+            }
+            for one in standing
+        ],
+    }

@@ -1,0 +1,92 @@
+"""Mileage and temperature of a suspension: a number now and then, from frames or from the speed."""
+
+from __future__ import annotations
+
+from bisect import insort
+from typing import Any, ClassVar
+
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
+from suspnet.stream import Frame, FrameError
+
+MOST_KEPT = 1000
+"""Largest number of values of one kind that are kept; the earliest go first."""
+
+
+class SlowValues:
+    """The last values of mileage and temperature, by time.
+
+    Frames may come in any order, and twice. Between frames the mileage goes on with the distance
+    that the speed tells.
+
+    Parameters
+    ----------
+    mileage_km : float, [km]
+        Until a frame tells it.
+    temperature_c : float, optional, [°C]
+        Until a frame tells it.
+    """
+
+    UNITS: ClassVar[dict[str, dict[str, float]]] = {
+        "mileage": {"km": 1.0, "m": 1e-3},
+        "temperature": {"degC": 1.0, "°C": 1.0},
+    }
+    """Sensors of slow values, with the size of each of their units."""
+
+    def __init__(self, mileage_km: float, temperature_c: float | None) -> None:
+        self._passed_km = mileage_km
+        self._known: dict[str, list[tuple[int, float]]] = {"mileage": [], "temperature": []}
+        self._first_c = temperature_c
+
+    def take(self, frame: Frame) -> None:
+        """Keep the values of a frame.
+
+        Raises
+        ------
+        FrameError
+            If the unit is unknown, or a value out of range.
+        """
+        size = self.UNITS[frame.sensor].get(frame.unit)
+        if size is None:
+            units = ", ".join(self.UNITS[frame.sensor])
+            raise FrameError("unit", f"{frame.sensor!r} is in {units}, its frame in {frame.unit!r}")
+        values = size * frame.samples.astype(float)
+        low, high = (0.0, HIGHEST_KM) if frame.sensor == "mileage" else TEMPERATURES_C
+        if values.min() < low or values.max() > high:
+            raise FrameError("range", f"{frame.sensor!r} is {low:g} to {high:g}, got {values}")
+        known = self._known[frame.sensor]
+        for i, value in enumerate(values[:MOST_KEPT].tolist()):
+            one = frame.time_ns + round(i * SECOND_NS / frame.rate_hz), value
+            if one not in known:
+                insort(known, one)
+        del known[:-MOST_KEPT]
+
+    def within(self, begin_ns: int, end_ns: int) -> tuple[float, float | None]:
+        """Return mileage [km] and temperature [°C] of a section.
+
+        Of several values in it the first one counts. Where there is none, the mileage is that at
+        the end of the section before, and the temperature the last one before.
+        """
+        km = [value for at, value in self._known["mileage"] if begin_ns <= at < end_ns]
+        inside = [value for at, value in self._known["temperature"] if begin_ns <= at < end_ns]
+        before = [value for at, value in self._known["temperature"] if at < begin_ns]
+        celsius = next(iter([*inside, *before[::-1]]), self._first_c)
+        return (km[0] if km else self._passed_km), celsius
+
+    def pass_section(self, end_ns: int, mileage_km: float) -> None:
+        """Take the mileage at the end of a section, and forget what lies in it."""
+        self._passed_km = mileage_km
+        known = self._known["temperature"]
+        last = [value for at, value in known if at < end_ns][-1:]
+        self._first_c = last[0] if last else self._first_c
+        for name, several in self._known.items():
+            self._known[name] = [one for one in several if one[0] >= end_ns]
+
+    def state(self) -> dict[str, Any]:
+        """Return JSON-able values that `restore` makes the same of."""
+        return {"passed_km": self._passed_km, "first_c": self._first_c, "known": self._known}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+        self._passed_km, self._first_c = state["passed_km"], state["first_c"]
+        self._known = {name: [(at, v) for at, v in one] for name, one in state["known"].items()}

@@ -1,0 +1,228 @@
+"""One suspension as it runs: its frames become sections, and each section a trip of its own."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from suspnet.checks import check_number
+from suspnet.history.records import TripResult
+from suspnet.live.slow_values import SlowValues
+from suspnet.model.from_recording import TripSettings
+from suspnet.model.trained import TrainedModel
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.recording import Recording
+from suspnet.stream import Frame, FrameError, Running, Sections
+from suspnet.stream.assembler import OrderSettings
+from suspnet.stream.state import dump_state, load_state
+from suspnet.trips.trip import evaluate_recording
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """How a monitor cuts and tells what comes in.
+
+    Parameters
+    ----------
+    section_s : int, [s]
+        Length of a section, which is a trip of its own in the history.
+    every_s : float, optional, [s]
+        After so much signal of a section an estimate from it so far is told; None: at its end only.
+    late_s : float, [s]
+        A section is kept open for frames that come so much later than others.
+    idle_s : float, [s]
+        After so long without any frame all open sections are over, by the computer's clock.
+    order : OrderSettings
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range.
+    """
+
+    section_s: int = 1200
+    every_s: float | None = 600.0
+    late_s: float = 60.0
+    idle_s: float = 3600.0
+    order: OrderSettings = field(default_factory=OrderSettings)
+
+    def __post_init__(self) -> None:
+        check_number("live.section_s", self.section_s, low=60, high=86400, whole=True)
+        check_number("live.every_s", self.every_s, low=60, high=86400, optional=True)
+        check_number("live.late_s", self.late_s, low=0, high=3600)
+        check_number("live.idle_s", self.idle_s, low=1, high=1e7)
+
+
+@dataclass(frozen=True)
+class Told:
+    """An estimate from a section.
+
+    Attributes
+    ----------
+    result : TripResult
+    is_final : bool
+        Whether the section is over; else it is what has come of it so far.
+    frames : dict of int
+        What became of the section's frames, as `Assembler.counts`, over all sensors.
+    distance_km : float, [km]
+        Run in the section; 0 where that is not known.
+    """
+
+    result: TripResult
+    is_final: bool
+    frames: dict[str, int]
+    distance_km: float
+
+
+class LiveSuspension:
+    """Frames of one suspension in, estimates out.
+
+    Memory is that of `Sections`: its signals at the common rate, and frames that wait.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+        As of `Sections`. Its mileage is that of the first section, unless frames tell it.
+    models : sequence of TrainedModel
+        Those of this suspension.
+    trips : TripSettings
+    settings : LiveSettings
+
+    Attributes
+    ----------
+    name : str
+        As frames name it.
+    counts : Counter
+        Frames that could not be used, by reason.
+
+    Raises
+    ------
+    TripError, ValueError
+        As `Sections` does.
+    """
+
+    def __init__(
+        self,
+        manifest: TripManifest,
+        models: Sequence[TrainedModel],
+        trips: TripSettings,
+        settings: LiveSettings,
+    ) -> None:
+        self.manifest, self.models = manifest, models
+        self.name = str(manifest.place)
+        self.counts: Counter[str] = Counter()
+        self._trips, self._settings = trips, settings
+        self._sections = Sections(
+            manifest,
+            settings.section_s,
+            settings.late_s,
+            trips.rate_hz,
+            order=settings.order,
+        )
+        self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
+        self._told: dict[int, int] = {}
+
+    def take(self, frame: Frame) -> None:
+        """Take a frame; raises FrameError, and counts it, where it cannot be used."""
+        try:
+            if frame.sensor in SlowValues.UNITS:
+                self._slow.take(frame)
+            else:
+                self._sections.add(frame)
+        except FrameError as error:
+            self.counts[error.reason] += 1
+            raise
+
+    def due(self) -> list[Told]:
+        """Return the estimates from sections that are over or have gone on for `every_s`."""
+        found = self._over(self._sections.over())
+        every_s = self._settings.every_s
+        if every_s is None:
+            return found
+        for section in self._sections.open[:1]:
+            step = int(section.n_seconds / every_s)
+            is_new = step > self._told.get(section.zero_ns, 0)
+            if is_new and step * every_s < self._settings.section_s:
+                self._told = {section.zero_ns: step}
+                found.append(self._estimate(section, is_final=False))
+        return found
+
+    def end(self) -> list[Told]:
+        """Return the estimates from all sections: no more frames come."""
+        return self._over(self._sections.close())
+
+    def dump(self) -> bytes:
+        """Return the state."""
+        state = {
+            "sections": self._sections.state(),
+            "slow": self._slow.state(),
+            "counts": dict(self.counts),
+        }
+        return dump_state(self._identity, state)
+
+    def load(self, content: bytes) -> None:
+        """Go on from a state; raises StateError if it is damaged or of other settings."""
+        state = load_state(content, self._identity)
+        self._sections.restore(state["sections"])
+        self._slow.restore(state["slow"])
+        self.counts = Counter(state["counts"])
+
+    @property
+    def _identity(self) -> list[object]:
+        return [self.name, self._sections.identity]
+
+    def _over(self, sections: Sequence[Running]) -> list[Told]:
+        """Return the estimates from sections that are over; the mileage goes on behind them.
+
+        A section with no acceleration at all tells nothing: the last speed of a trip may lie in it.
+        """
+        found = []
+        for section in sections:
+            if section.is_empty:
+                continue
+            told = self._estimate(section, is_final=True)
+            end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
+            self._slow.pass_section(end_ns, told.result.mileage_km + told.distance_km)
+            found.append(told)
+        return found
+
+    def _estimate(self, section: Running, is_final: bool) -> Told:
+        """Return the estimate from a section so far."""
+        end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
+        start = EPOCH + timedelta(microseconds=section.zero_ns // 1000)
+        mileage_km, temperature_c = self._slow.within(section.zero_ns, end_ns)
+        manifest = replace(
+            self.manifest,
+            name=f"{start:%Y-%m-%d %H:%M}",
+            start=start,
+            mileage_km=mileage_km,
+            temperature_c=temperature_c,
+            truth={},
+        )
+        distance_km = 0.0
+
+        def read() -> Recording:
+            nonlocal distance_km
+            recording = replace(section.recording(), manifest=manifest)
+            distance_km = _distance_km(recording)
+            return recording
+
+        result = evaluate_recording(manifest, read, self.models, self._trips)
+        frames: Counter[str] = Counter()
+        for counts in section.sensors.values():
+            frames.update(counts)
+        return Told(result, is_final, dict(frames), distance_km)
+
+
+def _distance_km(recording: Recording) -> float:
+    """Return the distance run in a recording [km]; its unknown speeds are as the others."""
+    speeds = recording.speed_m_per_s
+    known = speeds[np.isfinite(speeds)]
+    return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0

@@ -1,0 +1,58 @@
+"""The suspensions that a monitor knows, from a folder of manifests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from suspnet.live.suspension import LiveSettings, LiveSuspension
+from suspnet.model.trained import TrainedModel
+from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.trips.fleet import FleetSettings, models_of
+from suspnet.trips.places import find_groups
+
+
+def read_suspensions(
+    folder: Path, models: Sequence[TrainedModel], settings: FleetSettings, live: LiveSettings
+) -> list[LiveSuspension]:
+    """Return each suspension that a folder has manifests of.
+
+    Parameters
+    ----------
+    folder : Path
+        As `evaluate_fleet` takes it: of one suspension's trips, of several, or with subfolders.
+        Data files need not be there.
+    models : sequence of TrainedModel
+    settings : FleetSettings
+    live : LiveSettings
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no manifest.
+    TripError
+        If a manifest is faulty, is of another vehicle, or lacks the unit or rate of a sensor.
+    ModelFileError
+        If a suspension has no model, or the limits do not go together.
+    """
+    found = []
+    for group in find_groups(folder):
+        if group.error:
+            raise TripError(f"{group.folder}: {group.error}")
+        manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        fitting = models_of(models, group.place)
+        settings.limits_of(fitting)
+        if (name := fitting[0].vehicle.name) != manifest.vehicle:
+            raise TripError(
+                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, the model was "
+                f"trained for {name!r}"
+            )
+        found.append(LiveSuspension(manifest, fitting, settings.trips, live))
+    return found
+
+
+def _km(manifest: TripManifest) -> float:
+    """Return the mileage of a manifest; one without is before all others."""
+    return -1.0 if math.isnan(manifest.mileage_km) else manifest.mileage_km

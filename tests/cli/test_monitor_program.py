@@ -1,0 +1,86 @@
+"""The monitor as a program: a replay into a folder, and what is told of it."""
+
+import json
+
+import pytest
+from cli_runner import typed
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from trip_fixtures import model_at, small_fleet
+
+from suspnet.cli import monitor, replay
+from suspnet.history import History
+from suspnet.model.checkpoint import save_model
+
+LIVE = ("source=folder", "source.folder=incoming", "source.once=true", "live.section_s=300")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    save_model(folder, model_at())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    return small_fleet(tmp_path_factory)[0].parent
+
+
+def monitored(folder, run, fleet, *more):
+    return typed(
+        monitor, f"run={run}", f"suspensions={fleet}", "store=fleet.db", *LIVE, *more, cwd=folder
+    )
+
+
+def test_replay_and_monitor_fill_the_history_and_tensorboard(tmp_path, run, fleet):
+    sent = typed(
+        replay, f"trips={fleet}", "sink=folder", "sink.folder=incoming", "frame_s=10", cwd=tmp_path
+    )
+    assert sent.returncode == 0, sent.stderr
+    ended = monitored(tmp_path, run, fleet, "tensorboard=events")
+    assert ended.returncode == 0, ended.stderr
+    rows = [json.loads(line) for line in ended.stdout.splitlines()]
+    estimates = [row for row in rows if row["kind"] == "estimates"]
+    assert [row["mileage_km"] for row in estimates] == [1000.0 * k for k in range(1, 7)]
+    assert all(0.3 < row["estimates"]["k_p"]["value"] < 3 for row in estimates)
+    assert "frames: " in ended.stderr
+    assert "taken" in ended.stderr
+    with History(tmp_path / "fleet.db") as store:
+        (key,) = store.places()
+        assert len(store.read(*key)) == 6
+    (events,) = (tmp_path / "events").iterdir()
+    scalars = EventAccumulator(str(events)).Reload()
+    steps = [one.step for one in scalars.Scalars("trips/k_p")]
+    assert steps == [1000 * k for k in range(1, 7)]
+    again = monitored(tmp_path, run, fleet)
+    assert again.returncode == 0
+    assert again.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (["run=none"], "run=none does not exist"),
+        (["suspensions=none"], "none"),
+        (["journal=none/journal"], "there is no folder"),
+        (["live.section_s=1"], "live.section_s"),
+        (["live.every_s=1"], "live.every_s"),
+        (["store=none/fleet.db"], "there is no folder"),
+        (["source=other"], "other"),
+    ],
+)
+def test_mistakes_are_one_line(tmp_path, run, fleet, changes, words):
+    (tmp_path / "incoming").mkdir()
+    ended = monitored(tmp_path, run, fleet, *changes)
+    assert ended.returncode == 1
+    assert words in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("missing", ["run", "suspensions", "store"])
+def test_what_is_missing_is_named(tmp_path, missing):
+    given = {"run": "run=a", "suspensions": "suspensions=b", "store": "store=c"}
+    del given[missing]
+    ended = typed(monitor, *given.values(), cwd=tmp_path)
+    assert ended.returncode == 1
+    assert f"`{missing}` is missing" in ended.stderr

@@ -1,0 +1,314 @@
+import multiprocessing
+import os
+import signal
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from monitor_frames import ListSource, all_frames, by_time, mileage_frame, trip_frames
+from stream_signals import disturbed, interleaved
+from trip_fixtures import OUTPUTS, model_at, small_fleet
+
+from suspnet.history import History, HistoryError
+from suspnet.live.journal import Journal, JournalError
+from suspnet.live.monitor import Monitor
+from suspnet.live.results import Results
+from suspnet.live.suspension import LiveSettings, LiveSuspension
+from suspnet.live.suspensions import read_suspensions
+from suspnet.model.from_recording import TripSettings
+from suspnet.recordings import read_manifest
+from suspnet.recordings.manifest import Place
+from suspnet.stream import Frame, encode
+from suspnet.stream.assembler import OrderSettings
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.trip import evaluate_trip
+
+WINDOW = 6
+LIVE = LiveSettings(section_s=300, every_s=None, late_s=20.0, order=OrderSettings(WINDOW))
+SETTINGS = FleetSettings(TripSettings())
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    return small_fleet(tmp_path_factory)
+
+
+def suspensions(fleet, live=LIVE, **changes):
+    """Return the one suspension of the small fleet."""
+    manifest = replace(read_manifest(fleet[0]), **changes)
+    return [LiveSuspension(manifest, [model_at()], SETTINGS.trips, live)]
+
+
+def monitored(folder, fleet, source, live=LIVE):
+    """Run a monitor until its source ends; return what the store has then."""
+    with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
+        results = Results(store, SETTINGS, source.publish)
+        monitor = Monitor(suspensions(fleet, live), source, journal, results.tell)
+        monitor.resume()
+        monitor.run()
+        results.close()
+    return kept(folder, fleet), monitor
+
+
+def kept(folder, fleet):
+    manifest = read_manifest(fleet[0])
+    with History(folder / "fleet.db") as store:
+        return store.read(manifest.vehicle, manifest.place)
+
+
+def frames_of_trips(paths):
+    """Return the encoded frames of some trips by their time."""
+    every = []
+    for path in paths:
+        every.append(mileage_frame(path))
+        every += [one for several in trip_frames(path).values() for one in several]
+    for name in {one.sensor for one in every}:
+        own = sorted((one for one in every if one.sensor == name), key=lambda one: one.time_ns)
+        at = {id(one): k for k, one in enumerate(own)}
+        every = [replace(o, sequence=at[id(o)]) if id(o) in at else o for o in every]
+    return by_time(every)
+
+
+def assert_same_estimate(one, other):
+    assert (one.status, one.flags, one.mileage_km) == (other.status, other.flags, other.mileage_km)
+    for name in OUTPUTS:
+        np.testing.assert_allclose(one.estimates[name], other.estimates[name], rtol=1e-10)
+        np.testing.assert_allclose(one.half_widths[name], other.half_widths[name], rtol=1e-9)
+
+
+# reference
+
+
+def check_chunking(folder, fleet, seed):
+    """Give a trip's frames cut at random, twice, out of order; compare with the trip's files."""
+    rng = np.random.default_rng(seed)
+    path = fleet[seed % len(fleet)]
+    parts = [disturbed(one, rng, WINDOW) for one in trip_frames(path, rng).values()]
+    frames = [mileage_frame(path), *interleaved(parts, rng)]
+    source = ListSource([encode(one) for one in frames], at_once=int(rng.integers(1, 200)))
+    (found,), monitor = monitored(folder, fleet, source)
+    assert_same_estimate(found, evaluate_trip(path, [model_at()], SETTINGS.trips))
+    assert monitor.counts == {"taken": len(frames)}
+    assert source.confirmed == len(frames)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_history_of_a_stream_is_that_of_the_files(tmp_path, fleet, seed):
+    check_chunking(tmp_path, fleet, seed)
+
+
+@pytest.mark.slow
+def test_two_hundred_chunkings_give_what_the_files_give(tmp_path, fleet):
+    for seed in range(3, 203):
+        (tmp_path / str(seed)).mkdir()
+        check_chunking(tmp_path / str(seed), fleet, seed)
+
+
+def test_each_section_is_a_trip_with_its_mileage(tmp_path, fleet):
+    source = ListSource(frames_of_trips(fleet[:3]))
+    found, _ = monitored(tmp_path, fleet, source)
+    expected = [evaluate_trip(path, [model_at()], SETTINGS.trips) for path in fleet[:3]]
+    for one, other in zip(found, expected, strict=True):
+        assert_same_estimate(one, other)
+        assert one.start == other.start
+    kinds = Counter(kind for kind, *_ in source.published)
+    assert kinds == {"estimates": 3, "alarms": 3}
+    told = source.published[-1][2]
+    assert told["estimates"]["k_p"]["value"] == pytest.approx(found[-1].estimates["k_p"])
+    assert told["estimates"]["k_p"]["low"] < told["estimates"]["k_p"]["value"]
+    assert told["final"]
+    assert told["frames"]["taken"] > 100
+
+
+def test_the_mileage_goes_on_with_the_speed(tmp_path, fleet):
+    live = replace(LIVE, section_s=100)
+    source = ListSource(all_frames(fleet[1]))
+    found, _ = monitored(tmp_path, fleet, source, live)
+    start_km = read_manifest(fleet[0]).mileage_km  # the suspension's manifest, no frame tells it
+    np.testing.assert_allclose(found[0].mileage_km, start_km)
+    steps = np.diff([one.mileage_km for one in found])
+    np.testing.assert_allclose(steps, 7.0, rtol=0.03)  # 100 s at 70 m/s, but for the ends
+
+
+def test_estimates_come_while_a_section_runs(tmp_path, fleet):
+    source = ListSource(all_frames(fleet[0]))
+    found, _ = monitored(tmp_path, fleet, source, replace(LIVE, every_s=100.0))
+    told = [row["final"] for kind, _, row in source.published if kind == "estimates"]
+    assert told == [False, False, True]
+    assert len(found) == 1
+
+
+# kills
+
+
+def run_child(folder, fleet, frames):
+    source = ListSource(frames, offset=folder / "offset")
+    with open(folder / "published", "a") as file:
+        source.publish = lambda *one: (file.write(f"{one}\n"), file.flush())
+        monitored(folder, fleet, source)
+
+
+def check_kills(folder, fleet, n_kills, seed):
+    """Kill a monitor without warning, and start it again, until it has read all."""
+    rng = np.random.default_rng(seed)
+    frames = frames_of_trips(fleet[:3])
+    (folder / "whole").mkdir()
+    start = time.perf_counter()
+    expected, _ = monitored(folder / "whole", fleet, ListSource(frames))
+    longest_s = (time.perf_counter() - start) / max(1, n_kills // 4)
+    fork, killed = multiprocessing.get_context("fork"), 0
+    for _ in range(20 * n_kills):  # each start gets further, or is killed before
+        child = fork.Process(target=run_child, args=(folder, fleet, frames))
+        child.start()
+        child.join(rng.uniform(0, longest_s) if killed < n_kills else 120)
+        if child.is_alive():
+            os.kill(child.pid, signal.SIGKILL)
+            killed += 1
+        child.join()
+        if child.exitcode == 0:
+            break
+    assert child.exitcode == 0
+    found = kept(folder, fleet)
+    assert len(found) == len(expected) == 3
+    for one, other in zip(found, expected, strict=True):
+        assert_same_estimate(one, other)
+        assert (one.trip, one.start, one.quality) == (other.trip, other.start, other.quality)
+    return killed
+
+
+def test_killed_monitors_lose_and_double_nothing(tmp_path, fleet):
+    assert check_kills(tmp_path, fleet, 4, seed=0) >= 1
+
+
+@pytest.mark.slow
+def test_fifty_kills_lose_and_double_nothing(tmp_path, fleet):
+    killed = 0
+    for seed in range(1, 30):
+        (tmp_path / str(seed)).mkdir()
+        killed += check_kills(tmp_path / str(seed), fleet, 10, seed)
+        if killed >= 50:
+            return
+    pytest.fail(f"only {killed} kills")
+
+
+# failure
+
+
+def test_bad_frames_are_counted_and_change_nothing(tmp_path, fleet):
+    rng = np.random.default_rng(0)
+    frames = all_frames(fleet[0])
+    good = Frame(str(read_manifest(fleet[0]).place), "body", 1, 10**18, 250.0, "m/s2", np.ones(9))
+    nan = bytearray(encode(replace(good, samples=np.full(9, 7.0))))
+    at = nan.index(np.full(9, 7.0).tobytes())
+    nan[at : at + 8] = np.array([np.nan]).tobytes()
+    bad = {
+        "foreign": b"noise",
+        "truncated": frames[0][:-100],
+        "size": b"\0" * 10**6,
+        "suspension": encode(replace(good, suspension="another train")),
+        "sensor": encode(replace(good, sensor="cabin")),
+        "rate": encode(replace(good, rate_hz=200.0)),
+        "unit": encode(replace(good, unit="furlong")),
+        "nan": bytes(nan),
+        "range": encode(replace(good, sensor="mileage", unit="km", samples=np.array([-1.0]))),
+    }
+    mixed = []
+    for data in frames:
+        mixed.append(data)
+        if rng.random() < 0.2:
+            mixed.append(list(bad.values())[rng.integers(len(bad))])
+    (found,), monitor = monitored(tmp_path, fleet, ListSource(mixed + list(bad.values())))
+    assert set(monitor.counts) == {"taken", *bad}
+    manifest = read_manifest(fleet[0])
+    expected = evaluate_trip(fleet[0], [model_at()], SETTINGS.trips)
+    assert_same_estimate(found, replace(expected, mileage_km=manifest.mileage_km))
+
+
+def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fleet):
+    frames = trip_frames(fleet[0])
+    for several in frames.values():
+        for k in range(40, 50):
+            several[k] = replace(several[k], time_ns=several[k].time_ns - 200 * 10**9)
+    every = sorted(
+        (k, one.sensor, one) for several in frames.values() for k, one in enumerate(several)
+    )
+    source = ListSource([encode(one) for *_, one in every])
+    (found,), _ = monitored(tmp_path, fleet, source)
+    told = source.published[-1][2]["frames"]
+    assert told["clock"] == 10 * len(frames)
+    assert found.quality.usable_percent < 90
+
+
+def test_a_store_that_is_away_is_waited_for(tmp_path, fleet, monkeypatch):
+    failed, write = [], History.write
+
+    def away(self, results):
+        if len(failed) < 2:
+            failed.append(1)
+            raise HistoryError("fleet.db: the store cannot be used")
+        write(self, results)
+
+    monkeypatch.setattr(History, "write", away)
+    monkeypatch.setattr("suspnet.live.results.WAIT_S", 0.0)
+    found, _ = monitored(tmp_path, fleet, ListSource(frames_of_trips(fleet[:1])))
+    assert len(found) == 1
+    assert len(failed) == 2
+
+
+def test_nothing_is_confirmed_that_is_not_in_the_journal(tmp_path, fleet, monkeypatch):
+    source = ListSource(frames_of_trips(fleet[:1]))
+
+    def full(self):
+        raise JournalError("journal: the journal cannot be written (disk is full)")
+
+    monkeypatch.setattr(Journal, "commit", full)
+    with pytest.raises(JournalError, match="disk is full"):
+        monitored(tmp_path, fleet, source)
+    assert source.confirmed == 0
+
+
+def test_a_suspension_that_falls_silent_is_told(tmp_path, fleet):
+    frames, now_s = frames_of_trips(fleet[:1]), [0.0]
+    source = ListSource(frames, at_once=len(frames))
+    rounds = [source.frames, [], []]
+
+    def receive(timeout_s):
+        now_s[0] += 1000.0
+        return rounds.pop(0) if rounds else None
+
+    source.receive = receive
+    with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
+        results = Results(store, SETTINGS, source.publish)
+        one = suspensions(fleet)
+        Monitor(one, source, journal, results.tell, 1500.0, lambda: now_s[0]).run()
+    assert [kind for kind, *_ in source.published] == ["alarms", "estimates"]
+
+
+def test_journal_of_other_settings_is_refused(tmp_path, fleet):
+    frames = frames_of_trips(fleet[:2])
+    monitored(tmp_path, fleet, ListSource(frames))
+    with pytest.raises(JournalError, match="give the settings of before, or another journal="):
+        monitored(tmp_path, fleet, ListSource(frames), replace(LIVE, section_s=200))
+
+
+def test_manifests_of_a_folder_need_no_files(tmp_path, fleet):
+    manifest = fleet[0].read_text()
+    (tmp_path / "live.yaml").write_text(manifest)
+    (found,) = read_suspensions(tmp_path, [model_at()], SETTINGS, LIVE)
+    assert found.name == str(read_manifest(fleet[0]).place)
+
+
+def test_two_manifests_of_one_suspension_are_refused(fleet, tmp_path):
+    with (
+        Journal(tmp_path / "journal") as journal,
+        pytest.raises(ValueError, match="same suspension"),
+    ):
+        Monitor(suspensions(fleet) * 2, ListSource([]), journal, print)
+
+
+def test_place_of_a_suspension_is_its_name():
+    assert str(Place("front", "leading", "left", "7", "2")) == (
+        "train 7, car 2, front, leading bogie, left"
+    )

@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspnet.live.slow_values import MOST_KEPT, SlowValues
+from suspnet.stream import Frame, FrameError
+
+SECOND = 10**9
+
+
+def value(sensor, seconds, *values, unit=None, rate_hz=1.0):
+    unit = unit or {"mileage": "km", "temperature": "degC"}[sensor]
+    samples = np.array(values, dtype=float)
+    return Frame("A", sensor, 0, seconds * SECOND, rate_hz, unit, samples)
+
+
+def within(slow, begin_s, end_s):
+    return slow.within(begin_s * SECOND, end_s * SECOND)
+
+
+def test_values_before_any_frame_are_those_of_the_manifest():
+    assert within(SlowValues(12.0, 20.0), 0, 10) == (12.0, 20.0)
+    assert within(SlowValues(12.0, None), 0, 10) == (12.0, None)
+
+
+def test_first_value_in_a_section_counts():
+    slow = SlowValues(0.0, None)
+    slow.take(value("mileage", 14, 104.0, 105.0))
+    slow.take(value("mileage", 12, 102.0))
+    slow.take(value("temperature", 5, 7.0))
+    assert within(slow, 10, 20) == (102.0, 7.0)
+    slow.take(value("temperature", 13, 9.0))
+    assert within(slow, 10, 20) == (102.0, 9.0)
+
+
+def test_mileage_goes_on_behind_a_section_and_temperature_stays():
+    slow = SlowValues(0.0, None)
+    slow.take(value("mileage", 12, 102.0))
+    slow.take(value("temperature", 13, 9.0))
+    slow.pass_section(20 * SECOND, 110.0)
+    assert within(slow, 20, 30) == (110.0, 9.0)
+
+
+def test_units():
+    slow = SlowValues(0.0, None)
+    slow.take(value("mileage", 1, 5000.0, unit="m"))
+    slow.take(value("temperature", 1, 5.0, unit="°C"))
+    assert within(slow, 0, 10) == (5.0, 5.0)
+
+
+@given(st.permutations(range(20)), st.integers(0, 5))
+def test_order_and_repetition_of_frames_change_nothing(order, n_twice):
+    frames = [value("mileage", 3 * k, 100.0 + k) for k in range(20)]
+    straight, mixed = SlowValues(0.0, None), SlowValues(0.0, None)
+    for one in frames:
+        straight.take(one)
+    for k in [*order, *order[:n_twice]]:
+        mixed.take(frames[k])
+    assert straight.state() == mixed.state()
+    again = SlowValues(1.0, 2.0)
+    again.restore(mixed.state())
+    assert again.state() == straight.state()
+
+
+def test_number_of_values_is_bounded():
+    slow = SlowValues(0.0, None)
+    for k in range(3):
+        slow.take(value("mileage", k * MOST_KEPT, *np.full(MOST_KEPT, 5.0)))
+    assert len(slow.state()["known"]["mileage"]) == MOST_KEPT
+
+
+@pytest.mark.parametrize(
+    ("frame", "reason"),
+    [
+        (value("mileage", 0, -1.0), "range"),
+        (value("mileage", 0, 1e12), "range"),
+        (value("temperature", 0, 300.0), "range"),
+        (value("temperature", 0, 300.0, unit="K"), "unit"),
+        (value("mileage", 0, 1.0, unit="miles"), "unit"),
+    ],
+)
+def test_values_that_cannot_be_are_refused(frame, reason):
+    slow = SlowValues(7.0, 8.0)
+    with pytest.raises(FrameError) as error:
+        slow.take(frame)
+    assert error.value.reason == reason
+    assert within(slow, 0, 10) == (7.0, 8.0)
