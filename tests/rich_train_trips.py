@@ -24,7 +24,9 @@ from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.track import make_profile
 from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M
+from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M
+from suspnet.simulation.trains import FIRST_DAY
+from suspnet.simulation.writing import ANTI_ALIAS
 
 SIDES = ("left", "right")
 WRITTEN = ("pair", "mean", *SIDES)

@@ -22,7 +22,9 @@ from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation import Scenario
-from suspnet.simulation.writing import ANTI_ALIAS, FIRST_DAY, LEAD_IN_S, MARGIN_M, profile_length_m
+from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, profile_length_m
+from suspnet.simulation.trains import FIRST_DAY
+from suspnet.simulation.writing import ANTI_ALIAS
 
 PARTS = ("bending", "dampers", "rubber", "contact")
 OFF = {  # of a vehicle that is not as its drawings say; signs as in README where it gives them

@@ -20,10 +20,11 @@ from suspnet.storage import new_folder
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
 """Name of the file in the folder of a job of a multirun that says why the job failed."""
-FINISHED = ("metrics.json", "speeds.json")
-"""Files of a training that are written last; the second is that of several speeds."""
+FINISHED = ("metrics.json", "speeds.json", "fleet.json")
+"""Files of a training that are written last; the second is that of several speeds, the third that
+of several suspensions."""
 EVENTS = "events.out.tfevents.*"
-NOT_COMPARED = ("resume", "progress", "threads", "data.cache_dir")
+NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
 """Keys that change no number, so that a run that differs in them alone is the same."""
 _to_go_on: list[str] = []
 
@@ -120,21 +121,32 @@ def finished_run(config: DictConfig, folder: Path) -> Path | None:
     """
     if not is_job() and OmegaConf.select(config, "resume") is None:
         return None
-    wanted = _compared(OmegaConf.to_container(config, resolve=True))
-    if _is_finished(folder):
-        if _saved(folder) != wanted:
-            raise ValueError(
-                f"{folder} holds a finished run of other settings; give another folder"
-            )
+    if is_finished(config, folder):
         return folder
     if not is_job():
         return None
+    wanted = _wanted(config)
     for other in sorted(path.parent for path in folder.parent.glob("*/config.yaml")):
         if other != folder and _is_finished(other) and _saved(other) == wanted:
             if not (folder / "config.yaml").exists():
                 shutil.rmtree(folder)
             return other
     return None
+
+
+def is_finished(config: DictConfig, folder: Path) -> bool:
+    """Return whether a folder holds a finished training of a configuration.
+
+    Raises
+    ------
+    ValueError
+        If it is one of another configuration.
+    """
+    if not _is_finished(folder):
+        return False
+    if _saved(folder) != _wanted(config):
+        raise ValueError(f"{folder} holds a finished run of other settings; give another folder")
+    return True
 
 
 def clear(folder: Path) -> None:
@@ -156,6 +168,11 @@ def _saved(folder: Path) -> Any:
         return _compared(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")))
     except (OSError, ValueError, yaml.YAMLError):
         return None
+
+
+def _wanted(config: DictConfig) -> Any:
+    """Return what a run of a configuration saves of it, without what is not compared."""
+    return _compared(OmegaConf.to_container(config, resolve=True))
 
 
 def _compared(content: Any) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from dataclasses import asdict
-from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from tabulate import tabulate
 from suspnet.cli import program
 from suspnet.dynamics import PARAMETERS
 from suspnet.history import Event, History, HistoryError
+from suspnet.history.acknowledging import acknowledge_alarms
 from suspnet.history.events import KINDS
 from suspnet.history.schema import PLACE
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
@@ -165,12 +165,8 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
             "alarms lists all"
         )
     newest = max(r.mileage_km for r in store.read(vehicle, place) if isfinite(r.mileage_km))
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    said = (arguments.by, now, arguments.words)
-    seen = [
-        Acknowledgement(one.parameter, one.cause, one.severity, newest, *said) for one in chosen
-    ]
-    store.acknowledge(vehicle, place, seen)
+    said = arguments.by, arguments.words
+    seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *said)
     told = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
     return f"{place}: {told} acknowledged by {arguments.by} at {km(newest)} km"
 

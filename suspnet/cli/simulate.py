@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -11,7 +12,9 @@ from omegaconf import DictConfig
 
 from suspnet.checks import check_number
 from suspnet.cli import program
+from suspnet.simulation.fleet_writing import write_trains
 from suspnet.simulation.folders import FolderTakenError
+from suspnet.simulation.trains import Trains
 from suspnet.simulation.writing import write_fleet
 
 log = logging.getLogger(__name__)
@@ -22,31 +25,60 @@ log = logging.getLogger(__name__)
 def compose(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
     check_number("workers", config.workers, low=1, most=1024, whole=True)
+    trains = _trains(config)
+    parts = [program.build(config, key) for key in ("fleet", "scenario", "generator")]
+    options: dict[str, Any] = {
+        "seed": config.seed,
+        "scatter": config.scatter,
+        "n_jobs": config.workers,
+        "progress": config.progress,
+    }
     try:
-        manifests = write_fleet(
-            Path(config.out),
-            program.build(config, "fleet"),
-            program.build(config, "scenario"),
-            program.build(config, "generator"),
-            seed=config.seed,
-            scatter=config.scatter,
-            n_jobs=config.workers,
-            progress=config.progress,
-        )
+        if trains is None:
+            manifests = write_fleet(Path(config.out), *parts, **options)
+            folder = manifests[0].parent
+            log.info("%d trips of scenario %s in %s", len(manifests), config.scenario.name, folder)
+        else:
+            folder = write_trains(Path(config.out), trains, *parts, **options)[0].parent
+            _tell_of_trains(config, trains, folder)
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error
-    folder = manifests[0].parent
     log.info(
-        "%d trips of scenario %s in %s\nlearn the vehicle from the first of them: "
-        "python train.py experiment=trips vehicle=%s healthy=%s n_healthy=5 data.minutes=%g\n"
+        "learn the vehicle%s from the first trips: "
+        "python train.py experiment=trips vehicle=%s healthy=%s n_healthy=%d data.minutes=%g\n"
         "then read all of them: python evaluate.py trips=%s run=RUN",
-        len(manifests),
-        config.scenario.name,
-        folder,
+        " of each suspension" if trains else "",
         HydraConfig.get().runtime.choices["vehicle"],
         folder,
+        3 if trains else 5,
         config.fleet.minutes,
         folder,
+    )
+
+
+def _trains(config: DictConfig) -> Trains | None:
+    """Return the trains of the fleet; None if there is one suspension alone."""
+    if config.trains is not None:
+        n_cars = 1 if config.cars is None else config.cars
+        return Trains(config.trains, n_cars, config.n_wearing)
+    for key in ("cars", "n_wearing"):
+        if config[key] is not None:
+            raise ValueError(f"{key}={config[key]} is of a fleet of trains: give trains= too")
+    return None
+
+
+def _tell_of_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
+    """Log what was simulated of some trains, and which suspensions wear."""
+    wearing = [one.name for one in trains.suspensions(config.seed) if one.wears]
+    log.info(
+        "%d suspensions of %d trains, %d trips each, in %s\n%d follow scenario %s: %s",
+        trains.n_all,
+        trains.n_trains,
+        config.fleet.n_trips,
+        folder,
+        len(wearing),
+        config.scenario.name,
+        ", ".join(wearing) or "none",
     )
 
 

@@ -30,7 +30,10 @@ def _end(number: int, frame: object) -> None:
     os._exit(128 + number)
 
 
-PROGRAMS = ("train", "evaluate", "simulate", "check", "init", "history", "monitor", "replay")
-train, evaluate, simulate, check, init, history, monitor, replay = (
+PROGRAMS = (
+    *("train", "evaluate", "simulate", "check", "init", "history"),
+    *("monitor", "replay", "serve"),
+)
+train, evaluate, simulate, check, init, history, monitor, replay, serve = (
     functools.partial(start, name) for name in PROGRAMS
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from omegaconf import DictConfig, ListConfig
 
 from suspnet.checks import check_number
 from suspnet.cli import folders, naming, program
+from suspnet.cli.commission_fleet import several_suspensions, train_fleet
 from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.commissioning.page import training_notes, write_outcome
 from suspnet.commissioning.run import commission_folder
@@ -37,7 +39,8 @@ NO_SPEED = (
 def compose(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
 
-    A range of speeds is several models, each in a folder of its own.
+    A range of speeds is several models, each in a folder of its own, and so are the healthy trips
+    of several suspensions.
     """
     program.join_ranks(config.device)
     folder = program.run_folder()
@@ -45,9 +48,37 @@ def compose(config: DictConfig) -> None:
     if finished is not None:
         log.info("finished before: %s", finished)
         return
+    groups = several_suspensions(config)
+    if groups:
+        _check_healthy(config)
+        train_fleet(config, folder, groups, _run)
+        return
     folders.clear(folder)
+    _run(config, folder, varied=naming.varied(config), draw=naming.is_first_of_its_vehicle())
+
+
+def _run(
+    config: DictConfig,
+    folder: Path,
+    paths: Sequence[Path] | None = None,
+    varied: Mapping[str, Any] | None = None,
+    draw: bool = True,
+) -> None:
+    """Train the models that a configuration names, of one suspension, and fill a folder.
+
+    Parameters
+    ----------
+    config : DictConfig
+    folder : Path
+    paths : sequence of Path, optional
+        Manifests of healthy trips in the folder that is named; None is all.
+    varied : mapping, optional
+        What a multirun varies.
+    draw : bool
+        Whether figures of the vehicle are among the run's.
+    """
     if not isinstance(config.speed_m_per_s, ListConfig):
-        _train(config, folder, _commissioned(config, folder))
+        _train(config, folder, _commissioned(config, folder, paths), varied, draw)
         return
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED)
@@ -61,9 +92,11 @@ def compose(config: DictConfig) -> None:
 
     if program.build(bound(ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
-    healthy = _commissioned(bound(ranges[0]), folder)
+    healthy = _commissioned(bound(ranges[0]), folder, paths)
     program.save_config(config, folder)
-    train_ranges(ranges, lambda one, where: _train(bound(one), where, healthy), folder)
+    train_ranges(
+        ranges, lambda one, where: _train(bound(one), where, healthy, varied, draw), folder
+    )
 
 
 @dataclass(frozen=True)
@@ -75,19 +108,28 @@ class _Healthy:
     residual: Residual
 
 
-def _commissioned(config: DictConfig, folder: Path) -> _Healthy | None:
-    """Return the vehicle that healthy trips show, where a folder of them is named."""
-    if config.healthy is None:
-        return None
+def _check_healthy(config: DictConfig) -> EstimateSettings:
+    """Return what is measured of healthy trips; ValueError if a configuration reads none."""
     settings = program.build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
     check_number("n_healthy", config.n_healthy, low=LEAST_TRIPS, whole=True, optional=True)
+    return settings
+
+
+def _commissioned(
+    config: DictConfig, folder: Path, paths: Sequence[Path] | None
+) -> _Healthy | None:
+    """Return the vehicle that healthy trips show, where a folder of them is named."""
+    if config.healthy is None:
+        return None
+    settings = _check_healthy(config)
     found, outcome = commission_folder(
         Path(config.healthy),
         program.build(config, "generator"),
         settings,
         TripSettings(),
+        paths=paths,
         n_first=config.n_healthy,
         progress=config.progress,
     )
@@ -103,7 +145,13 @@ def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerato
     return replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
 
 
-def _train(config: DictConfig, folder: Path, healthy: _Healthy | None) -> Metrics:
+def _train(
+    config: DictConfig,
+    folder: Path,
+    healthy: _Healthy | None,
+    varied: Mapping[str, Any] | None,
+    draw: bool,
+) -> Metrics:
     """Train what a configuration names and fill a folder."""
     problem = Problem(
         generator=_generator(config, healthy),
@@ -124,8 +172,8 @@ def _train(config: DictConfig, folder: Path, healthy: _Healthy | None) -> Metric
         refine=config.refine,
         figures=config.figures,
         config=resolved,
-        varied=naming.varied(config),
-        draw_vehicle=naming.is_first_of_its_vehicle(),
+        varied=varied,
+        draw_vehicle=draw,
         notes={"commissioned": healthy.notes} if healthy else None,
         residual=healthy.residual if healthy else None,
     )

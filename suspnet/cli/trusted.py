@@ -58,6 +58,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     ),
     "live": ("suspnet.live.suspension.LiveSettings",),
     "order": ("suspnet.stream.assembler.OrderSettings",),
+    "board": ("suspnet.depot.board.BoardSettings",),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
     "costs": ("suspnet.maintenance.visits.Costs",),

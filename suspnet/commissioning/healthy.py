@@ -81,6 +81,7 @@ def read_healthy(
     settings: EstimateSettings,
     trips: TripSettings,
     *,
+    paths: Sequence[Path] | None = None,
     n_first: int | None = None,
     progress: bool = False,
 ) -> HealthyTrips:
@@ -95,6 +96,8 @@ def read_healthy(
     settings : EstimateSettings
         Bound to the vehicle: bins and window.
     trips : TripSettings
+    paths : sequence of Path, optional
+        Manifests of the folder that are read, where it holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.
     progress : bool
@@ -107,7 +110,7 @@ def read_healthy(
         If the trips are of another vehicle, of several suspensions or of sensors that differ, if a
         recording is faulty, or if fewer than three trips have a stretch that can be used.
     """
-    manifests = [read_manifest(path) for path in find_manifests(folder)]
+    manifests = [read_manifest(path) for path in paths or find_manifests(folder)]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     manifests = manifests[:n_first]
     _check_same(folder, manifests, vehicle)

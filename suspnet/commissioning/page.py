@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,10 @@ from suspnet.commissioning import figures, words
 from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.storage import write_atomically, write_json
+from suspnet.storage import printable, write_atomically, write_json
 from suspnet.trips.output import write_table
-from suspnet.trips.report import PNG_DPI, data_uri, render
+from suspnet.trips.report import PNG_DPI, data_uri
+from suspnet.trips.templates import render
 from suspnet.uncertainty.physics import INCOMPLETE
 
 log = logging.getLogger(__name__)
@@ -77,7 +79,8 @@ def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> N
 
 
 def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
-    """Return which trips say what healthy means, for a model's file."""
+    """Return which trips say what healthy means, and of which suspension, for a model's file."""
+    place = asdict(found.manifests[0].place)
     mileage_km = [manifest.mileage_km for manifest in found.manifests]
     return {
         "n_trips": len(found.manifests),
@@ -85,6 +88,7 @@ def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]
         "explained": words.is_explained(outcome),
         "mileage_km": [min(mileage_km), max(mileage_km)],
         "trips": [manifest.name for manifest in found.manifests],
+        "place": {key: printable(text) for key, text in place.items()},
     }
 
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from suspnet.commissioning import words
 from suspnet.commissioning.fit import Commissioned, commission
@@ -30,6 +31,7 @@ def commission_folder(
     settings: EstimateSettings,
     trips: TripSettings,
     *,
+    paths: Sequence[Path] | None = None,
     n_first: int | None = None,
     progress: bool = False,
 ) -> tuple[HealthyTrips, Commissioned]:
@@ -43,6 +45,8 @@ def commission_folder(
         distribution the prior of its parts.
     settings : EstimateSettings
     trips : TripSettings
+    paths : sequence of Path, optional
+        Manifests of one suspension, where the folder holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.
     progress : bool
@@ -54,15 +58,10 @@ def commission_folder(
     ValueError
         If the generator cannot be commissioned.
     """
-    if not isinstance(generator, VerticalVehicle):
-        raise ValueError(
-            f"vehicle {generator.vehicle.name!r} cannot be commissioned as a "
-            f"{type(generator).__name__}: give its geometry, and generator=family"
-        )
+    generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
-    found = read_healthy(
-        folder, generator.vehicle.name, settings, trips, n_first=n_first, progress=progress
-    )
+    options: dict[str, Any] = {"paths": paths, "n_first": n_first, "progress": progress}
+    found = read_healthy(folder, generator.vehicle.name, settings, trips, **options)
     outcome = commission(_prior(generator, found), settings, found.groups)
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
@@ -73,6 +72,16 @@ def commission_folder(
     if hint := words.other_minutes(found, settings):
         log.info("%s", hint)
     return found, outcome
+
+
+def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
+    """Return a generator that can be commissioned; ValueError if it is another."""
+    if not isinstance(generator, VerticalVehicle):
+        raise ValueError(
+            f"vehicle {generator.vehicle.name!r} cannot be commissioned as a "
+            f"{type(generator).__name__}: give its geometry, and generator=family"
+        )
+    return generator
 
 
 def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:

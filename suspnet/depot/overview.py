@@ -18,7 +18,8 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.overview import finding
-from suspnet.trips.report import data_uri, render
+from suspnet.trips.report import data_uri
+from suspnet.trips.templates import render
 from suspnet.trips.trend import PAYLOAD
 
 N_SHOWN = 30

@@ -15,7 +15,7 @@ from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.data.estimates import SPEED_HALF_WIDTH
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, TripCheck
 from suspnet.storage import write_atomically, write_json
-from suspnet.trips.report import render
+from suspnet.trips.templates import render
 
 LISTED = 5
 """Largest number of trips that share a problem and are named in its line."""

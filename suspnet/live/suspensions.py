@@ -10,7 +10,8 @@ from suspnet.live.suspension import LiveSettings, LiveSuspension
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_live_manifest
-from suspnet.trips.fleet import FleetSettings, models_of
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.models import models_of
 from suspnet.trips.places import find_groups
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from suspnet.checks import LARGEST, check_flag, check_number
 from suspnet.learning import Scaling
 from suspnet.model.trained import TrainedModel
 from suspnet.problem import Problem
+from suspnet.recordings.manifest import Place
 from suspnet.types import FloatArray
 
 MAY_BE_INFINITE = ("ood.thresholds",)
@@ -167,6 +169,18 @@ def _check_training(training: Any) -> None:
         check_number("training.commissioned.mileage_km", value)
     if not all(isinstance(name, str) for name in healthy.get("trips", [])):
         raise TypeError("`training.commissioned.trips` must be names")
+    _check_place(healthy.get("place"))
+
+
+def _check_place(place: Any) -> None:
+    """Raise TypeError unless a note says which suspension was commissioned, or nothing of it."""
+    if place is None:
+        return
+    names = {one.name for one in fields(Place)}
+    if not isinstance(place, dict) or set(place) != names:
+        raise TypeError(f"`training.commissioned.place` must be a mapping of {sorted(names)}")
+    if not all(isinstance(text, str) for text in place.values()):
+        raise TypeError("`training.commissioned.place` must hold text")
 
 
 def check_same(given: Any, built: Any, where: str = "model.json") -> None:

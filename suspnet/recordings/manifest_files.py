@@ -186,15 +186,21 @@ UNFINISHED = "unfinished.json"
 
 
 def partial_words(folder: Path) -> str:
-    """Return in words how many trips a folder lacks whose simulation was interrupted; or ""."""
+    """Return in words what a folder lacks whose simulation was interrupted; or "".
+
+    That is trips of a suspension, or suspensions of some trains.
+    """
     if not (folder / UNFINISHED).is_file():
         return ""
-    n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
     try:
-        wanted = f" of {int(read_json(folder / UNFINISHED)['n_trips'])}"
+        marked = read_json(folder / UNFINISHED)
+        what = "suspensions" if "n_suspensions" in marked else "trips"
+        wanted = f" of {int(marked[f'n_{what}'])}"
     except (OSError, ValueError, LookupError, TypeError):
-        wanted = ""
-    return f"partial: {n_written}{wanted} trips are simulated"
+        what, wanted = "trips", ""
+    written = {path.parent for path in folder.glob("*/*.yaml") if what == "suspensions"}
+    n_written = len(written) or sum(path.is_file() for path in folder.glob("*.yaml"))
+    return f"partial: {n_written}{wanted} {what} are simulated"
 
 
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")

@@ -16,19 +16,32 @@ from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.trains import Aboard, Trains
 from suspnet.storage import content_hash, locked, read_json, write_json
 
 log = logging.getLogger(__name__)
+TRUTH = "truth.json"
+"""Name of the file that is written last: the numbers of what was simulated."""
 
 
 class FolderTakenError(ValueError):
     """A folder holds the trips of another simulation."""
 
 
-def described(fleet: Fleet, scenario: Scenario, generator: Any, seed: int, scatter: float) -> str:
+def described(
+    fleet: Fleet,
+    scenario: Scenario,
+    generator: Any,
+    seed: int,
+    scatter: float,
+    trains: Trains | Aboard | None = None,
+) -> str:
     """Return a hash of all that the trips of a simulation depend on."""
-    parts = [asdict(fleet), asdict(scenario), type(generator).__name__, asdict(generator)]
-    return content_hash(json.loads(json.dumps([*parts, seed, scatter, __version__], default=str)))
+    parts: list[Any] = [asdict(fleet), asdict(scenario), type(generator).__name__]
+    parts += [asdict(generator), seed, scatter, __version__]
+    if trains is not None:
+        parts.append(asdict(trains))
+    return content_hash(json.loads(json.dumps(parts, default=str)))
 
 
 @contextmanager
@@ -50,27 +63,54 @@ def own_folder(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def unfinished(folder: Path, made_from: str, n_trips: int, n_missing: int) -> Iterator[None]:
-    """Mark a folder as that of an unfinished simulation, until it is left without an error."""
+def unfinished(
+    folder: Path, made_from: str, n_all: int, n_missing: int, what: str = "trips"
+) -> Iterator[None]:
+    """Mark a folder as that of an unfinished simulation, until it is left without an error.
+
+    Parameters
+    ----------
+    folder : Path
+    made_from : str
+        As `described` gives it.
+    n_all, n_missing : int
+        Number of its trips or suspensions, and of those that are not there yet.
+    what : {"trips", "suspensions"}
+
+    Raises
+    ------
+    FolderTakenError
+        If it holds trips of another simulation.
+    """
     mark = folder / UNFINISHED
     if not mark.exists():
-        if any(folder.glob("*.yaml")):
+        if _holds_trips(folder):
             raise FolderTakenError(f"{folder} already holds trips; give another folder")
-        write_json(mark, {"n_trips": n_trips, "made_from": made_from})
+        write_json(mark, {f"n_{what}": n_all, "made_from": made_from})
     elif read_json(mark).get("made_from") != made_from:
         raise FolderTakenError(
             f"{folder} already holds trips; give another folder, or the settings of that "
             "unfinished simulation to go on with it"
         )
-    elif n_missing < n_trips:
-        log.info("%d of %d trips are there, going on", n_trips - n_missing, n_trips)
+    elif n_missing < n_all:
+        log.info("%d of %d %s are there, going on", n_all - n_missing, n_all, what)
     try:
         yield
     except BaseException:
-        if not any(folder.glob("*.yaml")):
+        if not _holds_trips(folder):
             mark.unlink(missing_ok=True)
         raise
     mark.unlink()
+
+
+def _holds_trips(folder: Path) -> bool:
+    """Return whether a folder, or one in it, holds a manifest."""
+    return any(any(folder.glob(pattern)) for pattern in ("*.yaml", "*/*.yaml"))
+
+
+def is_finished(folder: Path) -> bool:
+    """Return whether a folder holds all trips of the simulation of a suspension."""
+    return (folder / TRUTH).is_file() and not (folder / UNFINISHED).exists()
 
 
 def is_whole(manifest: Path) -> bool:

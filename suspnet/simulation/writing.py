@@ -6,8 +6,8 @@ import functools
 import io
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from dataclasses import asdict, replace
+from datetime import timedelta
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,32 +22,23 @@ from scipy.signal import resample_poly
 from tqdm import tqdm
 
 from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.dynamics.journey import Journey
-from suspnet.dynamics.motion import LinearSystem, SampledMotion
-from suspnet.dynamics.track import (
-    TrackProfile,
-    cross_level_spectrum,
-    make_profile,
-    track_spectrum,
-)
+from suspnet.dynamics.motion import LinearSystem
+from suspnet.dynamics.track import cross_level_spectrum, make_profile, track_spectrum
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.folders import described, is_whole, own_folder, unfinished
+from suspnet.simulation.folders import TRUTH, described, is_whole, own_folder, unfinished
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.signals import profile_length_m, simulate_trip
+from suspnet.simulation.trains import FIRST_DAY, Aboard
 from suspnet.storage import write_atomically, write_json
 from suspnet.types import FloatArray
 from suspnet.workers import LostWorkerError, each
 
-BLOCK = 1 << 18
-"""Number of samples simulated at once."""
-LEAD_IN_S = 20.0
-"""Time simulated before a trip that starts at speed [s], in which the transient decays."""
-MARGIN_M = 50.0
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)
-FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
+DAYS_BETWEEN = timedelta(days=10)
 
 
 class SimulatedVehicle(Protocol):
@@ -71,6 +62,7 @@ def write_fleet(
     *,
     seed: int = 0,
     scatter: float = 0.0,
+    aboard: Aboard | None = None,
     n_jobs: int = 1,
     progress: bool = False,
 ) -> list[Path]:
@@ -94,6 +86,9 @@ def write_fleet(
     scatter : float, [-]
         How far the true numbers lie from the generator's nominal ones: 0 not at all, 1 as far as
         their priors say; see `scattered`.
+    aboard : Aboard, optional
+        Where on which train the suspension is, and what its trips share with those of the others
+        there. None: it is alone.
     n_jobs : int
         Trips at the same time.
     progress : bool
@@ -111,7 +106,7 @@ def write_fleet(
     LostWorkerError
         If the processes that wrote a trip were killed.
     """
-    made_from = described(fleet, scenario, generator, seed, scatter)
+    made_from = described(fleet, scenario, generator, seed, scatter, aboard)
     generator = scattered(generator, scatter, seed)
     _check_sides(fleet, generator)
     mileage = fleet.mileage_km()
@@ -124,7 +119,11 @@ def write_fleet(
         "seed": seed,
         "numbers": true_numbers(generator),
     }
-    write = functools.partial(_write_trip, fleet=fleet, generator=generator, seed=seed)
+    if aboard is not None:
+        truth |= {"place": asdict(aboard.place(fleet.suspension)), "scenario": scenario.name}
+    write = functools.partial(
+        _write_trip, fleet=fleet, generator=generator, seed=seed, aboard=aboard
+    )
     with own_folder(folder) as folder:
         paths = [folder / f"{_name(i)}.yaml" for i in range(fleet.n_trips)]
         missing = [i for i, path in enumerate(paths) if not is_whole(path)]
@@ -135,7 +134,7 @@ def write_fleet(
             for _, outcome in bar:
                 if isinstance(outcome, LostWorkerError):
                     raise outcome
-            write_json(folder / "truth.json", truth)
+            write_json(folder / TRUTH, truth)
     return paths
 
 
@@ -144,83 +143,12 @@ def _name(index: int) -> str:
     return f"trip_{index + 1:03d}"
 
 
-def simulate_trip(
-    system: LinearSystem,
-    profile: TrackProfile,
-    journey: Journey,
-    rate_hz: float,
-    cross: TrackProfile | None = None,
-) -> FloatArray:
-    """Return accelerations of axle box, frame and body along a trip, shape (3, n_samples), [m/s^2].
-
-    With sensors on both sides three more rows follow, those of the other side.
-
-    The axle box feels v^2 r'' + a r' of the track r at its place; the other wheelsets feel the
-    same track where they are. The vehicle's response is exact for an acceleration of the wheels
-    that is linear between samples.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    profile : TrackProfile
-        As long as the journey with its lead-in, and the train, ask for (`profile_length_m`).
-    journey : Journey
-    rate_hz : float, [Hz]
-    cross : TrackProfile, optional
-        With roll: an independent profile of `cross_level_spectrum`, which times the system's
-        `roll_per_m` is the angle of the track.
-    """
-    motion = SampledMotion(system, rate_hz)
-    n_lead = round(_lead_in_s(journey) * rate_hz)
-    n_samples = math.floor(journey.duration_s * rate_hz + 1e-6)
-    start_m = _start_m(system, journey)
-    n_sides = len(system.sensors) // 2
-    signals = np.empty((n_sides, 3, n_samples))
-    measured = system.behind_m.index(min(system.behind_m, key=abs))
-    tracks = [(profile, 1.0)] + ([] if cross is None else [(cross, system.roll_per_m)])
-    for first in range(-n_lead, n_samples, BLOCK):
-        times = np.arange(first, min(first + BLOCK, n_samples)) / rate_hz
-        position, speed, acceleration = journey.at(times)
-        wheels = []
-        for track, scale in tracks:
-            squared, scaled = scale * speed**2, scale * acceleration
-            for behind in system.behind_m:
-                _, slope, curvature = track.at(start_m + position - behind)
-                wheels.append(squared * curvature + scaled * slope)
-        outputs = motion.advance(wheels).reshape(n_sides, 2, len(times))
-        kept = slice(max(0, -first), None)
-        place = slice(max(0, first), max(0, first + len(times)))
-        signals[:, 0, place] = wheels[measured][kept]
-        if cross is not None:
-            angle = wheels[len(system.behind_m) + measured][kept]
-            for side, sign in enumerate((1.0, -1.0)[:n_sides]):
-                signals[side, 0, place] += sign * system.lateral_m[0] * angle
-        signals[:, 1:, place] = outputs[:, :, kept]
-    return signals.reshape(3 * n_sides, n_samples)
-
-
-def profile_length_m(system: LinearSystem, journey: Journey) -> float:
-    """Return the length of track that a trip needs, [m]."""
-    ahead = -min(system.behind_m)
-    return _start_m(system, journey) + journey.distance_m + ahead + MARGIN_M
-
-
-def _lead_in_s(journey: Journey) -> float:
-    """Return the time simulated before the trip begins, [s]."""
-    return LEAD_IN_S if journey.speeds_m_per_s[0] > 0 else 0.0
-
-
-def _start_m(system: LinearSystem, journey: Journey) -> float:
-    """Return the position of the measured wheelset on the track when the trip begins, [m]."""
-    lead_m = _lead_in_s(journey) * float(journey.speeds_m_per_s[0])
-    return max(system.behind_m) + lead_m + MARGIN_M
-
-
 def _write_trip(
     trip: tuple[Path, int, float, FloatArray],
     fleet: Fleet,
     generator: SimulatedVehicle,
     seed: int,
+    aboard: Aboard | None,
 ) -> Path:
     """Simulate one trip, write its manifest and files, and return the manifest's path.
 
@@ -228,6 +156,8 @@ def _write_trip(
     """
     folder, index, mileage_km, ratios = trip
     track, noise, speeds, cross = np.random.SeedSequence([seed, index]).spawn(4)
+    if aboard is not None:
+        track, _, speeds, cross = np.random.SeedSequence([aboard.seed, index]).spawn(4)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
     rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
     system = generator.motion_system(torch.as_tensor(ratios))
@@ -258,11 +188,13 @@ def _write_trip(
         vehicle=generator.vehicle.name,
         suspension=fleet.suspension,
         mileage_km=mileage_km,
-        start=FIRST_DAY + timedelta(days=10 * index),
+        start=(aboard.first_start if aboard else FIRST_DAY) + DAYS_BETWEEN * index,
         speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
         channels=channels,
         truth=dict(zip(PARAMETERS, ratios.tolist(), strict=True)),
     )
+    if aboard is not None:
+        manifest = replace(manifest, train=aboard.train, car=aboard.car, bogie=aboard.bogie)
     return write_manifest(manifest)
 
 

@@ -61,11 +61,11 @@ class Jobs(Callback):
 def job_rows(folder: Path) -> list[dict[str, Any]]:
     """Return a row for each job of a multirun: rms error of each output [%], their mean, state.
 
-    Jobs that did not finish come last. Of several speeds an error is the mean over the ranges.
+    Jobs that did not finish come last. Of several speeds or suspensions an error is their mean.
     """
     jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
     jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
-    errors = {job: _errors(job) for job in jobs}
+    errors = {job: run_errors(job) for job in jobs}
     outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
     rows = []
     for job, found in errors.items():
@@ -76,12 +76,13 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["mean"] is None, row["mean"] or 0.0, row["job"]))
 
 
-def _errors(job: Path) -> dict[str, float]:
-    """Return the rms error of each output of a job, [%]; {} if it did not finish."""
-    for name in ("metrics.json", "speeds.json"):
+def run_errors(job: Path) -> dict[str, float]:
+    """Return the rms error of each output of a run, [%]; {} if it did not finish."""
+    for name in ("metrics.json", "speeds.json", "fleet.json"):
         if (job / name).is_file():
             found = read_json(job / name)
-            parts = [part["rms_percent"] for part in (found if name == "speeds.json" else [found])]
+            several = found if isinstance(found, list) else [found]
+            parts = [part["rms_percent"] for part in several]
             return {key: sum(part[key] for part in parts) / len(parts) for key in parts[0]}
     return {}
 

@@ -7,28 +7,25 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from tqdm import tqdm
 
-from suspnet._version import __version__
 from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
-from suspnet.dynamics.limits import PARAMETERS, TIGHTEST, limits_words
+from suspnet.dynamics.limits import PARAMETERS, TIGHTEST
 from suspnet.history import Event, History
-from suspnet.history.records import ERROR, TripResult, first_trips, relative_to_first
+from suspnet.history.records import ERROR, TripResult, relative_to_first
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.forecast import remaining_lives
 from suspnet.maintenance.limits import Limits, Severity, read_limits
 from suspnet.maintenance.watch import Watched, detector_words
-from suspnet.model import ModelFileError, TrainedModel
+from suspnet.model import TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
-from suspnet.recordings.manifest import Place
 from suspnet.recordings.manifest_files import partial_words, read_manifest
 from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
@@ -39,8 +36,10 @@ from suspnet.trips.commissionings import (
     of_last_era,
     with_truth_of_each,
 )
+from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details
 from suspnet.trips.earlier import between, with_earlier
 from suspnet.trips.finished import FinishedTrips
+from suspnet.trips.models import models_of
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
 from suspnet.trips.places import Group, find_groups
@@ -61,7 +60,6 @@ RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
 OVERRIDDEN = "set for this evaluation"
 """Reason of limits that are given as a setting without one."""
-UNKNOWN_HEALTHY = "healthy is not known yet"
 
 
 @dataclass(frozen=True)
@@ -110,6 +108,11 @@ class FleetSettings:
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
 
+    @property
+    def n_first(self) -> int | None:
+        """Number of first trips that say what healthy is; None: the models do."""
+        return self.n_reference if self.reference == "first_trips" else None
+
     def limits_of(self, models: Sequence[TrainedModel]) -> dict[str, Limits]:
         """Return the limits of each parameter that has any: these, or the vehicle's.
 
@@ -122,71 +125,6 @@ class FleetSettings:
         """
         vehicle = eras(models)[-1][0].vehicle
         return read_limits(self.limits or {}, vehicle.known_limits, OVERRIDDEN)
-
-
-def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
-    """Return the outputs of models that can read trips together.
-
-    Raises
-    ------
-    ModelFileError
-        If one was not trained on estimates from trips, needs a measured mass, or if they differ
-        in vehicle or outputs or share a speed.
-    """
-    for model in models:
-        trip_settings(model)
-        if model.task.mass_known:
-            raise ModelFileError("models with protocol.mass_known=true cannot read trips")
-    first = models[0]
-    for model in models[1:]:
-        if (model.vehicle, model.task.outputs) != (first.vehicle, first.task.outputs):
-            raise ModelFileError(
-                "the models of `run` must share vehicle and outputs; give runs of one vehicle"
-            )
-    for era in eras(models):
-        _check_together(era)
-    return first.task.outputs
-
-
-def _check_together(models: Sequence[TrainedModel]) -> None:
-    """Raise ModelFileError if models of one commissioning are for both bogies or share a speed."""
-    if len({model.generator.bogie for model in models} - {None}) > 1:
-        raise ModelFileError(
-            "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
-            "manifests, or give the folder of one run"
-        )
-    speeds = [model.generator.speed_m_per_s for model in models]
-    if len(set(speeds)) < len(speeds):
-        raise ModelFileError(
-            f"two models are for the same speed ({', '.join(map(_speed_words, models))}); give the "
-            "folder of one run, or of a multirun over speed_m_per_s alone"
-        )
-
-
-def _speed_words(model: TrainedModel) -> str:
-    """Return the speeds that a model reads, in words."""
-    speed, half_width = model.generator.speed_m_per_s, trip_settings(model).speed_half_width
-    if speed is None:
-        return "any"
-    return f"{speed * (1 - half_width):.3g} to {speed * (1 + half_width):.3g} m/s"
-
-
-def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
-    """Return the models that can read a suspension's trips: those of its bogie, if it is named.
-
-    Raises
-    ------
-    ModelFileError
-        If there is none, or if the models cannot read trips together.
-    """
-    fitting = [m for m in models if not place.bogie or m.generator.bogie in (None, place.bogie)]
-    if not fitting:
-        raise ModelFileError(
-            f"the trips are of the {place.bogie} bogie, the models of the other one: train one "
-            f"with generator.bogie={place.bogie}"
-        )
-    check_models(fitting)
-    return fitting
 
 
 def evaluate_fleet(
@@ -209,7 +147,8 @@ def evaluate_fleet(
     folder : Path
         Holds a manifest for each trip, or subfolders that do.
     models : sequence of TrainedModel
-        One for each speed bin, and for each bogie that the manifests name.
+        One for each speed bin, and for each bogie that the manifests name, or those that were
+        commissioned on each suspension.
     output : Path
     settings : FleetSettings
     progress : bool
@@ -236,6 +175,8 @@ def evaluate_fleet(
         return [_evaluate_group(groups[0], models, output, settings, progress, store)]
     for model in models:
         trip_settings(model)
+    if partial := partial_words(folder):
+        log.warning("%s is %s; the same simulation again writes the others", folder, partial)
     done = []
     for group in groups:
         if group.error:
@@ -295,11 +236,13 @@ def _evaluate_group(
         store.keep_alarms(vehicle, group.place, watched.alarms, OWN_CAUSES)
         seen = store.acknowledgements(vehicle, group.place)
     found = _assessments(recent, outputs, least, limits, watched)
-    missing = _missing_reference(settings, recent)
+    missing = missing_reference(recent, settings.n_first)
     if missing:
         log.warning("%s: %s", group.folder, missing)
         found = [_without_reference(one) for one in found]
-    details = _details(group.folder, fitting, settings, results)
+    details = report_details(
+        group.folder, fitting, results, limits, settings.trips.level, settings.n_first
+    )
     details["alarms of changes"] = armed = detector_words(watched.changes, settings.changes)
     partial = partial_words(group.folder)
     if partial:
@@ -402,76 +345,9 @@ def _assessments(
     return found
 
 
-def _details(
-    folder: Path,
-    models: Sequence[TrainedModel],
-    settings: FleetSettings,
-    results: list[TripResult],
-) -> dict[str, str]:
-    """Return what the report says of model, settings and version."""
-    first = models[0]
-    trained = trip_settings(first)
-    reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
-    if settings.reference == "first_trips":
-        first_ones = first_trips(results, settings.n_reference)
-        reference = f"the median of the first {len(first_ones)} trips (k and c)"
-        flagged = sum(bool(r.flags) for r in first_ones)
-        if flagged:
-            reference += f", {flagged} of them flagged"
-        missing = _missing_reference(settings, results)
-        if missing:
-            reference = f"{reference}; {missing}" if first_ones else missing
-    return {
-        "trips": printable(str(folder)),
-        "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
-        "suspnet": __version__,
-        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
-        f"{type(first.generator).__name__}",
-        "speeds": ", ".join(dict.fromkeys(map(_speed_words, models))),
-        "transfer functions": f"{trained.method}, {trained.window} windows of "
-        f"{trained.segment_s:g} s",
-        "healthy is": reference,
-        "intervals": _interval_words(first, settings.trips.level),
-        "limits": limits_words(settings.limits_of(models)),
-    }
-
-
-def _missing_reference(settings: FleetSettings, results: list[TripResult]) -> str:
-    """Return in words what the first trips lack to say what is healthy; empty if nothing."""
-    n_found = len(first_trips(results, settings.n_reference))
-    if settings.reference != "first_trips" or n_found == settings.n_reference:
-        return ""
-    return (
-        f"{UNKNOWN_HEALTHY}: {n_found} trips have an estimate, the first "
-        f"{settings.n_reference} are to say it (lower monitor.n_reference, or take "
-        "monitor.reference=vehicle)"
-    )
-
-
 def _without_reference(one: Assessment) -> Assessment:
     """Return an assessment where healthy is not known: the parameter cannot be judged, at least."""
     if not one.limited:
         return one
     severity = max(one.severity, Severity.UNKNOWN)
     return replace(one, severity=severity, words=f"{UNKNOWN_HEALTHY}; {one.words}")
-
-
-def healthy_words(model: TrainedModel) -> str:
-    """Return in words what a model's estimates are relative to."""
-    found = model.training.get("commissioned")
-    if not found:
-        return "the vehicle file's drawing"
-    first, last = (f"{km:,.0f}".replace(",", " ") for km in found["mileage_km"])
-    span = f"at {first} km" if first == last else f"from {first} to {last} km"
-    return f"what {found['n_trips']} trips {span} showed"
-
-
-def _interval_words(model: TrainedModel, level: float) -> str:
-    """Return in words where the intervals come from."""
-    if model.intervals is None:
-        return "none: the model was trained with data.n_calibrate=null"
-    return (
-        f"{100 * level:g} %, calibrated on {len(model.intervals.conformal.scores)} simulated "
-        "curves that the model was not trained on, then adapted to the noise of each trip"
-    )

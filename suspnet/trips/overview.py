@@ -17,7 +17,7 @@ from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.output import write_table
-from suspnet.trips.report import render
+from suspnet.trips.templates import render
 
 REPORT = "report.html"
 

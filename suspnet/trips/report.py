@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 import base64
-import functools
 import io
 import math
-import re
-import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from suspnet.dynamics.vehicle import UNITS
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import Limits, Severity
+from suspnet.maintenance.limits import Limits
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.sides import sides_finding
+from suspnet.trips.templates import KILO, SEVERITIES, render, thousands, with_unit
+from suspnet.trips.trip_table import trip_table
 
 NAMES = {
     "k_p": "stiffness of the primary spring",
@@ -77,25 +71,14 @@ FLAGS_SHOWN = (
     " A hollow circle is a flagged trip: it shows something that was not trained for, and its "
     "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
 )
-SEVERITIES = {
-    Severity.ACT: ("act", "Act"),
-    Severity.NOTICE: ("notice", "Notice"),
-    Severity.UNKNOWN: ("plain", "Not judged"),
-    Severity.NONE: ("good", "No alarm"),
-}
-"""Tone and label of each severity; style.css has the colours of each tone."""
 ANEW = (
     "Commissioned anew: {}. Severities, medians and changes are of the trips since; each trip's "
     "percentages are of its own healthy values, those of the figure of the first ones."
 )
 MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
-KILO = 1e3
-KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
-"""Unit of a thousand of each SI unit."""
 SVG_LIMIT = 400_000
 """Size of an SVG [bytes] above which a figure is embedded as PNG."""
 PNG_DPI = 130
-NO_NUMBER = "\N{EN DASH}"
 
 
 def write_report(
@@ -157,10 +140,9 @@ def write_report(
     severity, finding = overall(assessments)
     told = worst_first(assessments)
     doubts, sides = _doubts(trips), sides_finding(trips)
-    halves = {name: [_half_width(r, name) for r in trips] for name in outputs}
-    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    table = trip_table(trips, outputs, level)
     shown = {
-        "intervals": INTERVALS_SHOWN.format(level=f"{100 * level:g}") if known else "",
+        "intervals": INTERVALS_SHOWN.format(level=table.level) if table.level else "",
         "flags": FLAGS_SHOWN if doubts else "",
     }
     tone = SEVERITIES[severity][0]
@@ -180,16 +162,12 @@ def write_report(
             for one in sorted(alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
         ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
-        trips=trips,
+        table=table,
         anew=_anew(states, events),
         healthy=_healthy(trips),
-        halves=halves,
-        digits={name: _digits(column) for name, column in halves.items()},
-        level=f"{100 * level:g}" if known else "",
-        outputs=outputs,
+        level=table.level,
         names=NAMES,
         roles=ROLES,
-        ok=OK,
         details=details,
     )
     return write_atomically(path, page.encode("utf-8", errors="replace"))
@@ -205,44 +183,12 @@ def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
     return " ".join(told)
 
 
-def render(template: str, package: str = "suspnet.trips", **values: Any) -> str:
-    """Return an HTML template of a package, filled in; it may include those of this package."""
-    environment = Environment(
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=FunctionLoader(functools.partial(_packaged, package)),
-    )
-    environment.filters |= {
-        "number": _number,
-        "plus_minus": _plus_minus,
-        "thousands": _thousands,
-        "symbol": _symbol,
-        "range": _range,
-        "si": _si,
-        "unbroken": _unbroken,
-        "to_go": _to_go,
-        "rounded": _rounded,
-    }
-    labels = {str(severity): label for severity, label in SEVERITIES.items()}
-    return environment.get_template(template).render(labels=labels, **values)
-
-
-def _packaged(package: str, name: str) -> str:
-    """Return the text of a file of a package, or of this one if it has none."""
-    file = resources.files(package).joinpath(name)
-    if not file.is_file():
-        file = resources.files("suspnet.trips").joinpath(name)
-    return file.read_text(encoding="utf-8")
-
-
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     """Return what the page is about: label and text."""
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
     span = "unknown"
     if mileage:
-        span = " to ".join(dict.fromkeys(_thousands(km) for km in (min(mileage), max(mileage))))
+        span = " to ".join(dict.fromkeys(thousands(km) for km in (min(mileage), max(mileage))))
         span += " km"
     starts = sorted(r.start for r in trips if r.start)
     dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
@@ -271,21 +217,6 @@ def _doubts(trips: Sequence[TripResult]) -> str:
         return f"All {done} trips are flagged, and none of these numbers is to be relied on: {why}."
     are = "is" if flagged == 1 else "are"
     return f"{flagged} of {done} trips {are} flagged, see the table; {why}."
-
-
-def _half_width(result: TripResult, name: str) -> float:
-    """Return half an interval, [% of healthy]; NaN if there is none or the trip is flagged."""
-    low, high = result.interval(name)
-    return math.nan if result.flags else 100 * (high - low) / 2
-
-
-def _digits(half_widths: Sequence[float]) -> int:
-    """Return the number of decimals of a column of estimates and half widths: 1, 2 or 3."""
-    known = [half for half in half_widths if math.isfinite(half) and half > 0]
-    if not known:
-        return 1
-    further = math.ceil(math.log10(0.095 / statistics.median(known)))
-    return 1 + min(max(further, 0), 2)
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
@@ -319,34 +250,6 @@ def data_uri(figure: Figure) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
 
 
-def _number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
-    """Return a number with a true minus sign, or a dash if there is none."""
-    if value is None or not math.isfinite(value):
-        return NO_NUMBER
-    text = f"{value * scale:.{digits}f}"
-    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
-
-
-def _plus_minus(half_width: float, digits: int) -> Markup:
-    """Return a half width in small print; nothing if there is none."""
-    if not math.isfinite(half_width):
-        return Markup()
-    return Markup("<small> ± {}</small>").format(_number(half_width, digits))
-
-
-def _si(value: float, name: str) -> Markup:
-    """Return a parameter's value with its unit in small print; nothing if there is none."""
-    if not math.isfinite(value):
-        return Markup()
-    return Markup("<small>{}</small>").format(_with_unit(f"{value / KILO:.4g}", name))
-
-
-def _with_unit(number: str, name: str) -> str:
-    """Return a number of thousands of a parameter's SI unit with that unit."""
-    unit = KILO_UNITS[UNITS[name]].replace(" ", "\N{NO-BREAK SPACE}")
-    return f"{number}\N{NO-BREAK SPACE}{unit}"
-
-
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
     """Return what 100 % of each parameter is on the last trip that has an estimate."""
     known = [r for r in trips if r.healthy_si]
@@ -355,48 +258,7 @@ def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
     found = {}
     for name, value in known[-1].healthy_si.items():
         half = 100 * known[-1].healthy_half_widths.get(name, 0.0)
-        found[name] = _with_unit(f"{value / KILO:.4g}", name)
+        found[name] = with_unit(f"{value / KILO:.4g}", name)
         if half > 0:
             found[name] += f" ±\N{NO-BREAK SPACE}{half:.2g}\N{NO-BREAK SPACE}%"
     return found
-
-
-def _thousands(value: float) -> str:
-    """Return a whole number with no-break spaces between thousands, or a dash."""
-    if not math.isfinite(value):
-        return NO_NUMBER
-    return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
-
-
-def _to_go(life: Life | None) -> Markup:
-    """Return how far it is to the act limit, with the 80 % interval in small print; or a dash."""
-    if life is None:
-        return Markup(NO_NUMBER)
-    low, high = life.interval_km()
-    if not math.isfinite(low):
-        return Markup("no end in sight")
-    if high == 0:
-        return Markup("passed")
-    ends = [_rounded(km) for km in (life.quantile_km(0.5), low, high)]
-    return Markup("{}<small>{} to {}</small>").format(*ends)
-
-
-def _rounded(km: float) -> str:
-    """Return a mileage in words, with two digits that count."""
-    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
-
-
-def _symbol(name: str) -> Markup:
-    """Return a parameter's symbol with its index."""
-    letter, _, index = name.partition("_")
-    return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
-
-
-def _range(pair: tuple[float, float]) -> str:
-    """Return lower and upper limit, in %."""
-    return " to ".join(f"{100 * one:g}" for one in pair)
-
-
-def _unbroken(words: str) -> str:
-    """Return words in which no line ends between a number and its unit, or within a number."""
-    return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)

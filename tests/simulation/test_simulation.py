@@ -19,14 +19,8 @@ from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.writing import (
-    BLOCK,
-    LEAD_IN_S,
-    Fleet,
-    profile_length_m,
-    simulate_trip,
-    write_fleet,
-)
+from suspnet.simulation.signals import BLOCK, LEAD_IN_S, profile_length_m, simulate_trip
+from suspnet.simulation.writing import Fleet, write_fleet
 from suspnet.storage import read_json
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
@@ -213,7 +207,7 @@ def test_longer_trip_is_the_same_in_its_first_part(monkeypatch):
     first = simulate_trip(system, profile, short, 100.0)
     np.testing.assert_allclose(whole[:, :600], first, rtol=0, atol=1e-9)
     assert BLOCK > 3200
-    monkeypatch.setattr("suspnet.simulation.writing.BLOCK", 2111)
+    monkeypatch.setattr("suspnet.simulation.signals.BLOCK", 2111)
     pieces = simulate_trip(system, profile, long, 100.0)
     np.testing.assert_allclose(pieces, whole, rtol=0, atol=1e-9 * np.abs(whole).max())
 

@@ -26,8 +26,10 @@ from suspnet.trips.commissionings import (
     since_km,
     with_truth_of_each,
 )
-from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet, healthy_words
+from suspnet.trips.details import healthy_words
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 from suspnet.trips.health_figure import ANEW, health_trend
+from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 
 ANEW_KM = 195_000.0

@@ -28,7 +28,8 @@ from suspnet.recordings.formats import READERS
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import read_arrays
 from suspnet.trips import finished, fleet, output
-from suspnet.trips.fleet import FleetSettings, check_models, evaluate_fleet
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trips.models import check_models
 from suspnet.trips.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.trips.trend import LEAST_PERCENT
 from suspnet.trips.trip import evaluate_trip

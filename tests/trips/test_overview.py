@@ -16,7 +16,8 @@ from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import Place
 from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
-from suspnet.trips.fleet import FleetSettings, evaluate_fleet, models_of
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trips.models import models_of
 from suspnet.trips.overview import Evaluated, write_overview
 
 SETTINGS = FleetSettings(TripSettings())

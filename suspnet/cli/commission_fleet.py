@@ -1,0 +1,219 @@
+"""Commissioning of several suspensions: a run of each, several at a time, in one run's folder."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import os
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from tabulate import tabulate
+from tqdm import tqdm
+
+from suspnet.checks import check_number
+from suspnet.cli import folders, program
+from suspnet.commissioning.run import check_generator
+from suspnet.data.parallel import quiet
+from suspnet.storage import read_json, write_atomically, write_json
+from suspnet.studies.sweeps import run_errors
+from suspnet.trips.places import Group, find_groups
+from suspnet.workers import LostWorkerError, each
+
+log = logging.getLogger(__name__)
+LOG = "train.log"
+"""Name of the log in the folder of each run."""
+TrainOne = Callable[[DictConfig, Path, Sequence[Path]], None]
+"""Commissions a configuration's vehicle on some manifests, trains it and fills a folder."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """The run of one suspension.
+
+    Attributes
+    ----------
+    group : Group
+    config : dict
+        Of the run, its interpolations unresolved.
+    folder : Path
+    """
+
+    group: Group
+    config: dict[str, Any]
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a run has to tell: its warnings, and its error if it failed."""
+
+    warnings: tuple[str, ...] = ()
+    error: str = ""
+
+
+def several_suspensions(config: DictConfig) -> list[Group]:
+    """Return the suspensions of ``healthy=``; none if it is null or a folder of one.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no manifest in it.
+    """
+    if config.healthy is None:
+        return []
+    folder = Path(config.healthy)
+    groups = find_groups(folder)
+    return [] if len(groups) == 1 and groups[0].folder == folder else groups
+
+
+def train_fleet(
+    config: DictConfig, folder: Path, groups: Sequence[Group], train_one: TrainOne
+) -> None:
+    """Commission each suspension and train its model, in a subfolder named as it is.
+
+    A run that is there and finished is kept. fleet.json is written last, if none failed: for each
+    suspension its folder, place, misfit and the model's rms errors.
+
+    Parameters
+    ----------
+    config : DictConfig
+        Of the whole run.
+    folder : Path
+        Of the whole run.
+    groups : sequence of Group
+    train_one : function
+        Can be pickled.
+
+    Raises
+    ------
+    ValueError
+        If a suspension failed; the others are trained all the same.
+    """
+    check_number("workers", config.workers, low=1, most=1024, whole=True)
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise ValueError(
+            f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "
+            "torchrun: start it with python and workers=N"
+        )
+    check_generator(program.build(config, "generator"))
+    program.save_config(config, folder)
+    failed = {group.name: group.error for group in groups if group.error}
+    runs = [_run(config, group, folder) for group in groups if not group.error]
+    missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
+    kept = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
+    log.info("%d suspensions in %s%s", len(groups), config.healthy, kept)
+    for name, words in failed.items():
+        log.warning("%s is not trained: %s", name, words)
+    work = functools.partial(_trained, train_one=train_one)
+    bar = tqdm(total=len(missing), unit="suspension", disable=quiet(config.progress))
+    with bar:
+        for run, outcome in each(work, missing, config.workers):
+            told = Told((), str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
+            for words in told.warnings:
+                log.warning("%s: %s", run.group.name, words)
+            if told.error:
+                failed[run.group.name] = told.error
+                log.warning("%s is not trained: %s", run.group.name, told.error)
+            bar.update()
+    rows = [_row(run) for run in runs if run.group.name not in failed]
+    if rows:
+        log.info("misfit, and rms error in %% on test curves\n\n%s\n-> %s", _table(rows), folder)
+    if failed:
+        names = ", ".join(sorted(failed))
+        raise ValueError(
+            f"{len(failed)} of {len(groups)} suspensions are not trained ({names}); the same "
+            f"command with resume={folder} tries these again"
+        )
+    write_json(folder / "fleet.json", rows)
+
+
+def _run(config: DictConfig, group: Group, folder: Path) -> Run:
+    """Return the run of a suspension: as configured, on its own trips and of its own bogie."""
+    one = config.copy()
+    one.ablation_name = config.ablation_name  # Hydra knows it, and workers know nothing of Hydra
+    one.healthy = str(group.folder)
+    one.progress = False
+    if group.place.bogie:
+        one.generator.bogie = group.place.bogie
+    plain = OmegaConf.to_container(one, resolve=False)
+    assert isinstance(plain, dict)
+    return Run(group, {str(key): value for key, value in plain.items()}, folder / group.name)
+
+
+def _trained(run: Run, train_one: TrainOne) -> Told:
+    """Train the model of one suspension, with a log of its own; tell what went wrong."""
+    folders.clear(run.folder)
+    with _own_log(run.folder / LOG) as warnings:
+        try:
+            train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
+        except program.MISTAKES as error:
+            words = program.one_line(error).removeprefix("error: ")
+            write_atomically(run.folder / folders.ERROR, f"{words}\n")
+        except Exception as error:
+            file = run.folder / folders.ERROR
+            write_atomically(file, traceback.format_exc())
+            words = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+        else:
+            words = ""
+    return Told(tuple(warnings), words)
+
+
+@contextmanager
+def _own_log(file: Path) -> Iterator[list[str]]:
+    """Send what this package logs to a file only, and yield its warnings as they come."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    logger, warnings = logging.getLogger("suspnet"), _Warnings()
+    before = logger.level, logger.propagate
+    handlers = [logging.FileHandler(file, mode="w", encoding="utf-8"), warnings]
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    for handler in handlers:
+        logger.addHandler(handler)
+    try:
+        yield warnings.words
+    finally:
+        logger.level, logger.propagate = before
+        for handler in handlers:
+            logger.removeHandler(handler)
+            handler.close()
+
+
+class _Warnings(logging.Handler):
+    """Keeps the words of warnings."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.words: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep one."""
+        self.words.append(record.getMessage())
+
+
+def _row(run: Run) -> dict[str, Any]:
+    """Return what a finished run found."""
+    healthy = read_json(run.folder / "commissioning.json")
+    return {
+        "suspension": run.group.name,
+        "place": asdict(run.group.place),
+        "n_trips": healthy["n_trips"],
+        "misfit": healthy["misfit"],
+        "explained": healthy["explained"],
+        "rms_percent": run_errors(run.folder),
+    }
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rows as a table."""
+    head = ["suspension", "trips", "misfit", *rows[0]["rms_percent"]]
+    body = [
+        [row["suspension"], row["n_trips"], row["misfit"], *row["rms_percent"].values()]
+        for row in rows
+    ]
+    return tabulate(body, head, tablefmt="github", floatfmt=".2g")

@@ -1,0 +1,111 @@
+"""Show a fleet's history in the browser: suspnet-serve store=FILE [KEY=VALUE ...]."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import webbrowser
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+
+from suspnet.checks import check_number
+from suspnet.cli import program
+from suspnet.depot.board import Board
+from suspnet.history import History
+
+log = logging.getLogger(__name__)
+NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
+"""Packages of the extra `live` that the pages need."""
+ANY = "0.0.0.0"
+"""Stands for all addresses of this computer."""
+
+
+@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="serve")
+@program.task
+def compose(config: DictConfig) -> None:
+    """Check the settings and serve the pages until Ctrl-C."""
+    missing = [name for name in NEEDED if find_spec(name) is None]
+    if missing:
+        raise ValueError(f'{", ".join(missing)} is missing: pip install "suspnet[live]"')
+    if OmegaConf.is_missing(config, "store") or not config.store:
+        raise ValueError("which history? Give store=FILE, or store=postgresql://...")
+    check_number("port", config.port, low=0, high=65535, whole=True)
+    check_number("refresh_s", config.refresh_s, low=0.2, high=3600)
+    check_number("threads", config.threads, low=1, most=64, whole=True)
+    if "://" not in config.store and not Path(config.store).is_file():
+        raise ValueError(
+            f"{config.store}: there is no such store; evaluate.py trips=DIR store= makes one"
+        )
+    with History(config.store):  # a store that cannot be used is told at once
+        pass
+    _check_address(config)
+    serve(Board(config.store, program.build(config, "board", _convert_="all")), config)
+
+
+def serve(board: Board, config: DictConfig) -> None:
+    """Serve the pages of a fleet until Ctrl-C.
+
+    Raises
+    ------
+    OSError
+        If the address is taken, or not of this computer.
+    """
+    from waitress.server import create_server
+
+    from suspnet.web.app import create_app
+    from suspnet.web.refresher import Refresher
+
+    logging.getLogger("waitress.queue").setLevel(logging.ERROR)  # waiting a moment is no fault
+    refresher = Refresher(board, config.refresh_s)
+    names = [*config.hosts, *([] if config.host == ANY else [config.host])]
+    app = create_app(refresher, names, config.refresh_s)
+    try:
+        server: Any = create_server(
+            app, host=config.host, port=config.port, threads=config.threads, ident="suspnet"
+        )
+    except OSError as error:
+        words = error.strerror or str(error)
+        raise ValueError(f"{config.host}:{config.port}: {words}; choose another port=") from None
+    address = f"http://{config.host}:{server.effective_port}/"
+    log.info("the fleet is at %s (Ctrl-C ends it)", address)
+    refresher.start()
+    if config.open_browser:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    try:
+        server.run()
+    finally:
+        refresher.stop()
+        server.close()
+    log.info("ended")
+
+
+def _check_address(config: DictConfig) -> None:
+    """Raise ValueError if others could reach the pages and nobody has asked for that."""
+    from suspnet.web.security import is_loopback
+
+    if ":" in config.host or not config.host:
+        raise ValueError(f"`host` must be an IPv4 address or a name, got {config.host!r}")
+    if is_loopback(config.host):
+        return
+    if not config.open_to_network:
+        raise ValueError(
+            f"host={config.host} can be reached by other computers, and there is no login; give "
+            "open_to_network=true if that is meant"
+        )
+    if config.host == ANY and not config.hosts:
+        raise ValueError(f"by which names may host={ANY} be asked for? Give hosts=[NAME, ...]")
+    log.warning(
+        "warning: whoever reaches %s:%d sees the fleet and can acknowledge alarms: there is no "
+        "login; put a reverse proxy with one in front",
+        config.host,
+        config.port,
+    )
+
+
+def main() -> None:
+    """Run the program."""
+    program.run(compose)

@@ -1,0 +1,103 @@
+"""What a report says of model, settings and version, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from suspnet._version import __version__
+from suspnet.dynamics.limits import limits_words
+from suspnet.history.records import TripResult, first_trips
+from suspnet.maintenance.limits import Limits
+from suspnet.model import TrainedModel
+from suspnet.model.from_spectra import trip_settings
+from suspnet.storage import printable
+from suspnet.trips.commissionings import eras
+from suspnet.trips.models import speed_words
+
+UNKNOWN_HEALTHY = "healthy is not known yet"
+
+
+def report_details(
+    folder: Path,
+    models: Sequence[TrainedModel],
+    results: list[TripResult],
+    limits: Mapping[str, Limits],
+    level: float,
+    n_reference: int | None,
+) -> dict[str, str]:
+    """Return what the report says of model, settings and version.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the trips.
+    models : sequence of TrainedModel
+        Those that read them.
+    results : list of TripResult
+    limits : mapping of Limits
+    level : float
+        Probability with which an interval holds the truth.
+    n_reference : int, optional
+        Number of first trips that say what healthy is; None: the models do.
+    """
+    first = models[0]
+    trained = trip_settings(first)
+    reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
+    if n_reference is not None:
+        first_ones = first_trips(results, n_reference)
+        reference = f"the median of the first {len(first_ones)} trips (k and c)"
+        flagged = sum(bool(r.flags) for r in first_ones)
+        if flagged:
+            reference += f", {flagged} of them flagged"
+        missing = missing_reference(results, n_reference)
+        if missing:
+            reference = f"{reference}; {missing}" if first_ones else missing
+    return {
+        "trips": printable(str(folder)),
+        "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
+        "suspnet": __version__,
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
+        f"{type(first.generator).__name__}",
+        "speeds": ", ".join(dict.fromkeys(map(speed_words, models))),
+        "transfer functions": f"{trained.method}, {trained.window} windows of "
+        f"{trained.segment_s:g} s",
+        "healthy is": reference,
+        "intervals": _interval_words(first, level),
+        "limits": limits_words(limits),
+    }
+
+
+def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
+    """Return in words what the first trips lack to say what is healthy; empty if nothing."""
+    if n_reference is None:
+        return ""
+    n_found = len(first_trips(results, n_reference))
+    if n_found == n_reference:
+        return ""
+    return (
+        f"{UNKNOWN_HEALTHY}: {n_found} trips have an estimate, the first {n_reference} are to say "
+        "it (lower monitor.n_reference, or take monitor.reference=vehicle)"
+    )
+
+
+def healthy_words(model: TrainedModel) -> str:
+    """Return in words what a model's estimates are relative to."""
+    found = model.training.get("commissioned")
+    if not found:
+        return "the vehicle file's drawing"
+    first, last = (f"{km:,.0f}".replace(",", " ") for km in found["mileage_km"])
+    span = f"at {first} km" if first == last else f"from {first} to {last} km"
+    return f"what {found['n_trips']} trips {span} showed"
+
+
+def _interval_words(model: TrainedModel, level: float) -> str:
+    """Return in words where the intervals come from."""
+    if model.intervals is None:
+        return "none: the model was trained with data.n_calibrate=null"
+    return (
+        f"{100 * level:g} %, calibrated on {len(model.intervals.conformal.scores)} simulated "
+        "curves that the model was not trained on, then adapted to the noise of each trip"
+    )

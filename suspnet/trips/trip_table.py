@@ -1,0 +1,68 @@
+"""Trips as a table: estimates with half widths, and as many digits as these are worth."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from suspnet.history.records import OK, TripResult
+
+
+@dataclass(frozen=True)
+class TripTable:
+    """Trips as the macro `trips` of trip_tables.html takes them.
+
+    Attributes
+    ----------
+    trips : tuple of TripResult
+        In the order of the rows.
+    outputs : tuple of str
+        Parameters, a column each.
+    halves : dict of list of float, [% of healthy]
+        Half an interval of each trip; NaN where there is none, or the trip is flagged.
+    digits : dict of int
+        Number of decimals of each parameter.
+    level : str
+        Probability of the intervals, [%]; empty if no trip has one.
+    """
+
+    trips: tuple[TripResult, ...]
+    outputs: tuple[str, ...]
+    halves: dict[str, list[float]]
+    digits: dict[str, int]
+    level: str
+    ok: str = OK
+
+
+def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float) -> TripTable:
+    """Return trips as a table, in the order given.
+
+    Parameters
+    ----------
+    trips : sequence of TripResult
+    outputs : sequence of str
+    level : float
+        Probability of the intervals, above 0 and below 1.
+    """
+    halves = {name: [_half_width(one, name) for one in trips] for name in outputs}
+    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    digits = {name: _digits(column) for name, column in halves.items()}
+    words = f"{100 * level:g}" if known else ""
+    return TripTable(tuple(trips), tuple(outputs), halves, digits, words)
+
+
+def _half_width(result: TripResult, name: str) -> float:
+    """Return half an interval, [% of healthy]; NaN if there is none or the trip is flagged."""
+    low, high = result.interval(name)
+    return math.nan if result.flags else 100 * (high - low) / 2
+
+
+def _digits(half_widths: Sequence[float]) -> int:
+    """Return the number of decimals of a column of estimates and half widths: 1, 2 or 3."""
+    known = [half for half in half_widths if math.isfinite(half) and half > 0]
+    if not known:
+        return 1
+    further = math.ceil(math.log10(0.095 / statistics.median(known)))
+    return 1 + min(max(further, 0), 2)

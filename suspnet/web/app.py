@@ -1,0 +1,93 @@
+"""The application: pages, files, headers, and errors in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from flask import Flask, current_app, render_template, request
+from flask_wtf.csrf import CSRFError
+from jinja2 import FunctionLoader, StrictUndefined
+from werkzeug.exceptions import HTTPException, SecurityError
+
+from suspnet import __version__
+from suspnet.history import HistoryError
+from suspnet.trips.templates import FILTERS, LABELS, packaged
+from suspnet.web.assets import assets, file_digest
+from suspnet.web.fleet_page import MARKS
+from suspnet.web.pages import REFRESHER, pages
+from suspnet.web.refresher import Refresher, clock
+from suspnet.web.security import protect
+
+PACKAGES = "suspnet.web", "suspnet.depot"
+"""Packages whose templates the pages use, besides those of the trips."""
+IN_WORDS = {
+    400: "The form or the address could not be understood.",
+    404: "There is no such page.",
+    405: "This page cannot be asked for in this way.",
+    413: "What was sent is too long.",
+}
+
+
+def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: float = 3.0) -> Flask:
+    """Return the application.
+
+    Parameters
+    ----------
+    refresher : Refresher
+        Holds the state of the fleet; started by the caller.
+    hosts : sequence of str
+        Names of the host that are answered to, besides those of this computer itself.
+    ask_every_s : float, [s]
+        Time after which an open page asks whether there is anything new.
+    """
+    app = Flask("suspnet.web", static_folder=None)
+    app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
+    app.jinja_options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    app.jinja_env.filters |= FILTERS | {"clock": clock}
+    app.jinja_env.globals |= {
+        "labels": LABELS,
+        "marks": MARKS,
+        "file_digest": file_digest,
+        "ask_every_s": ask_every_s,
+        "product": f"suspnet {__version__}",
+    }
+    protect(app, hosts)
+    app.extensions[REFRESHER] = refresher
+    app.register_blueprint(pages)
+    app.register_blueprint(assets)
+    app.register_error_handler(CSRFError, _too_old)
+    app.register_error_handler(HistoryError, _away)
+    app.register_error_handler(HTTPException, _told)
+    return app
+
+
+def _too_old(error: CSRFError) -> Any:
+    """Say that a form does not come from a page of this program, or from one of before."""
+    words = (
+        "This form was not accepted: it is older than the start of the program, or cookies are "
+        "off. Go back, reload the page and send it again."
+    )
+    return _message("Not accepted", words), 400
+
+
+def _away(error: HistoryError) -> Any:
+    """Say that the store cannot be used; what was to be kept is not kept."""
+    return _message("The store cannot be used", f"Nothing was kept: {error}."), 503
+
+
+def _told(error: HTTPException) -> Any:
+    """Return an error in words."""
+    if isinstance(error, SecurityError):  # no page for whoever asks by a foreign name
+        return "This name of the host is not answered to; see `hosts` of suspnet-serve.\n", 400
+    code = error.code or 500
+    own = error.description if code == 404 and request.path.startswith("/suspension/") else None
+    words = own or IN_WORDS.get(code) or "Something went wrong; the program's terminal says what."
+    return _message(error.name, words), code
+
+
+def _message(title: str, words: str) -> str:
+    """Return a page that says one thing."""
+    refresher = current_app.extensions[REFRESHER]
+    where = {"version": "", "of": "", "view": refresher.board.view, "refresher": refresher}
+    return render_template("message_page.html", title=title, words=words, **where)

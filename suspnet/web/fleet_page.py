@@ -1,0 +1,158 @@
+"""What the page of the fleet shows: trains with their cars, alarms, and how these are chosen."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from suspnet.depot.parts import suspension_of, train_of
+from suspnet.depot.state import State
+from suspnet.depot.view import FleetView
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.maintenance.limits import Severity
+
+MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
+"""Sign of each severity, so that colour is not needed."""
+SHORT = {"leading": "lead.", "trailing": "trail."}
+"""Words of a place as they stand on a tile."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which suspensions are shown; empty texts choose all.
+
+    Attributes
+    ----------
+    train, severity : str
+    """
+
+    train: str = ""
+    severity: str = ""
+
+    def holds(self, state: State) -> bool:
+        """Return whether a suspension is chosen."""
+        is_there = not self.train or state.series.place.train == self.train
+        return is_there and (not self.severity or str(state.severity) == self.severity)
+
+    @property
+    def arguments(self) -> dict[str, str]:
+        """The choice as arguments of an address."""
+        given = {"train": self.train, "severity": self.severity}
+        return {name: value for name, value in given.items() if value}
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One suspension on the page: its address's name, severity, short and full words."""
+
+    name: str
+    severity: str
+    words: str
+    told: str
+
+
+@dataclass(frozen=True)
+class Train:
+    """A train with the tiles of each of its cars."""
+
+    name: str
+    cars: dict[str, list[Tile]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Raised:
+    """An alarm that stands, of which suspension, and who has seen it."""
+
+    name: str
+    state: State
+    alarm: Alarm
+    seen: Acknowledgement | None
+
+
+def names_of(view: FleetView) -> list[str]:
+    """Return the name in addresses of each suspension, in the order of the states."""
+    names = [""] * len(view.states)
+    for name, place in view.keys.items():
+        names[place] = name
+    return names
+
+
+def trains_of_view(view: FleetView, choice: Choice) -> list[Train]:
+    """Return the trains with the chosen suspensions, by name; numbers in names count as such."""
+    of_fleet = {state.series.place.suspension for state in view.states}
+    found: dict[str, Train] = {}
+    several = zip(names_of(view), view.states, view.rows, strict=True)
+    for name, state, row in sorted(several, key=lambda one: _place_order(one[1])):
+        if choice.holds(state):
+            place = state.series.place
+            train = found.setdefault(place.train, Train(place.train))
+            train.cars.setdefault(place.car, []).append(_tile(name, state, row, len(of_fleet) > 1))
+    return list(found.values())
+
+
+def train_names(view: FleetView) -> list[str]:
+    """Return the trains of the fleet that have a name."""
+    return sorted({s.series.place.train for s in view.states} - {""}, key=natural)
+
+
+def counts(view: FleetView, train: str) -> dict[str, int]:
+    """Return how many suspensions of a train, or of all, are of each severity, worst first."""
+    chosen = Choice(train)
+    severities = [state.severity for state in view.states if chosen.holds(state)]
+    return {str(one): severities.count(one) for one in sorted(Severity, reverse=True)}
+
+
+def raised(view: FleetView, choice: Choice) -> list[Raised]:
+    """Return the alarms that stand, the worst first, those that nobody has seen before others."""
+    found = [
+        Raised(name, state, alarm, newest_of(alarm, view.acknowledged.get(state.key, ())))
+        for name, state in zip(names_of(view), view.states, strict=True)
+        if choice.holds(state)
+        for alarm in state.alarms
+    ]
+    return sorted(found, key=lambda one: (-one.alarm.severity, one.seen is not None))
+
+
+def rows_of(view: FleetView, places: Sequence[int], address: Any) -> list[dict[str, Any]]:
+    """Return rows of the overview with the address of each suspension's page."""
+    names = names_of(view)
+    return [view.rows[i] | {"address": address(names[i])} for i in places]
+
+
+def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any]]:
+    """Return the jobs of the plan that are of chosen suspensions, with their addresses."""
+    if view.plan is None:
+        return []
+    known = {
+        (train_of(state), state.series.place.car, suspension_of(state)): name
+        for name, state in zip(names_of(view), view.states, strict=True)
+        if choice.holds(state)
+    }
+    jobs = [
+        (known.get((job["train"], job["car"], job["suspension"])), job) for job in view.plan.rows()
+    ]
+    return [job | {"address": address(name)} for name, job in jobs if name]
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """Return what texts are sorted by so that car 2 comes before car 10."""
+    parts = re.split(r"(\d+)", text)
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+
+
+def _place_order(state: State) -> tuple[Any, ...]:
+    """Return the place of a suspension on the page: by train, car, bogie and side."""
+    place = state.series.place
+    parts = (place.train, place.car, place.suspension, place.bogie, place.side)
+    return (*map(natural, parts), state.series.vehicle)
+
+
+def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -> Tile:
+    """Return the tile of a suspension."""
+    place = state.series.place
+    parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
+    words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
+    why = f"{row['parameter']} {row['reason']}".strip()
+    return Tile(name, str(state.severity), words or state.series.vehicle, why)

@@ -1,0 +1,271 @@
+"""The pages: the fleet, one suspension with its figures and forms, the plan."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from flask import (
+    Blueprint,
+    Response,
+    abort,
+    current_app,
+    flash,
+    redirect,
+    render_template,
+    request,
+    session,
+    url_for,
+)
+from flask.typing import ResponseReturnValue
+from flask_wtf import FlaskForm
+from wtforms import HiddenField, StringField
+from wtforms.validators import DataRequired, Length
+
+from suspnet.depot.state import State
+from suspnet.depot.view import FleetView
+from suspnet.dynamics import PARAMETERS
+from suspnet.history import History, HistoryError
+from suspnet.history.acknowledging import acknowledge_alarms
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.limits import Severity
+from suspnet.trips.overview import finding
+from suspnet.trips.trend import PAYLOAD
+from suspnet.web import assets, fleet_page
+from suspnet.web.fleet_page import Choice
+from suspnet.web.refresher import Refresher
+from suspnet.web.response_figure import response_figure
+from suspnet.web.security import WITH_PLOTS
+from suspnet.web.suspension_page import suspension_values
+from suspnet.web.trend_figure import trend_figure
+
+MOST_ROWS = 100
+"""Largest number of rows of a table of the fleet, unless all are asked for."""
+MOST_JOBS = 10
+"""Largest number of jobs on the page of the fleet; the page of the plan has all."""
+REFRESHER = "suspnet_refresher"
+"""Key of the thread that holds the state of the fleet, among an application's extensions."""
+OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
+
+pages = Blueprint("pages", __name__)
+
+
+class Seen(FlaskForm):  # type: ignore[misc]
+    """The form by which a person says that an alarm has been seen."""
+
+    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
+    words = StringField("What is done about it", [Length(max=500)])
+    parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
+
+
+@pages.get("/")
+def fleet() -> ResponseReturnValue:
+    """Return the page of the fleet."""
+    view, choice = _view(), _choice()
+    places = [i for i, state in enumerate(view.states) if choice.holds(state)]
+    alarms, jobs = fleet_page.raised(view, choice), fleet_page.jobs_of(view, choice, _address)
+    all_rows = request.args.get("rows") == "all"
+    most = None if all_rows else MOST_ROWS
+    return _page(
+        "fleet_page.html",
+        _fleet_version(view),
+        finding=finding([view.rows[i] for i in places]),
+        choice=choice,
+        train_names=fleet_page.train_names(view),
+        counts=fleet_page.counts(view, choice.train),
+        trains=fleet_page.trains_of_view(view, choice),
+        alarms=alarms[:most],
+        n_alarms=len(alarms),
+        rows=fleet_page.rows_of(view, places[:most], _address),
+        n_rows=len(places),
+        parameters=OUTPUTS,
+        plan=view.plan,
+        jobs=jobs[:MOST_JOBS],
+        n_jobs=len(jobs),
+    )
+
+
+@pages.get("/plan")
+def plan() -> ResponseReturnValue:
+    """Return the page of the plan."""
+    view, choice = _view(), _choice()
+    return _page(
+        "plan_page.html",
+        _fleet_version(view),
+        plan=view.plan,
+        choice=choice,
+        train_names=fleet_page.train_names(view),
+        jobs=fleet_page.jobs_of(view, choice, _address),
+    )
+
+
+@pages.get("/plan/calendar.svg")
+def calendar() -> ResponseReturnValue:
+    """Return the calendar of the plan."""
+    found = _view().plan
+    if found is None:
+        abort(404)
+    return Response(assets.calendar(found), mimetype="image/svg+xml")
+
+
+@pages.get("/suspension/<name>")
+def suspension(name: str) -> ResponseReturnValue:
+    """Return the page of a suspension."""
+    return _suspension_page(name, Seen(formdata=None, by=session.get("by", "")))
+
+
+@pages.post("/suspension/<name>/acknowledge")
+def acknowledge(name: str) -> ResponseReturnValue:
+    """Keep that a person has seen an alarm, and return to the page of its suspension."""
+    state, form = _state(name), Seen()
+    if not form.validate_on_submit():
+        return _suspension_page(name, form), 400
+    chosen = [one for one in state.alarms if _is_meant(one, form)]
+    if not chosen:
+        flash("Nothing was acknowledged: this alarm is over, or is worse than it was shown.")
+        return redirect(_address(name))
+    vehicle, place = state.key
+    newest = float(np.nanmax(state.series.mileage_km))
+    said = form.by.data.strip(), (form.words.data or "").strip()
+    with _opened() as store:
+        acknowledge_alarms(store, vehicle, place, chosen, newest, *said)
+    session["by"] = said[0]
+    _refresher().soon()
+    flash(f"Acknowledged by {said[0]}: {', '.join(f'{a.parameter} ({a.cause})' for a in chosen)}.")
+    return redirect(_address(name))
+
+
+@pages.get("/suspension/<name>/trend.json")
+def trend(name: str) -> ResponseReturnValue:
+    """Return the figure of the parameters along the mileage."""
+    state = _state(name)
+    return trend_figure(state, _view().limits.get(state.series.vehicle, {}))
+
+
+@pages.get("/suspension/<name>/responses.json")
+def responses(name: str) -> ResponseReturnValue:
+    """Return the figure of the frequency responses."""
+    with _opened() as store:
+        kept = store.responses(*_state(name).key)
+    if not kept:
+        abort(404)
+    return response_figure(kept, name)
+
+
+@pages.get("/state")
+def state() -> ResponseReturnValue:
+    """Return what stands for the state of a page, and how new it is; light, for asking often."""
+    view, name = _view(), request.args.get("of", "")
+    version = _suspension_version(view, name) if name else _fleet_version(view)
+    return {"version": version, "words": _refresher().words}
+
+
+def _suspension_page(name: str, form: Seen) -> str:
+    """Return the page of a suspension with a form as it was filled in."""
+    view, state = _view(), _state(name)
+    request.environ[WITH_PLOTS] = True
+    try:
+        with _opened() as store:
+            results, kept = store.read(*state.key), store.responses(*state.key)
+            seen, trouble = store.acknowledgements(*state.key), ""
+    except HistoryError as error:
+        results, kept, trouble = [], [], str(error)
+        seen = list(view.acknowledged.get(state.key, ()))
+    shown = suspension_values(view, view.keys[name], results, kept, seen)
+    car = next((one for one in view.cars if view.keys[name] in one), [])
+    return _page(
+        "suspension_page.html",
+        "" if form.errors else _suspension_version(view, name),  # nothing replaces a filled form
+        of=name,
+        name=name,
+        form=form,
+        trouble=trouble,
+        parameters=OUTPUTS,
+        sisters=[fleet_page.rows_of(view, car, _address)] if car else [],
+        **shown,
+    )
+
+
+def _page(template: str, version: str, of: str = "", **values: Any) -> str:
+    """Return a page; `version` stands for all that it shows, empty: it stays as it is."""
+    refresher = _refresher()
+    where = {"version": version, "of": of, "view": refresher.board.view, "refresher": refresher}
+    return render_template(template, **where, **values)
+
+
+def _refresher() -> Refresher:
+    found = current_app.extensions[REFRESHER]
+    assert isinstance(found, Refresher)
+    return found
+
+
+def _view() -> FleetView:
+    return _refresher().board.view
+
+
+def _state(name: str) -> State:
+    """Return a suspension by its name in an address; there is a page for it if there is none."""
+    view = _view()
+    if name not in view.keys:
+        abort(404, "There is no such suspension in this history.")
+    return view.states[view.keys[name]]
+
+
+def _choice() -> Choice:
+    """Return which suspensions the address asks for; what it does not know chooses all."""
+    severity = request.args.get("severity", "")
+    known = severity in fleet_page.MARKS
+    return Choice(request.args.get("train", ""), severity if known else "")
+
+
+def _address(name: str) -> str:
+    return url_for("pages.suspension", name=name)
+
+
+def _opened() -> History:
+    """Return the store; unlike ``History`` make none where it has gone.
+
+    Raises
+    ------
+    HistoryError
+        If it cannot be used.
+    """
+    place = _refresher().board.store
+    if "://" not in place and not Path(place).is_file():
+        raise HistoryError(f"{place}: the store has gone")
+    return History(place)
+
+
+def _is_meant(alarm: Alarm, form: Seen) -> bool:
+    """Return whether an alarm is the one of a form, and no worse than it was shown there."""
+    same = (alarm.parameter, str(alarm.cause)) == (form.parameter.data, form.cause.data)
+    return same and str(alarm.severity) in _up_to(form.severity.data)
+
+
+def _up_to(severity: str | None) -> list[str]:
+    """Return the names of a severity and of those that are less severe."""
+    names = [str(one) for one in sorted(Severity)]
+    return names[: names.index(severity) + 1] if severity in names else []
+
+
+def _fleet_version(view: FleetView) -> str:
+    """Return what stands for the state of the fleet as the pages show it."""
+    return _digest(view.at, view.version, _refresher().fault)
+
+
+def _suspension_version(view: FleetView, name: str) -> str:
+    """Return what stands for the state of a suspension as its page shows it."""
+    if name not in view.keys:
+        return _digest("gone", _refresher().fault)
+    state = view.states[view.keys[name]]
+    series = state.series
+    row = {key: value for key, value in view.rows[view.keys[name]].items() if "life" not in key}
+    seen = view.acknowledged.get(state.key, ())
+    parts = (row, state.alarms, series.events, seen, sorted(state.lives), series.trip.tolist()[-1:])
+    return _digest(parts, _refresher().fault, view.is_complete)
+
+
+def _digest(*parts: Any) -> str:
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,58 @@
+// Draws the figures of a page by plotly, in the colours of the page, and zooms by buttons.
+"use strict";
+const CONFIG = { displaylogo: false, responsive: true, displayModeBar: innerWidth < 640 ? false : "hover",
+  modeBarButtonsToRemove: ["lasso2d", "select2d"] };
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+function dressed(layout) { // the texts, grids and labels of a figure in the colours of the page
+  const found = { ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+    font: { ...layout.font, color: colour("--text") },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("--dim"), activecolor: colour("--link") },
+    hoverlabel: { bgcolor: colour("--back"), font: { color: colour("--text") } } };
+  for (const name of Object.keys(found).filter((one) => /^[xy]axis/.test(one))) {
+    found[name] = { ...found[name], gridcolor: colour("--line"), linecolor: colour("--dim"), zeroline: false };
+  }
+  return found;
+}
+
+const km = (value) => Math.round(value).toLocaleString("en").replaceAll(",", "\u00a0");
+
+function say(plot) { // the range shown, in words and by its button
+  const range = plot.layout.xaxis.range.map(Number);
+  const out = document.querySelector(`output[for="${plot.id}"]`);
+  if (out) out.textContent = range.map(km).join(" to ") + " km";
+  for (const one of document.querySelectorAll(`button[data-plot="${plot.id}"]`)) {
+    one.setAttribute("aria-pressed", Number(one.dataset.from) === range[0] && Number(one.dataset.to) === range[1]);
+  }
+}
+
+async function draw(plot) {
+  const answer = await fetch(plot.dataset.figure, { cache: "no-store" });
+  if (!answer.ok) return;
+  const { data, layout } = await answer.json();
+  const isNew = !plot.classList.contains("js-plotly-plot");
+  const whole = layout.xaxis.range;
+  if (isNew) plot.textContent = "";
+  else if (whole && String(plot.layout.xaxis.range) !== plot.dataset.whole) layout.xaxis.range = plot.layout.xaxis.range;
+  plot.dataset.whole = String(whole);
+  await Plotly.react(plot, data, dressed(layout), CONFIG);
+  if (isNew) plot.on("plotly_relayout", () => say(plot));
+  say(plot);
+}
+
+function drawAll() {
+  for (const one of document.querySelectorAll(".plot[data-figure]")) draw(one);
+  for (const one of document.querySelectorAll(".ranges")) one.hidden = false;
+}
+
+document.addEventListener("click", (event) => {
+  const button = event.target.closest("button[data-plot]");
+  if (!button) return;
+  const plot = document.getElementById(button.dataset.plot);
+  const { from, to } = button.dataset;
+  Plotly.relayout(plot, { "xaxis.range": [Number(from), Number(to)] });
+});
+document.addEventListener("replaced", drawAll);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+drawAll();

@@ -1,0 +1,98 @@
+"""A thread that keeps the state of a fleet up to date, and says so when it does not."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from suspnet.depot.board import Board
+
+log = logging.getLogger(__name__)
+
+
+class Refresher:
+    """Works out the state of a fleet every few seconds, in a thread of its own.
+
+    Parameters
+    ----------
+    board : Board
+    every_s : float, [s]
+        Time between the end of one look at the store and the begin of the next.
+    """
+
+    def __init__(self, board: Board, every_s: float) -> None:
+        self.board = board
+        self.every_s = every_s
+        self._error = ""
+        self._begun: datetime | None = None
+        self._looked: datetime | None = None
+        self._wake, self._end = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="refresher", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look at the store."""
+        self._thread.start()
+
+    def soon(self) -> None:
+        """Look at the store now, not only after the usual time."""
+        self._wake.set()
+
+    def stop(self, wait_s: float = 5.0) -> None:
+        """End the thread, and wait for it for a while."""
+        self._end.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(wait_s)
+
+    @property
+    def fault(self) -> str:
+        """Why what is shown may be old, in words; empty if it is not."""
+        if not self._thread.is_alive():
+            why = f" ({self._error})" if self._error else ""
+            return f"The history is not read any more{why}: start suspnet-serve again."
+        view = self.board.view
+        if self._error:
+            return f"The state of the fleet could not be worked out: {self._error}."
+        return f"The store cannot be read: {view.trouble}." if view.trouble else ""
+
+    @property
+    def words(self) -> str:
+        """When the store was last read, in words."""
+        if self._begun:
+            since = f", since {clock(self._begun)}"
+            return f"reading and working out what is new{since}"
+        return f"last looked at {clock(self._looked)}" if self._looked else "not read yet"
+
+    def _run(self) -> None:
+        """Look again and again until the end; an error is told, and it is tried again."""
+        try:
+            while not self._end.is_set():
+                self._wake.clear()
+                self._look(self.board.refresh)
+                self._wake.wait(self.every_s)
+        except BaseException as error:
+            self._error = f"{type(error).__name__}: {error}"
+            raise
+
+    def _look(self, refresh: Callable[[], bool]) -> None:
+        """Work out the state once."""
+        self._begun = datetime.now(UTC)
+        try:
+            refresh()
+            self._error = ""
+            self._looked = datetime.now(UTC)
+        except Exception as error:
+            if not self._error:
+                log.exception("the state of the fleet could not be worked out")
+            self._error = f"{type(error).__name__}: {error}"
+        finally:
+            self._begun = None
+
+
+def clock(time: datetime) -> str:
+    """Return a time of today by this computer's clock, and another one with its day."""
+    local = time.astimezone()
+    is_today = local.date() == datetime.now().astimezone().date()
+    return f"{local:%H:%M:%S}" if is_today else f"{local:%Y-%m-%d %H:%M:%S}"

@@ -1,0 +1,88 @@
+"""A small fleet in a store, and the application that serves it, for the tests of the pages."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+from trip_records import curves
+from waitress import wasyncore
+from waitress.server import create_server
+
+from suspnet.depot.board import Board, BoardSettings
+from suspnet.history import History
+from suspnet.history.records import Quality, TripResult
+from suspnet.recordings.manifest import Place
+from suspnet.web.app import create_app
+from suspnet.web.refresher import Refresher
+
+N_TRIPS = 30
+EVIL = "<script>window.evil = 1</script>"
+SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}
+FAILED = Place("", "leading", "left", "12", "3")
+WORN = Place("", "trailing", "left", "12", "3")
+HEALTHY = Place("", "leading", "right", "9", "1")
+NAMED_EVIL = Place(EVIL, train=EVIL, car="<u>1")
+SETTINGS = BoardSettings(today="2026-03-01")
+
+
+def trips(place, seed=0, wear=None, n_trips=N_TRIPS, begin=0):
+    """Return trips of a suspension, 2000 km and three days apart; `wear` is of some parameters."""
+    rng = np.random.default_rng([seed, begin])
+    found = []
+    for i in range(begin, begin + n_trips):
+        values = {name: float(np.exp(s * rng.normal())) for name, s in SPREAD.items()}
+        for name, ratio in (wear or {}).items():
+            values[name] *= ratio(i)
+        day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
+        found.append(
+            TripResult(
+                f"trip_{i:03d}",
+                "",
+                "am96",
+                place,
+                2000.0 * (i + 1),
+                start=f"{day}+00:00",
+                estimates=values,
+                raw=values,
+                half_widths={name: 2 * s for name, s in SPREAD.items()},
+                flags="beyond what was trained for" if i == 7 else "",
+                quality=Quality(speed_m_per_s=70.0),
+                curves=curves(seed=i) if i in (0, n_trips - 1) else None,
+            )
+        )
+    return found
+
+
+def fill(path):
+    """Write a suspension that failed, one that wears, a healthy one, and one of evil names."""
+    with History(path) as store:
+        store.write(trips(FAILED, 1, {"k_s": lambda i: 1.5 if i > 26 else 1.0}))
+        store.write(trips(WORN, 2, {"c_s": lambda i: 1 - 0.2 * max(i - 5, 0) / 25}))
+        store.write(trips(HEALTHY, 3))
+        store.write(trips(NAMED_EVIL, 4, {"k_p": lambda i: 0.5}))
+    return path
+
+
+@contextmanager
+def served(path, every_s=0.3):
+    """Serve a store on a free port of this computer; give its address and the thread behind it."""
+    refresher = Refresher(Board(str(path), SETTINGS), every_s)
+    sockets = {}
+    app = create_app(refresher, (), every_s)
+    server = create_server(app, map=sockets, host="127.0.0.1", port=0)
+    thread = threading.Thread(target=server.run, daemon=True)
+    refresher.start()
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.effective_port}", refresher
+    finally:
+        refresher.stop()
+        server.task_dispatcher.shutdown(timeout=5)
+        server.trigger.pull_trigger(lambda: wasyncore.close_all(sockets, ignore_all=True))
+        thread.join(5)
+
+
+def name_of(view, place):
+    """Return the name of a suspension in addresses."""
+    (found,) = [n for n, i in view.keys.items() if view.states[i].series.place == place]
+    return found

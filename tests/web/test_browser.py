@@ -1,0 +1,308 @@
+"""The pages in Chromium: clicks, keys, zoom, updates, a phone, and nothing from elsewhere."""
+
+import json
+import shutil
+import time
+
+import pytest
+from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, WORN, fill, name_of, served, trips
+
+from suspnet.history import History
+from suspnet.recordings.manifest import Place
+
+selenium = pytest.importorskip("selenium")
+from selenium import webdriver  # noqa: E402
+from selenium.webdriver.common.by import By  # noqa: E402
+from selenium.webdriver.common.keys import Keys  # noqa: E402
+from selenium.webdriver.support.ui import Select, WebDriverWait  # noqa: E402
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = [
+    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="needs Chromium and its driver"),
+    pytest.mark.timeout(120),
+]
+N_LARGE = 1000
+WAIT_S = 30
+N_MORE = 31
+"""Number in the name of a trip that comes later."""
+KNOWN_RANGE = "return document.getElementById('trend-plot').layout.xaxis.range.map(Number)"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium that finds no other computer, and tells what it asks for and complains of."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (
+        *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+        *("--no-first-run", "--disable-background-networking", "--disable-component-update"),
+        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    ):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(executable_path=DRIVER)
+    found = webdriver.Chrome(options=options, service=service)
+    found.set_page_load_timeout(WAIT_S)
+    yield found
+    found.quit()
+
+
+@pytest.fixture(autouse=True)
+def clean(browser):
+    """Fail if a page complained, or asked another computer for anything."""
+    size(browser, 1300)
+    browser.get_log("browser"), browser.get_log("performance")
+    yield
+    assert [one["message"] for one in browser.get_log("browser")] == []
+    messages = [json.loads(one["message"])["message"] for one in browser.get_log("performance")]
+    asked = [
+        one["params"]["request"]["url"]
+        for one in messages
+        if one["method"] == "Network.requestWillBeSent"
+    ]
+    assert asked
+    foreign = [a for a in asked if not a.startswith(("http://127.0.0.1:", "data:", "blob:"))]
+    assert foreign == []
+    browser.get("about:blank")
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    return fill(tmp_path_factory.mktemp("browser") / "fleet.db")
+
+
+@pytest.fixture
+def site(filled, tmp_path):
+    """Address of the pages, the thread behind them and the store, anew for each test."""
+    path = tmp_path / "fleet.db"
+    path.write_bytes(filled.read_bytes())
+    with served(path) as (address, refresher):
+        wait(refresher, lambda found: found.board.view.is_complete)
+        yield address, refresher, path
+
+
+def wait(thing, is_so):
+    """Wait until something is so, for a while."""
+    return WebDriverWait(thing, WAIT_S, poll_frequency=0.1).until(is_so)
+
+
+def size(browser, width):
+    metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def page_of(site, place):
+    address, refresher, _ = site
+    return f"{address}/suspension/{name_of(refresher.board.view, place)}"
+
+
+def shown(browser):
+    """Return the text of the main part, which may be replaced at any time."""
+    return browser.execute_script("return document.querySelector('main').innerText")
+
+
+def has_plots(browser):
+    drawn = (
+        "return [...document.querySelectorAll('.plot')].map(p => !!p.querySelector('.main-svg'))"
+    )
+    found = browser.execute_script(drawn)
+    return found and all(found)
+
+
+def acknowledged(path, place):
+    with History(path) as store:
+        return [(one.parameter, one.by, one.words) for one in store.acknowledgements("am96", place)]
+
+
+def focused(browser):
+    return browser.switch_to.active_element
+
+
+def tab_until(browser, is_there, most=80):
+    """Press Tab until the focus is where it should be."""
+    for _ in range(most):
+        focused(browser).send_keys(Keys.TAB)
+        if is_there(focused(browser)):
+            return focused(browser)
+    raise AssertionError("the keyboard does not get there")
+
+
+def test_alarm_is_acknowledged_by_clicks(browser, site):
+    address, _, path = site
+    browser.get(address)
+    (link,) = browser.find_elements(By.CSS_SELECTOR, "a[href$='#alarm-k_s-limit']")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", link)
+    link.click()
+    wait(browser, lambda b: b.find_elements(By.ID, "by-alarm-k_s-limit"))
+    browser.find_element(By.ID, "by-alarm-k_s-limit").send_keys("Kim Li")
+    browser.find_element(By.ID, "words-alarm-k_s-limit").send_keys("spring ordered")
+    browser.find_element(By.CSS_SELECTOR, "#alarm-k_s-limit button").click()
+    wait(browser, lambda b: "Acknowledged by Kim Li" in shown(b))
+    assert acknowledged(path, FAILED) == [("k_s", "Kim Li", "spring ordered")]
+    browser.get(address)
+    wait(browser, lambda b: "Kim Li" in shown(b))
+
+
+def test_alarm_is_acknowledged_by_keys_alone(browser, site):
+    address, _, path = site
+    browser.get(address)
+    first = browser.find_element(By.TAG_NAME, "body")
+    first.send_keys(Keys.TAB)
+    assert focused(browser).text == "Skip to the content"
+    outline = "return getComputedStyle(document.activeElement).outlineStyle"
+    assert browser.execute_script(outline) != "none"
+    focused(browser).send_keys(Keys.ENTER)
+    assert focused(browser).get_attribute("id") == "main"
+    link = tab_until(browser, lambda e: str(e.get_attribute("href")).endswith("#alarm-k_s-limit"))
+    link.send_keys(Keys.ENTER)
+    wait(browser, lambda b: b.find_elements(By.ID, "by-alarm-k_s-limit"))
+    name = tab_until(browser, lambda e: e.get_attribute("id") == "by-alarm-k_s-limit")
+    name.send_keys("Ada")
+    tab_until(browser, lambda e: e.tag_name == "button").send_keys(Keys.ENTER)
+    wait(browser, lambda b: "Acknowledged by Ada" in shown(b))
+    assert acknowledged(path, FAILED) == [("k_s", "Ada", "")]
+
+
+def test_buttons_zoom_by_mouse_and_keys(browser, site):
+    browser.get(page_of(site, WORN))
+    wait(browser, has_plots)
+    whole = browser.execute_script(KNOWN_RANGE)
+    assert whole[0] <= 2000
+    assert whole[1] >= 60_000
+    (button,) = browser.find_elements(By.XPATH, "//button[text()='Last 20 trips']")
+    button.click()
+    low, high = wait(browser, lambda b: zoomed(b, whole))
+    assert 18_000 < low < 22_000  # the 11th trip of 30
+    assert 60_000 < high < 64_000
+    assert button.get_attribute("aria-pressed") == "true"
+    (words,) = browser.find_elements(By.CSS_SELECTOR, ".ranges output")
+    assert words.text.endswith(" km")
+    (everything,) = browser.find_elements(By.XPATH, "//button[text()='All']")
+    everything.send_keys(Keys.SPACE)
+    wait(browser, lambda b: b.execute_script(KNOWN_RANGE) == whole)
+
+
+def zoomed(browser, whole):
+    found = browser.execute_script(KNOWN_RANGE)
+    return found != whole and found
+
+
+def test_zoom_focus_and_forms_outlast_an_update(browser, site):
+    _, refresher, path = site
+    browser.get(page_of(site, WORN))
+    wait(browser, has_plots)
+    whole = browser.execute_script(KNOWN_RANGE)
+    button = browser.find_element(By.XPATH, "//button[text()='Last 20 trips']")
+    button.click()
+    near = wait(browser, lambda b: zoomed(b, whole))
+    n = "return document.getElementById('trend-plot').data.reduce((n, t) => n + t.x.length, 0)"
+    before = browser.execute_script(n)
+    with History(path) as store:
+        store.write(trips(WORN, 2, n_trips=1, begin=N_MORE))
+    wait(browser, lambda b: "trip_031" in shown(b))
+    wait(browser, lambda b: b.execute_script(n) > before)
+    assert browser.execute_script(KNOWN_RANGE) == near
+    assert focused(browser).text == "Last 20 trips"
+    assert focused(browser).get_attribute("aria-pressed") == "false"  # 20 others by now
+    assert "Without JavaScript" not in shown(browser)
+    name = browser.find_element(By.CSS_SELECTOR, "input[name=by]")
+    name.send_keys("half a na")
+    with History(path) as store:
+        store.write(trips(WORN, 2, n_trips=1, begin=N_MORE + 1))
+    pulse = browser.find_element(By.ID, "pulse")
+    wait(browser, lambda b: "There is something new" in pulse.text)
+    assert name.get_attribute("value") == "half a na"
+    assert refresher.fault == ""
+
+
+def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, filled, tmp_path):
+    path = tmp_path / "fleet.db"
+    path.write_bytes(filled.read_bytes())
+    with served(path) as (address, refresher):
+        wait(refresher, lambda found: found.board.view.is_complete)
+        browser.get(address)
+        browser.execute_script("window.same = true; window.scrollTo(0, 300)")
+        with History(path) as store:
+            store.write(trips(Place("", "leading", "left", "77", "1"), 8))
+        wait(browser, lambda b: "Train 77" in shown(b))
+        assert browser.execute_script("return [window.same, window.scrollY]") == [True, 300]
+        browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
+        lost = browser.find_element(By.ID, "lost")
+        wait(browser, lambda b: "The server does not answer since" in lost.text)
+
+
+def test_names_are_text_everywhere(browser, site):
+    for address in (site[0], page_of(site, NAMED_EVIL), f"{site[0]}/plan"):
+        browser.get(address)
+        if "suspension" in address:
+            wait(browser, has_plots)
+        assert EVIL in shown(browser)
+        assert browser.execute_script("return window.evil") is None
+    browser.get(site[0])
+    Select(browser.find_element(By.ID, "train")).select_by_visible_text(EVIL)
+    browser.find_element(By.CSS_SELECTOR, ".choose button").click()
+    wait(browser, lambda b: "1 suspensions" in shown(b))
+
+
+@pytest.mark.parametrize("width", [390, 1300])
+def test_no_page_is_wider_than_the_window(browser, site, width):
+    size(browser, width)
+    small = """const found = document.querySelectorAll('a.tile, .count, button, select, input');
+        return [...found].filter(e => e.type !== 'hidden' && e.offsetParent)
+        .filter(e => e.getBoundingClientRect().height < 43.5).map(e => e.outerHTML)"""
+    for address in (site[0], page_of(site, WORN), page_of(site, FAILED), f"{site[0]}/plan"):
+        browser.get(address)
+        if "suspension" in address:
+            wait(browser, has_plots)
+        widths = "return [document.documentElement.scrollWidth, innerWidth]"
+        page, window = browser.execute_script(widths)
+        assert page <= window == width
+        assert browser.execute_script(small) == []
+
+
+def test_headings_tables_and_fields_have_names(browser, site):
+    browser.get(page_of(site, FAILED))
+    wait(browser, has_plots)
+    assert len(browser.find_elements(By.TAG_NAME, "h1")) == 1
+    for landmark in ("header", "nav", "main", "footer"):
+        assert len(browser.find_elements(By.CSS_SELECTOR, f"body {landmark}")) == 1
+    unnamed = """return [...document.querySelectorAll('input:not([type=hidden]), select')]
+        .filter(e => !e.labels.length).length"""
+    assert browser.execute_script(unnamed) == 0
+    headless = "return [...document.querySelectorAll('th')].filter(e => !e.scope).length"
+    assert browser.execute_script(headless) == 0
+    twice = """const all = [...document.querySelectorAll('main [id]')].map(e => e.id);
+        return all.filter((e, i) => all.indexOf(e) !== i && !e.includes('clip'))"""
+    assert browser.execute_script(twice) == []
+
+
+def test_healthy_suspension_has_nothing_to_acknowledge(browser, site):
+    browser.get(page_of(site, HEALTHY))
+    wait(browser, has_plots)
+    assert browser.find_elements(By.CSS_SELECTOR, "form") == []
+
+
+def test_thousand_suspensions_are_shown(browser, tmp_path):
+    with History(tmp_path / "large.db") as store:
+        store.write([trip for i in range(N_LARGE) for trip in trips(large_place(i), i, n_trips=2)])
+    with served(tmp_path / "large.db") as (address, refresher):
+        wait(refresher, lambda found: found.board.view.is_complete)
+        began = time.monotonic()
+        browser.get(address)
+        assert time.monotonic() - began < 10  # a second where nothing else runs
+        assert len(browser.find_elements(By.CSS_SELECTOR, "a.tile")) == N_LARGE
+        more = browser.find_element(By.LINK_TEXT, f"All {N_LARGE} suspensions")
+        browser.get(more.get_attribute("href"))
+        rows = browser.find_elements(By.CSS_SELECTOR, "#suspensions + .scroll tbody tr")
+        assert len(rows) == N_LARGE
+
+
+def large_place(i):
+    """Return one of many suspensions: 8 cars a train, 4 a car."""
+    corners = [
+        ("leading", "left"),
+        ("leading", "right"),
+        ("trailing", "left"),
+        ("trailing", "right"),
+    ]
+    return Place("", *corners[i % 4], str(400 + i // 32), str(1 + i // 4 % 8))
