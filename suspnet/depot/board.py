@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.depot.fleet import Fleet
+from suspnet.depot.planner import Planner
 from suspnet.depot.sisters import Key
 from suspnet.depot.state import State, worst_first
-from suspnet.depot.view import FleetView, fleet_view, plan_of
+from suspnet.depot.view import FleetView, fleet_view
 from suspnet.dynamics import Vehicle
 from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Cause
@@ -28,6 +29,8 @@ from suspnet.maintenance.watch import Watched
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
 """Time after which a refresh that is not done shows what it has, [s]."""
+READ_AT_ONCE = 100
+"""Number of suspensions that are read in one transaction."""
 AT_ONCE = 50
 """Number of suspensions whose alarms are found before the time is looked at."""
 
@@ -113,6 +116,7 @@ class Board:
         self.settings = settings
         self._limits: dict[str, Mapping[str, Limits]] = {}
         self._fleet = Fleet(self._limits, settings.changes, settings.sisters, settings.seed)
+        self._planner = Planner(settings.plan)
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._early: dict[Key, State] = {}
@@ -165,7 +169,7 @@ class Board:
         if self._is_due:
             while not self._fleet.predict(SHOWN_S):
                 self._show(history, is_complete=False)
-            self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
+            self._plan = self._planner.plan(self._fleet.states(), day)
             self._show(history, is_complete=True)
             self._day, self._is_due = day, False
             self._early.clear()
@@ -176,7 +180,12 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int]) -> None:
         """Read the suspensions that changed, and find their alarms."""
         changed = [key for key, one in revisions.items() if self._revisions.get(key) != one]
-        series = history.series(None if len(changed) == len(revisions) else changed)
+        changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
+        series = [  # not all at once: an SQLite file is not written meanwhile
+            one
+            for begin in range(0, len(changed), READ_AT_ONCE)
+            for one in history.series(changed[begin : begin + READ_AT_ONCE])
+        ]
         for vehicle in {one.vehicle for one in series} - self._limits.keys():
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
@@ -189,7 +198,11 @@ class Board:
             self._early |= {state.key: state for state in states}
         if len(new) > AT_ONCE:
             self._show(history, is_complete=False)
-        self._found(self._fleet.update([], self._revisions.keys() - revisions.keys()))
+        gone = self._revisions.keys() - revisions.keys()
+        self._is_due |= bool(gone)
+        self._found(self._fleet.update([], gone))
+        self._unkept -= gone
+        self._kept = {key: alarms for key, alarms in self._kept.items() if key not in gone}
         for begin in range(0, len(series), AT_ONCE):
             self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
             if time.monotonic() - self._shown_at > SHOWN_S:

@@ -66,6 +66,7 @@ class Fleet:
         self._of_sisters: dict[Key, list[Alarm]] = {}
         self._lives: dict[Key, dict[str, Life]] = {}
         self._waiting: set[Key] = set()
+        self._states: dict[Key, State] = {}
         self._priors: dict[str, dict[str, FleetPrior]] = {}
         self._n_new: dict[str, int] = defaultdict(int)
 
@@ -90,8 +91,8 @@ class Fleet:
         """
         cars = {car_of(self._own.pop(key).series) for key in gone if key in self._own}
         for key in gone:
-            self._lives.pop(key, None)
-            self._of_sisters.pop(key, None)
+            for part in (self._lives, self._of_sisters, self._states):
+                part.pop(key, None)
             self._waiting.discard(key)
         for one in series:
             key = one.vehicle, one.place
@@ -114,6 +115,7 @@ class Fleet:
             found = sister_alarms(several, self.sisters)
             for state in several:
                 self._of_sisters[state.key] = found.get(state.key, [])
+                self._states.pop(state.key, None)
         return {state.key for several in members.values() for state in several}
 
     def predict(self, seconds: float = np.inf) -> bool:
@@ -136,6 +138,7 @@ class Fleet:
             prior = self._priors[vehicle]
             self._lives[state.key] = lives_of(state, self.limits_of(vehicle), prior, self.seed)
             self._waiting.discard(state.key)
+            self._states.pop(state.key, None)
             if time.monotonic() > end:
                 break
         return not self._waiting
@@ -159,11 +162,10 @@ class Fleet:
 
     def states(self) -> list[State]:
         """Return the state of each suspension, the most severe first, then the shortest life."""
-        found = [
-            replace(with_alarms(state, self.of_sisters(key)), lives=self._lives.get(key, {}))
-            for key, state in self._own.items()
-        ]
-        return sorted(found, key=worst_first)
+        for key in self._own.keys() - self._states.keys():
+            state = with_alarms(self._own[key], self.of_sisters(key))
+            self._states[key] = replace(state, lives=self._lives.get(key, {}))
+        return sorted(self._states.values(), key=worst_first)
 
     def _sorted(self) -> list[State]:
         """Return the suspensions with their own alarms, by vehicle and place."""

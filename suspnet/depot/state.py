@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,27 +46,27 @@ class State:
         """Vehicle and place."""
         return self.series.vehicle, self.series.place
 
-    @property
+    @cached_property
     def alarms(self) -> list[Alarm]:
         """Alarms that stand, the most severe first."""
         standing = [one for one in self.watched.alarms if one.is_open]
         return sorted(standing, key=lambda one: (-one.severity, one.begin_km))
 
-    @property
+    @cached_property
     def severity(self) -> Severity:
         """The worst of its alarms; unknown if no trip has an estimate."""
         if not (self.series.recent & self.series.done).any():
             return Severity.UNKNOWN
         return max((one.severity for one in self.alarms), default=Severity.NONE)
 
-    @property
+    @cached_property
     def shortest(self) -> tuple[str, Life] | None:
         """The parameter that may pass its act limit first, by the 10 % quantile of its life."""
         known = [(life.quantile_km(0.1), name) for name, life in self.lives.items()]
-        known = [one for one in known if np.isfinite(one[0])]
-        return (min(known)[1], self.lives[min(known)[1]]) if known else None
+        first = min((one for one in known if np.isfinite(one[0])), default=None)
+        return first and (first[1], self.lives[first[1]])
 
-    @property
+    @cached_property
     def last_km(self) -> float:
         """Mileage of the newest trip with an estimate, [km]; NaN if there is none."""
         km = self.series.mileage_km[self.series.done]

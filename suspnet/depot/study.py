@@ -13,8 +13,9 @@ import pyarrow as pa
 from suspnet.depot.board import BoardSettings
 from suspnet.depot.fleet import fleet_state
 from suspnet.depot.overview import overview_table, write_page
+from suspnet.depot.planner import Planner
 from suspnet.depot.state import State
-from suspnet.depot.view import fleet_view, plan_of
+from suspnet.depot.view import fleet_view
 from suspnet.dynamics import Vehicle
 from suspnet.history import History
 from suspnet.maintenance.calendar_figure import plan_calendar
@@ -86,7 +87,7 @@ def write_maintenance(
         states = fleet_state(fleet, own, changes, sisters, seed)
         history.keep_all_alarms({state.key: state.watched.alarms for state in states})
         acknowledged = history.all_acknowledgements()
-    planned = plan_of(states, plan, settings.day())
+    planned = Planner(plan).plan(states, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
     write_table(pa.Table.from_pylist(view.rows), folder / "overview")
     jobs: list[dict[str, Any]] = planned.rows()

@@ -6,17 +6,14 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from typing import Any
 
 from suspnet.depot.overview import overview_rows
-from suspnet.depot.parts import parts_of, trains_of
 from suspnet.depot.sisters import Key, of_same_car
 from suspnet.depot.state import State
 from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.plan import make_plan
-from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.schedule import Plan
 
 ID_DIGITS = 12
@@ -96,12 +93,6 @@ def fleet_view(
         acknowledged=acknowledged,
         is_complete=is_complete,
     )
-
-
-def plan_of(states: Sequence[State], settings: PlanSettings, today: date) -> Plan:
-    """Return the plan for a fleet whose remaining lives are known."""
-    trains = trains_of(states, today, settings.km_per_day)
-    return make_plan(parts_of(states), trains, settings, today)
 
 
 def address(key: Key) -> str:

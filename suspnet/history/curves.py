@@ -86,12 +86,9 @@ def write_curves(
         .where(of_one)
     )
     there = {row[0]: order(or_nan(row[1]), row[2], row[3]) for row in connection.execute(chosen)}
-    new = {
-        key: order(one.mileage_km, one.start, one.trip)
-        for key, one in results.items()
-        if one.curves is not None
-    }
-    known = {key: place for key, place in there.items() if key not in results} | new
+    new = {key: one.curves for key, one in results.items() if one.curves is not None}
+    orders = {key: order(r.mileage_km, r.start, r.trip) for key, r in results.items() if key in new}
+    known = {key: place for key, place in there.items() if key not in results} | orders
     ordered = sorted(known, key=lambda key: known[key])
     kept = {*ordered[:1], *ordered[-N_NEWEST:]}
     gone = [{"of": suspension, "gone": key} for key in there if key not in kept]
@@ -100,7 +97,7 @@ def write_curves(
             curves.c.suspension_id == sql.bindparam("of"), curves.c.key == sql.bindparam("gone")
         )
         connection.execute(curves.delete().where(match), gone)
-    rows = [_row(suspension, key, results[key].curves) for key in kept if key in new]
+    rows = [_row(suspension, key, found) for key, found in new.items() if key in kept]
     upsert(connection, curves, rows)
 
 
@@ -137,9 +134,8 @@ def _same_trip() -> sql.ColumnElement[bool]:
     return sql.and_(*same)
 
 
-def _row(suspension: int, key: bytes, found: TripCurves | None) -> dict[str, object]:
+def _row(suspension: int, key: bytes, found: TripCurves) -> dict[str, object]:
     """Return the row of a trip's curves."""
-    assert found is not None
     arrays = {
         "frequencies_hz": found.frequencies_hz,
         "real": np.real(found.responses),
@@ -147,7 +143,7 @@ def _row(suspension: int, key: bytes, found: TripCurves | None) -> dict[str, obj
         "coherences": found.coherences,
         "deviations": found.deviations,
     }
-    content = dump_arrays({key: np.asarray(one, dtype=float) for key, one in arrays.items()})
+    content = dump_arrays({name: np.asarray(one, dtype=float) for name, one in arrays.items()})
     digest = hashlib.sha256(content).hexdigest()
     return {"suspension_id": suspension, "key": key, "arrays": content, "sha256": digest}
 
@@ -168,11 +164,9 @@ def _responses(
     except DamagedFileError as error:
         raise HistoryError(" ".join(str(error).split())) from None
     shapes = {key: one.shape for key, one in arrays.items()}
-    n_freq = shapes.get("frequencies_hz", (0,))
-    if set(shapes) != NAMES or any(
-        shape != (n_freq if key == "frequencies_hz" else (2, *n_freq))
-        for key, shape in shapes.items()
-    ):
+    both = (2, *shapes.get("frequencies_hz", ()))
+    if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
         raise HistoryError(f"{what} is damaged: it holds {shapes}")
-    responses = arrays.pop("real") + 1j * arrays.pop("imaginary")
+    responses = np.empty(both, dtype=complex)  # a product with 1j would make NaN of infinity
+    responses.real, responses.imag = arrays.pop("real"), arrays.pop("imaginary")
     return TripResponses(trip, or_nan(mileage_km), start, responses=responses, **arrays)

@@ -213,9 +213,8 @@ class History:
         """
         others = {one.cause for alarms in found.values() for one in alarms} - set(causes)
         if others:
-            raise ValueError(
-                f"alarms of {', '.join(sorted(others))} are not of {', '.join(causes)}"
-            )
+            wanted = ", ".join(causes)
+            raise ValueError(f"alarms of {', '.join(sorted(others))} are not of {wanted}")
         with self._writing() as connection:
             ids = numbers_of(connection, found, str(self))
             of_each = {one: found[key] for key, one in ids.items()}

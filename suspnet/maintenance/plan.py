@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, timedelta
 
 import numpy as np
@@ -60,16 +60,44 @@ def make_plan(
         seen.add(key)
         groups[part.train].append(part)
     planned = [_plan_train(named[name], groups[name], settings, today) for name in sorted(groups)]
-    visits = [visit for found in planned for visit in found[0]]
-    waiting = [job for found in planned for job in found[1]]
-    return Plan(
-        today,
-        today + timedelta(days=settings.horizon_days),
-        tuple(sorted(visits, key=lambda visit: (visit.day, visit.train))),
-        tuple(sorted(waiting, key=lambda job: (job.plan_again_km, str(job.part)))),
-        len(parts) - sum(len(visit.jobs) for visit in visits) - len(waiting),
-        sum(found[2] for found in planned),
-        settings.level,
+    visits = tuple(visit for found in planned for visit in found[0])
+    waiting = tuple(job for found in planned for job in found[1])
+    n_quiet = len(parts) - sum(len(visit.jobs) for visit in visits) - len(waiting)
+    objective = sum(found[2] for found in planned)
+    horizon = today + timedelta(days=settings.horizon_days)
+    return _sorted(Plan(today, horizon, visits, waiting, n_quiet, objective, settings.level))
+
+
+def join_plans(plans: Sequence[Plan]) -> Plan:
+    """Return the plan for several fleets, from the plans for each by itself.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or they are not of the same days and level.
+    """
+    if len({(plan.today, plan.horizon, plan.level) for plan in plans}) != 1:
+        raise ValueError("plans to be joined must be of the same days and level")
+    first = plans[0]
+    return _sorted(
+        Plan(
+            first.today,
+            first.horizon,
+            tuple(visit for plan in plans for visit in plan.visits),
+            tuple(job for plan in plans for job in plan.waiting),
+            sum(plan.n_quiet for plan in plans),
+            sum(plan.objective for plan in plans),
+            first.level,
+        )
+    )
+
+
+def _sorted(plan: Plan) -> Plan:
+    """Return a plan with visits and waiting jobs in order."""
+    return replace(
+        plan,
+        visits=tuple(sorted(plan.visits, key=lambda visit: (visit.day, visit.train))),
+        waiting=tuple(sorted(plan.waiting, key=lambda job: (job.plan_again_km, str(job.part)))),
     )
 
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from depot_trips import N_TRIPS, place, trips
 
 from suspnet.depot.fleet import fleet_state
 from suspnet.depot.overview import overview_rows, overview_table
 from suspnet.depot.parts import parts_of, train_of, trains_of
 from suspnet.depot.study import write_maintenance
 from suspnet.history import Event, History
-from suspnet.history.records import Quality, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Cause
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
@@ -20,40 +20,8 @@ from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.recordings.manifest import Place
 
-N_TRIPS = 40
-SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"
-
-
-def place(side, car="3"):
-    return Place("secondary", side=side, train="12", car=car)
-
-
-def trips(where, seed, wear=()):
-    """Return the trips of a suspension, 2000 km and three days apart."""
-    random = np.random.default_rng(seed)
-    found = []
-    for i in range(N_TRIPS):
-        values = {name: float(np.exp(s * random.standard_normal())) for name, s in SPREAD.items()}
-        for name, ratios in dict(wear).items():
-            values[name] *= ratios[i]
-        day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
-        found.append(
-            TripResult(
-                f"trip_{i:03d}",
-                "",
-                "am96",
-                where,
-                2000.0 * (i + 1),
-                start=f"{day}+00:00",
-                estimates=values,
-                raw=values,
-                half_widths={name: 2 * s for name, s in SPREAD.items()},
-                quality=Quality(speed_m_per_s=70.0),
-            )
-        )
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -68,6 +68,15 @@ def test_whatever_curves_hold_comes_back(tmp_path_factory, data, n_freq):
         np.testing.assert_array_equal(getattr(found, name), array)
 
 
+def test_infinite_responses_come_back(store):
+    odd = np.array([[np.inf + 1j, 1 - np.inf * 1j], [complex(np.nan, -np.inf), complex(0, np.inf)]])
+    given_ = replace(curves(n_freq=2), responses=odd)
+    store.write([replace(trip(0), curves=given_)])
+    (found,) = store.responses(VEHICLE, PLACE)
+    np.testing.assert_array_equal(found.responses.real, odd.real)
+    np.testing.assert_array_equal(found.responses.imag, odd.imag)
+
+
 # property
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from suspnet.maintenance.calendar_figure import MOST_TRAINS, plan_calendar
 from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.plan import make_plan
+from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train, km_per_day
 from suspnet.maintenance.visits import INSPECT, REPLACE, Costs, choose_dates, part_costs
 
@@ -366,6 +366,31 @@ def test_calendar_shows_the_most_urgent_trains():
     assert plan_calendar(planned(part([NEVER]))).axes[0].texts[0].get_text() == "nothing to be done"
 
 
+def test_plans_of_trains_are_joined_to_that_of_all():
+    trains = [replace(TRAIN, name=f"T{i}") for i in range(1, 5)]
+    parts = [
+        part(spread_life(40_000.0 * i, 0.3, seed=i), side, train=f"T{i}")
+        for i in range(1, 5)
+        for side in ("left", "right")
+    ]
+    parts += [part([NEVER], "middle"), part([0.0], "first", Severity.ACT, "T4")]
+    whole = planned(*parts, trains=trains)
+    each = [
+        planned(*(one for one in parts if one.train == train.name), trains=[train])
+        for train in trains
+    ]
+    joined = join_plans(each[::-1])
+    assert joined.rows() == whole.rows()
+    assert len(joined.visits) > 2
+    assert joined.n_quiet == whole.n_quiet > 0
+    assert joined.objective == pytest.approx(whole.objective, rel=1e-12)
+    assert (joined.today, joined.horizon, joined.level) == (TODAY, whole.horizon, whole.level)
+    with pytest.raises(ValueError, match="same days and level"):
+        join_plans([whole, replace(whole, today=TODAY - timedelta(days=1))])
+    with pytest.raises(ValueError, match="same days and level"):
+        join_plans([])
+
+
 # pace of a train
 
 
@@ -373,6 +398,9 @@ def test_pace_is_that_of_the_newest_trips():
     starts = ["2020-01-01", "", "2026-05-01T10:00:00+02:00", "2026-06-30T23:00:00", "2026-08-09"]
     km = [0.0, 5.0, 100_000.0, 130_000.0, 150_000.0]
     assert km_per_day(starts, km, 1.0) == 500.0
+    times = ["2020-01-01", "NaT", "2026-05-01T10:00", "2026-06-30T23:00", "2026-08-09T00:00"]
+    assert km_per_day(np.array(times, dtype="datetime64[s]"), km, 1.0) == 500.0
+    assert km_per_day(np.array(["NaT"] * 5, dtype="datetime64[s]"), km, 7.0) == 7.0
     assert km_per_day(starts[::-1], km[::-1], 1.0) == 500.0
     assert km_per_day(starts[:1], km[:1], 7.0) == 7.0
     assert km_per_day(["2026-08-01", "2026-08-09"], [0.0, 4_000.0], 7.0) == 7.0  # too short

@@ -1,0 +1,39 @@
+"""Trips of made-up suspensions for the tests of a depot."""
+
+import numpy as np
+
+from suspnet.history.records import Quality, TripResult
+from suspnet.recordings.manifest import Place
+
+N_TRIPS = 40
+SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}
+
+
+def place(side, car="3"):
+    return Place("secondary", side=side, train="12", car=car)
+
+
+def trips(where, seed, wear=(), n_trips=N_TRIPS):
+    """Return the trips of a suspension, 2000 km and three days apart."""
+    random = np.random.default_rng(seed)
+    found = []
+    for i in range(n_trips):
+        values = {name: float(np.exp(s * random.standard_normal())) for name, s in SPREAD.items()}
+        for name, ratios in dict(wear).items():
+            values[name] *= ratios[i]
+        day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
+        found.append(
+            TripResult(
+                f"trip_{i:03d}",
+                "",
+                "am96",
+                where,
+                2000.0 * (i + 1),
+                start=f"{day}+00:00",
+                estimates=values,
+                raw=values,
+                half_widths={name: 2 * s for name, s in SPREAD.items()},
+                quality=Quality(speed_m_per_s=70.0),
+            )
+        )
+    return found
