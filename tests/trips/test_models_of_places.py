@@ -9,10 +9,18 @@ from suspnet.model import ModelFileError
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.validity import check_model
 from suspnet.recordings.manifest import Place
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trips import output
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 from suspnet.trips.models import NAMED, models_of, place_of
 
 HERE, THERE = Place("S1", "leading", "", "1", "1"), Place("S1", "leading", "", "1", "2")
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    monkeypatch.setattr(output, "write_report", lambda *_: None)
 
 
 def commissioned(place, first_km=1000.0, speed=70.0):
@@ -55,7 +63,7 @@ def test_place_without_a_model_is_told_with_those_that_have_one():
     ):
         models_of([commissioned(HERE), commissioned(THERE)], unknown)
     several = [commissioned(replace(HERE, car=f"{i}")) for i in range(NAMED + 18)]
-    with pytest.raises(ModelFileError, match="car 0, .* and 18 others: commission it too"):
+    with pytest.raises(ModelFileError, match=r"car 0, .* and 18 others: commission it too"):
         models_of(several, Place("S2"))
 
 
