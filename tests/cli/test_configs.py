@@ -29,10 +29,11 @@ NAMES = {
         "search",
         "generator",
         "data",
+        "sink",
     )
 }
 NAMES |= {group: list(OmegaConf.load(CONFIGS / file)) for group, (file, _) in TABLES.items()}
-PROGRAM = {"study": "evaluate", "scenario": "simulate"}
+PROGRAM = {"study": "evaluate", "scenario": "simulate", "sink": "replay"}
 """The program of each group that is not train.py's."""
 OPTIONS = [
     (group, name)
@@ -90,7 +91,8 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
         if target is best_generator:
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
-        parameters.pop("folder", None)  # which the program gives a study
+        if "folder" not in node:
+            parameters.pop("folder", None)  # which the program gives a study
         optional = (*GEOMETRY, "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:
