@@ -90,7 +90,7 @@ class Mqtt:
 
     @property
     def counts(self) -> Counter[str]:
-        """Events: "reconnect", "unreachable", "rejected" by the broker, "size" of a message."""
+        """Events: "disconnect", "reconnect", "unreachable", "rejected", "size" of a message."""
         return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
@@ -206,6 +206,8 @@ class Mqtt:
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         with self._changed:
             self._is_connected = False
+        if not self._is_closing:
+            self._tell("disconnect", "it has gone")
 
     def _on_connect_fail(self, client: Client, userdata: Any) -> None:
         self._tell("unreachable", "nobody answers")
