@@ -10,6 +10,7 @@ server of suspnet-serve (waitress), each in the process that also works out the 
 from __future__ import annotations
 
 import csv
+import gc
 import http.client
 import io
 import resource
@@ -174,6 +175,8 @@ def measure(store: str, settings: BoardSettings) -> list[Row]:
     threading.Thread(target=server.run, daemon=True).start()
     http_ask = over_http(server.effective_port)
     rows = []
+    gc.collect()
+    gc.freeze()  # as suspnet-serve does: what the imports made is not walked again and again
     working = threading.Thread(
         target=lambda: rows.append(measured("first view of all", "thread", board.refresh))
     )
