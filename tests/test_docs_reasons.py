@@ -41,7 +41,11 @@ RAISING = (
 """Modules of which only what is raised or listed here is one."""
 OF_FILES = ("suspnet/inspection/contents.py",)
 """Modules whose errors are of data files without a trip, which suspnet-init tells."""
-OF_STREAMS = ("suspnet/live/replay.py", "suspnet/stream/running.py")
+OF_STREAMS = (
+    "suspnet/live/replay.py",
+    "suspnet/live/suspensions.py",
+    "suspnet/stream/running.py",
+)
 """Modules whose errors are of a stream, or of a replay as one."""
 ALSO = ("reads the same data as", "commissioning needs", "the trips differ in their sensors")
 """Beginnings of the sentences of ``RAISING`` that are reasons though nothing raises them."""

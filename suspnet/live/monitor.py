@@ -121,7 +121,7 @@ class Monitor:
                 self._take(data)
             n_pending += len(frames or ())
             if not frames or n_pending >= MOST_PENDING:
-                self._end_silent()
+                self._tell_silent()
                 self._commit()
                 n_pending = 0
             if frames is None:
@@ -164,13 +164,13 @@ class Monitor:
                 self._seen.add((name, error.reason))
                 log.warning("a frame cannot be used (%s): %s", error.reason, error)
 
-    def _end_silent(self) -> None:
-        """End the sections of suspensions from which nothing has come for long."""
+    def _tell_silent(self) -> None:
+        """Tell the sections of suspensions from which nothing has come for long."""
         now_s = self._clock()
         for name, last_s in self._last_s.items():
             if now_s - last_s > self._idle_s:
                 self._last_s[name] = now_s
-                self._told(self._suspensions[name], self._suspensions[name].end())
+                self._told(self._suspensions[name], self._suspensions[name].silent())
 
     def _told(self, one: LiveSuspension, several: list[Told]) -> None:
         """Tell estimates of a suspension; where a section is over, its frames are not kept on."""

@@ -38,7 +38,8 @@ class LiveSettings:
     late_s : float, [s]
         A section is kept open for frames that come so much later than others.
     idle_s : float, [s]
-        After so long without any frame all open sections are over, by the computer's clock.
+        After so long without any frame, by the computer's clock, sections are told as if they were
+        over. They go on, and are told again, if more comes after all.
     order : OrderSettings
 
     Raises
@@ -128,6 +129,7 @@ class LiveSuspension:
         )
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
         self._told: dict[int, int] = {}
+        self._silent: dict[str, tuple[float, int]] = {}
 
     def take(self, frame: Frame) -> None:
         """Take a frame; raises FrameError, and counts it, where it cannot be used."""
@@ -154,6 +156,17 @@ class LiveSuspension:
                 found.append(self._estimate(section, is_final=False))
         return found
 
+    def silent(self) -> list[Told]:
+        """Return the estimates from what has come of open sections, once: nothing has for long."""
+        found = []
+        for section in self._sections.open:
+            _, n_frames = self._silent.get(str(section.zero_ns), (0.0, 0))
+            if section.n_frames > n_frames and not section.is_empty:
+                told = self._estimate(section, is_final=True)
+                self._silent[str(section.zero_ns)] = told.result.mileage_km, section.n_frames
+                found.append(told)
+        return found
+
     def end(self) -> list[Told]:
         """Return the estimates from all sections: no more frames come."""
         return self._over(self._sections.close())
@@ -163,6 +176,7 @@ class LiveSuspension:
         state = {
             "sections": self._sections.state(),
             "slow": self._slow.state(),
+            "silent": {zero_ns: list(one) for zero_ns, one in self._silent.items()},
             "counts": dict(self.counts),
         }
         return dump_state(self._identity, state)
@@ -172,6 +186,7 @@ class LiveSuspension:
         state = load_state(content, self._identity)
         self._sections.restore(state["sections"])
         self._slow.restore(state["slow"])
+        self._silent = {zero_ns: (km, n) for zero_ns, (km, n) in state["silent"].items()}
         self.counts = Counter(state["counts"])
 
     @property
@@ -190,6 +205,7 @@ class LiveSuspension:
             told = self._estimate(section, is_final=True)
             end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
             self._slow.pass_section(end_ns, told.result.mileage_km + told.distance_km)
+            self._silent.pop(str(section.zero_ns), None)
             found.append(told)
         return found
 
@@ -198,6 +214,8 @@ class LiveSuspension:
         end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
         start = EPOCH + timedelta(microseconds=section.zero_ns // 1000)
         mileage_km, temperature_c = self._slow.within(section.zero_ns, end_ns)
+        # a trip that is kept already is replaced under the mileage by which it is known
+        mileage_km = self._silent.get(str(section.zero_ns), (mileage_km, 0))[0]
         manifest = replace(
             self.manifest,
             name=f"{start:%Y-%m-%d %H:%M}",

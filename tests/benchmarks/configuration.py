@@ -19,6 +19,7 @@ PROGRAMS = {
     "train": "`python train.py`, `suspnet-train`",
     "evaluate": "`python evaluate.py`, `suspnet-evaluate`",
     "simulate": "`python -m suspnet.simulate`, `suspnet-simulate`",
+    "serve": "`python -m suspnet.serve`, `suspnet-serve`",
 }
 WITH_PROTOCOL = ("group", "groups", "tuned")
 """Keys beside `protocol` that the options of that group set."""

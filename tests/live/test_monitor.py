@@ -269,10 +269,13 @@ def test_nothing_is_confirmed_that_is_not_in_the_journal(tmp_path, fleet, monkey
     assert source.confirmed == 0
 
 
-def test_a_suspension_that_falls_silent_is_told(tmp_path, fleet):
+@pytest.mark.parametrize("at", [300, 600])
+def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, at):
     frames, now_s = frames_of_trips(fleet[:1]), [0.0]
-    source = ListSource(frames, at_once=len(frames))
-    rounds = [source.frames, [], []]
+    (tmp_path / "whole").mkdir()
+    expected, _ = monitored(tmp_path / "whole", fleet, ListSource(frames))
+    source = ListSource([])
+    rounds = [frames[:at], [], [], frames[at:], [], [], []]
 
     def receive(timeout_s):
         now_s[0] += 1000.0
@@ -280,10 +283,12 @@ def test_a_suspension_that_falls_silent_is_told(tmp_path, fleet):
 
     source.receive = receive
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
-        results = Results(store, SETTINGS, source.publish)
-        one = suspensions(fleet)
-        Monitor(one, source, journal, results.tell, 1500.0, lambda: now_s[0]).run()
-    assert [kind for kind, *_ in source.published] == ["alarms", "estimates"]
+        results, (one,) = Results(store, SETTINGS, source.publish), suspensions(fleet)
+        Monitor([one], source, journal, results.tell, 1500.0, lambda: now_s[0]).run()
+    n_told = sum(kind == "estimates" for kind, *_ in source.published)
+    assert n_told == (3 if at < len(frames) else 2)  # silent, perhaps again, and at the end
+    (found,) = kept(tmp_path, fleet)
+    assert_same_estimate(found, expected[0])
 
 
 def test_journal_of_other_settings_is_refused(tmp_path, fleet):
