@@ -229,7 +229,7 @@ def page(rows: Sequence[Row]) -> str:
     """Return times of the fleet page and of the state behind it."""
     cells = [
         [
-            f"{r['what']}, by {r['by']}" if r["by"] in ("HTTP", "client") else str(r["what"]),
+            f"{r['what']}, by {r['by']}" if r.get("by") in ("HTTP", "client") else str(r["what"]),
             f"{r['median_s']:.3g}" if r["n"] > 1 else "",
             f"{r['worst_s']:.3g}" if r["worst_s"] else "",
             f"{r['processor_s']:.3g}" if r["processor_s"] else "",

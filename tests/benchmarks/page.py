@@ -218,7 +218,7 @@ def main() -> None:
         with History(store) as history:
             for i, made in enumerate(fleet(given.suspensions, given.trips, given.seed)):
                 history.write(with_curves(made, i))
-        rows = [row("the program, before the store is read", "", [0.0])]
+        rows = [row("the program before it reads the store", "start", [0.0])]
         rows += measure(store, BoardSettings(today=TODAY, seed=given.seed))
     lines = csv.DictWriter(stream := io.StringIO(), COLUMNS, lineterminator="\n")
     lines.writeheader()
