@@ -73,8 +73,7 @@ def run(main: Callable[[], Any]) -> None:
         print(f"{verb}: nothing was half-written; {folders.how_to_go_on()}", file=sys.stderr)
         sys.exit(code)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+        sys.exit(_output_ended())
     except MISTAKES as error:
         if _debugging:
             raise
@@ -85,6 +84,12 @@ def run(main: Callable[[], Any]) -> None:
         if _debugging or NO_SLURM not in str(error):
             raise
         sys.exit(one_line(error))
+
+
+def _output_ended() -> int:
+    """Write no more, as whoever read our output has ended; return the exit code of SIGPIPE."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 141
 
 
 @contextmanager
@@ -183,6 +188,8 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             read_values(config)
             _check_limits(config)
             return function(config)
+        except BrokenPipeError:
+            raise SystemExit(_output_ended()) from None
         except MISTAKES as error:
             if _debugging:
                 raise

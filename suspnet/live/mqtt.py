@@ -134,7 +134,8 @@ class Mqtt:
         with self._changed:  # no new connection begins meanwhile
             for connection, number in self._given:
                 # what came over an earlier connection comes again, under the same number or not
-                if self._is_connected and connection == self._connection:
+                # and a number of 0 is that of a sender who asked for no acknowledgement
+                if number and self._is_connected and connection == self._connection:
                     self._client.ack(number, 1)
         self._given.clear()
         self._send()

@@ -161,7 +161,9 @@ def _sensor_frames(
         first_s = source.start_s + (0.0 if timeline is None else timeline.first_s)
         first_ns = zero_ns + round(first_s * SECOND_NS)
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
-        for at, values in _recut(chain([first_block], blocks), size):
+        whole = chain([first_block], blocks)
+        del first_block  # it is as large as all else that is held of a sensor
+        for at, values in _recut(whole, size):
             for start, stop in zip(*runs(~find_gaps(values)), strict=True):
                 time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)
                 samples = _shortest(factor * values[start:stop])
@@ -174,6 +176,7 @@ def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, Float
     at, rest = 0, np.empty(0)
     for block in blocks:
         rest = np.concatenate([rest, block])
+        del block
         n_whole = len(rest) - len(rest) % size
         for start in range(0, n_whole, size):
             yield at + start, rest[start : start + size]

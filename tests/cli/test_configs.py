@@ -29,10 +29,11 @@ NAMES = {
         "search",
         "generator",
         "data",
+        "sink",
     )
 }
 NAMES |= {group: list(OmegaConf.load(CONFIGS / file)) for group, (file, _) in TABLES.items()}
-PROGRAM = {"study": "evaluate", "scenario": "simulate"}
+PROGRAM = {"study": "evaluate", "scenario": "simulate", "sink": "replay"}
 """The program of each group that is not train.py's."""
 OPTIONS = [
     (group, name)
@@ -75,6 +76,7 @@ def test_every_option_shows_every_argument_and_the_same_defaults(group, name):
 
 def test_programs_and_bases_show_the_same_defaults():
     check_arguments(OmegaConf.to_container(composed(name="evaluate"), resolve=False))
+    check_arguments(OmegaConf.to_container(composed(name="serve"), resolve=False))
     base = OmegaConf.to_container(OmegaConf.load(CONFIGS / "base" / "protocol.yaml"))
     first = OmegaConf.to_container(OmegaConf.load(CONFIGS / "scenarios.yaml")).pop("healthy")
     for node in (base, first):
@@ -89,7 +91,8 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
         if target is best_generator:
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
-        parameters.pop("folder", None)  # which the program gives a study
+        if "folder" not in node:
+            parameters.pop("folder", None)  # which the program gives a study
         optional = (*GEOMETRY, "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:

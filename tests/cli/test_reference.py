@@ -35,6 +35,7 @@ CHOSEN = [
     ("evaluate", "study=identifiability"),
     ("evaluate", "study=reliability"),
     ("simulate", "scenario=random"),
+    *(("replay", f"sink={file.stem}") for file in sorted((Path(CONFIGS) / "sink").glob("*"))),
 ]
 BUILT = {
     ("train", "vehicle=am96"): ("vehicle",),
@@ -47,6 +48,7 @@ BUILT = {
     ("train", "model=svr"): ("model",),
     ("evaluate", "run=x"): ("monitor",),
     ("simulate", "scenario=healthy"): ("fleet", "scenario"),
+    ("replay", "sink=mqtt"): ("sink",),
 }
 """Command lines with the beginnings of keys that the objects of their sections check."""
 UNCHECKED = {"cache_size_mb", "n_jobs", "random_state", "nominal", "distribution", "limits", "seed"}
@@ -79,7 +81,7 @@ def test_help_tells_every_key_its_value_unit_and_range(program, choice):
         assert len(line) <= COLUMNS, line
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate", "simulate"])
+@pytest.mark.parametrize("name", ["train", "evaluate", "simulate", "replay"])
 def test_help_tells_every_group_and_option_of_the_program(name):
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         found = Reference(compose(name, return_hydra_config=True)).groups()
@@ -90,6 +92,7 @@ def test_help_tells_every_group_and_option_of_the_program(name):
         },
         "evaluate": {"protocol", "study"},
         "simulate": {"vehicle", "generator", "scenario"},
+        "replay": {"sink"},
     }[name]
     for group in found:
         assert group.phrase, group.name

@@ -291,6 +291,20 @@ def test_message_that_is_no_frame_is_given_like_any_other(broker, opened):
     client.loop_stop()
 
 
+def test_frames_of_others_do_not_come_and_those_without_acknowledgement_do(broker, opened):
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
+    send(sink, 3, suspension="another")
+    client = raw_client(broker)
+    client.publish(at(broker).topic("frames", ONE), encoded(1)[0], qos=0)
+    assert received(source, 1) == encoded(1)
+    source.confirm()
+    send(sink, 2)
+    assert received(source, 2) == encoded(2)
+    assert source.counts == {}
+    client.disconnect()
+    client.loop_stop()
+
+
 def test_sender_of_messages_that_are_too_large_is_disconnected_alone(broker, opened):
     source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
     client, ends = raw_client(broker), []

@@ -1,0 +1,149 @@
+"""suspnet-replay from the command line, into standard output, a folder and a broker."""
+
+import io
+import subprocess
+import sys
+
+import pytest
+from cli_runner import ROOT, typed
+from live_frames import Mosquitto, frame
+from trip_fixtures import changed, write_trips
+
+from suspnet.cli import replay
+from suspnet.live.broker import Broker
+from suspnet.live.drop_folder import DropFolder
+from suspnet.live.framing import Splitter
+from suspnet.live.mqtt import Mqtt
+from suspnet.live.replay import Replay
+from suspnet.live.sinks import Folder, StandardOutput
+from suspnet.stream import decode, encode
+
+
+@pytest.fixture(scope="module")
+def trip(tmp_path_factory):
+    return write_trips(tmp_path_factory.mktemp("replayed") / "trips", minutes=1.1)[0]
+
+
+@pytest.fixture(scope="module")
+def expected(trip):
+    return [encode(one) for one in Replay(trip.parent).frames()]
+
+
+def run(trip, *arguments, cwd):
+    return typed(replay, f"trips={trip.parent}", "progress=false", *arguments, cwd=cwd)
+
+
+def test_standard_output_holds_frames_and_nothing_else(trip, expected, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "suspnet.replay", f"trips={trip.parent}", "progress=false"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(ROOT), "PATH": ""},
+        capture_output=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout == b"".join(expected)
+    words = done.stderr.decode()
+    assert f"{len(expected)} frames with " in words
+    assert " of 1 trips of 1 suspensions in " in words
+
+
+def test_reader_that_ends_ends_the_replay(trip, tmp_path):
+    command = f"'{sys.executable}' -m suspnet.replay trips={trip.parent} progress=false"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command} | head -c 1000 | wc -c"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (141, "1000", "")
+
+
+def test_folder_is_read_by_the_source(trip, expected, tmp_path):
+    done = run(trip, "sink=folder", "sink.folder=drop", "sink.file_s=7", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    files = sorted((tmp_path / "drop").iterdir())
+    assert [file.name for file in files[:2]] == ["000000001.frames", "000000002.frames"]
+    assert len(files) == 10
+    source, found = DropFolder(tmp_path / "drop", once=True), []
+    source.subscribe([])
+    while (part := source.receive(1.0)) is not None:
+        found += part
+        source.confirm()
+    assert found == expected
+    again = Folder(tmp_path / "drop")
+    again.open()
+    again.send(frame())
+    again.close()
+    assert (tmp_path / "drop" / "000000011.frames").read_bytes() == encode(frame())
+
+
+def test_broker_gives_what_was_replayed(trip, expected, tmp_path):
+    pytest.importorskip("paho.mqtt.client")
+    broker = Mosquitto(tmp_path).start()
+    source = Mqtt(Broker(port=broker.port))
+    try:
+        assert source.subscribe(["simulated"]) == ["simulated"]
+        assert source.receive(0.5) == []
+        port = f"sink.broker.port={broker.port}"
+        done = run(trip, "sink=mqtt", port, "sink.in_flight=50", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        found = []
+        while len(found) < len(expected):  # ends: a test has a time limit
+            found += source.receive(1.0)
+            source.confirm()
+        assert found == expected
+    finally:
+        source.close()
+        broker.end()
+
+
+def test_times_makes_a_replay_last(trip, tmp_path):
+    done = run(trip, "sink=folder", "sink.folder=drop", "times=100", cwd=tmp_path)
+    assert done.returncode == 0
+    seconds = float(done.stderr.split(" in ")[-1].split(" s")[0])
+    assert 0.6 < seconds < 10
+
+
+def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):
+    (tmp_path / "trips").mkdir()
+    changed(trip, tmp_path / "trips")
+    (tmp_path / "trips" / "bad.yaml").write_text("suspension: simulated\n")
+    options = ("progress=false", "sink=folder", "sink.folder=drop")
+    done = typed(replay, f"trips={tmp_path / 'trips'}", *options, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "error: 1 trips are missing or not whole, see above" in done.stderr
+    splitter = Splitter()
+    data = b"".join(file.read_bytes() for file in sorted((tmp_path / "drop").iterdir()))
+    assert {decode(one).suspension for one in splitter.push(data)} == {"simulated"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["sink=folder"], "Missing mandatory value: sink.folder"),
+        (["sink=mqtt", "sink.broker.port=1"], "no broker: Connection refused"),
+        (["sink=moon"], "sink/moon"),
+        (["times=0"], "`times` must be"),
+        (["start=soon"], "`start` must be a date and time"),
+        (["sink=mqtt", "sink.broker._target_=os.system"], "which is not trusted"),
+    ],
+)
+def test_mistake_gets_one_line(trip, tmp_path, arguments, message):
+    done = run(trip, *arguments, cwd=tmp_path)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_terminal_gets_no_frames(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    with pytest.raises(ValueError, match="frames are no text"):
+        StandardOutput().open()
