@@ -2,6 +2,7 @@
 
 import json
 
+import pyarrow.parquet as pq
 import pytest
 from cli_runner import run_program
 
@@ -31,9 +32,9 @@ def test_fleet_is_simulated_commissioned_and_read(tmp_path):
     assert [run.name for run in runs] == sorted(path.parent.name for path in trips.glob("*/*.json"))
     given = [f"trips={trips}", f"run={models}", f"store={store}", "progress=false"]
     assert run_program(evaluate, tmp_path / "read", *given) == evaluate.ACT
-    rows = (tmp_path / "read" / "overview.csv").read_text().splitlines()
-    assert len(rows) == 5
-    assert [row.split(",")[0] for row in rows if ",act," in row] == [wearing]
+    rows = pq.read_table(tmp_path / "read" / "overview.parquet").to_pylist()
+    assert len(rows) == 4
+    assert [row["folder"] for row in rows if row["severity"] in ("notice", "act")] == [wearing]
     with History(store) as history:
         places = {place for _, place in history.places()}
     assert places == {place_of(load_model(run)) for run in runs}
