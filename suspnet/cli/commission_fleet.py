@@ -18,7 +18,6 @@ from tqdm import tqdm
 
 from suspnet.checks import check_number
 from suspnet.cli import folders, program
-from suspnet.commissioning.run import check_generator
 from suspnet.data.parallel import quiet
 from suspnet.storage import read_json, write_atomically, write_json
 from suspnet.studies.sweeps import run_errors
@@ -101,7 +100,6 @@ def train_fleet(
             f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "
             "torchrun: start it with python and workers=N"
         )
-    check_generator(program.build(config, "generator"))
     program.save_config(config, folder)
     failed = {group.name: group.error for group in groups if group.error}
     runs = [_run(config, group, folder) for group in groups if not group.error]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import socket
 import threading
 import webbrowser
 from importlib.util import find_spec
@@ -51,7 +52,7 @@ def serve(board: Board, config: DictConfig) -> None:
 
     Raises
     ------
-    OSError
+    ValueError
         If the address is taken, or not of this computer.
     """
     from waitress.server import create_server
@@ -64,13 +65,12 @@ def serve(board: Board, config: DictConfig) -> None:
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
     app = create_app(refresher, names, config.refresh_s)
     try:
-        server: Any = create_server(
-            app, host=config.host, port=config.port, threads=config.threads, ident="suspnet"
-        )
+        listening = socket.create_server((config.host, config.port))
     except OSError as error:
         words = error.strerror or str(error)
         raise ValueError(f"{config.host}:{config.port}: {words}; choose another port=") from None
-    address = f"http://{config.host}:{server.effective_port}/"
+    server: Any = create_server(app, sockets=[listening], threads=config.threads, ident="suspnet")
+    address = f"http://{config.host}:{listening.getsockname()[1]}/"
     log.info("the fleet is at %s (Ctrl-C ends it)", address)
     refresher.start()
     if config.open_browser:

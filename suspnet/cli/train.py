@@ -16,7 +16,7 @@ from suspnet.cli import folders, naming, program
 from suspnet.cli.commission_fleet import several_suspensions, train_fleet
 from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.commissioning.page import training_notes, write_outcome
-from suspnet.commissioning.run import commission_folder
+from suspnet.commissioning.run import check_generator, commission_folder
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.model.from_recording import TripSettings
@@ -50,7 +50,10 @@ def compose(config: DictConfig) -> None:
         return
     groups = several_suspensions(config)
     if groups:
-        _check_healthy(config)
+        several = isinstance(config.speed_m_per_s, ListConfig)
+        one = _bound(config, _ranges(config)[0]) if several else config
+        _check_healthy(one)
+        check_generator(program.build(one, "generator"))
         train_fleet(config, folder, groups, _run)
         return
     folders.clear(folder)
@@ -80,23 +83,32 @@ def _run(
     if not isinstance(config.speed_m_per_s, ListConfig):
         _train(config, folder, _commissioned(config, folder, paths), varied, draw)
         return
+    ranges = _ranges(config)
+    healthy = _commissioned(_bound(config, ranges[0]), folder, paths)
+    program.save_config(config, folder)
+    train_ranges(
+        ranges,
+        lambda one, where: _train(_bound(config, one), where, healthy, varied, draw),
+        folder,
+    )
+
+
+def _ranges(config: DictConfig) -> list[SpeedRange]:
+    """Return the ranges of speeds that a configuration asks for, each of one model."""
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED)
     ranges = speed_ranges(list(config.speed_m_per_s), config.data.speed_half_width)
-
-    def bound(one: SpeedRange) -> DictConfig:
-        found = config.copy()
-        found.speed_m_per_s = one.trained_m_per_s
-        found.data.speed_half_width = one.half_width
-        return found
-
-    if program.build(bound(ranges[0]), "generator").speed_m_per_s is None:
+    if program.build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
-    healthy = _commissioned(bound(ranges[0]), folder, paths)
-    program.save_config(config, folder)
-    train_ranges(
-        ranges, lambda one, where: _train(bound(one), where, healthy, varied, draw), folder
-    )
+    return ranges
+
+
+def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
+    """Return a configuration with the speed of one range."""
+    found = config.copy()
+    found.speed_m_per_s = one.trained_m_per_s
+    found.data.speed_half_width = one.half_width
+    return found
 
 
 @dataclass(frozen=True)

@@ -198,8 +198,11 @@ def partial_words(folder: Path) -> str:
         wanted = f" of {int(marked[f'n_{what}'])}"
     except (OSError, ValueError, LookupError, TypeError):
         what, wanted = "trips", ""
-    written = {path.parent for path in folder.glob("*/*.yaml") if what == "suspensions"}
-    n_written = len(written) or sum(path.is_file() for path in folder.glob("*.yaml"))
+    if what == "suspensions":
+        begun = {path.parent for path in folder.glob("*/*.yaml")}
+        n_written = sum(not (part / UNFINISHED).exists() for part in begun)
+    else:
+        n_written = sum(path.is_file() for path in folder.glob("*.yaml"))
     return f"partial: {n_written}{wanted} {what} are simulated"
 
 

@@ -41,7 +41,7 @@ from suspnet.web.security import WITH_PLOTS
 from suspnet.web.suspension_page import suspension_values
 from suspnet.web.trend_figure import trend_figure
 
-MOST_ROWS = 100
+MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are asked for."""
 MOST_JOBS = 10
 """Largest number of jobs on the page of the fleet; the page of the plan has all."""

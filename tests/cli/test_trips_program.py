@@ -535,6 +535,11 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
         (["fleet._target_=os.system"], "got 'os.system', which is not trusted"),
+        (["cars=2"], "cars=2 is of a fleet of trains: give trains= too"),
+        (["n_wearing=0"], "n_wearing=0 is of a fleet of trains: give trains= too"),
+        (["trains=0"], "`trains` must be a whole number >= 1"),
+        (["trains=2", "n_wearing=5"], "`n_wearing` must be at most 4 in magnitude, got 5"),
+        (["trains=1", "out={trips}"], "out=.*worn already holds trips; give another folder"),
     ],
 )
 def test_mistake_with_simulate_gets_one_line(trips, tmp_path, overrides, message):
@@ -547,6 +552,19 @@ def test_mistake_with_simulate_gets_one_line(trips, tmp_path, overrides, message
     assert "\n" not in words
     assert sorted(trips.rglob("*")) == before
     assert not (tmp_path / "new").exists()
+
+
+def test_trains_are_simulated_and_those_that_wear_are_told(tmp_path, caplog):
+    given = ["trains=1", "cars=2", "n_wearing=1", "fleet.minutes=0.1", "workers=2"]
+    with caplog.at_level("INFO", logger="suspnet"):
+        words = run_program(simulate, tmp_path / "log", *SIMULATE, *given, f"out={tmp_path / 'f'}")
+    assert words == 0
+    names = [path.name for path in sorted((tmp_path / "f").iterdir()) if path.is_dir()]
+    assert names == [f"train_1_car_{i}_{b}" for i in (1, 2) for b in ("leading", "trailing")]
+    (wearing,) = json.loads((tmp_path / "f" / "truth.json").read_text())["wearing"]
+    assert f"4 suspensions of 1 trains, 1 trips each, in {tmp_path / 'f'}" in caplog.text
+    assert f"1 follow scenario worn_spring: {wearing}" in caplog.text
+    assert "learn the vehicle of each suspension from the first trips:" in caplog.text
 
 
 def test_unknown_scenario_gets_one_line(tmp_path):

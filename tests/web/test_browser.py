@@ -3,6 +3,7 @@
 import json
 import shutil
 import time
+from contextlib import contextmanager
 
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, WORN, fill, name_of, served, trips
@@ -19,7 +20,7 @@ from selenium.webdriver.support.ui import Select, WebDriverWait  # noqa: E402
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = [
     pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="needs Chromium and its driver"),
-    pytest.mark.timeout(120),
+    pytest.mark.timeout(200),
 ]
 N_LARGE = 1000
 WAIT_S = 30
@@ -63,7 +64,6 @@ def clean(browser):
     assert asked
     foreign = [a for a in asked if not a.startswith(("http://127.0.0.1:", "data:", "blob:"))]
     assert foreign == []
-    browser.get("about:blank")
 
 
 @pytest.fixture(scope="module")
@@ -72,18 +72,26 @@ def filled(tmp_path_factory):
 
 
 @pytest.fixture
-def site(filled, tmp_path):
+def site(browser, filled, tmp_path):
     """Address of the pages, the thread behind them and the store, anew for each test."""
     path = tmp_path / "fleet.db"
     path.write_bytes(filled.read_bytes())
+    with looked_at(browser, path) as found:
+        yield *found, path
+
+
+@contextmanager
+def looked_at(browser, path, seconds=WAIT_S):
+    """Serve a store once its state is worked out; no page is open when the server ends."""
     with served(path) as (address, refresher):
-        wait(refresher, lambda found: found.board.view.is_complete)
-        yield address, refresher, path
+        wait(refresher, lambda found: found.board.view.is_complete, seconds)
+        yield address, refresher
+        browser.get("about:blank")
 
 
-def wait(thing, is_so):
+def wait(thing, is_so, seconds=WAIT_S):
     """Wait until something is so, for a while."""
-    return WebDriverWait(thing, WAIT_S, poll_frequency=0.1).until(is_so)
+    return WebDriverWait(thing, seconds, poll_frequency=0.1).until(is_so)
 
 
 def size(browser, width):
@@ -218,8 +226,7 @@ def test_zoom_focus_and_forms_outlast_an_update(browser, site):
 def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, filled, tmp_path):
     path = tmp_path / "fleet.db"
     path.write_bytes(filled.read_bytes())
-    with served(path) as (address, refresher):
-        wait(refresher, lambda found: found.board.view.is_complete)
+    with looked_at(browser, path) as (address, _):
         browser.get(address)
         browser.execute_script("window.same = true; window.scrollTo(0, 300)")
         with History(path) as store:
@@ -285,16 +292,15 @@ def test_healthy_suspension_has_nothing_to_acknowledge(browser, site):
 def test_thousand_suspensions_are_shown(browser, tmp_path):
     with History(tmp_path / "large.db") as store:
         store.write([trip for i in range(N_LARGE) for trip in trips(large_place(i), i, n_trips=2)])
-    with served(tmp_path / "large.db") as (address, refresher):
-        wait(refresher, lambda found: found.board.view.is_complete)
+    with looked_at(browser, tmp_path / "large.db", 120) as (address, _):
         began = time.monotonic()
         browser.get(address)
         assert time.monotonic() - began < 10  # a second where nothing else runs
         assert len(browser.find_elements(By.CSS_SELECTOR, "a.tile")) == N_LARGE
         more = browser.find_element(By.LINK_TEXT, f"All {N_LARGE} suspensions")
         browser.get(more.get_attribute("href"))
-        rows = browser.find_elements(By.CSS_SELECTOR, "#suspensions + .scroll tbody tr")
-        assert len(rows) == N_LARGE
+        rows = "return document.querySelectorAll('#suspensions + .scroll tbody tr').length"
+        wait(browser, lambda b: b.execute_script(rows) == N_LARGE)
 
 
 def large_place(i):

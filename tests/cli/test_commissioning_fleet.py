@@ -1,0 +1,215 @@
+"""train.py healthy=DIR of several suspensions: a run for each, one that fails stops no other."""
+
+import json
+import logging
+from dataclasses import replace
+
+import pytest
+from cli_runner import SMALL, run_composed, run_program
+from commissioned_example import commissioned_example
+from omegaconf import OmegaConf
+from trip_fixtures import changed, small_fleet
+
+from suspnet.cli import commission_fleet, folders, train
+from suspnet.commissioning import run
+from suspnet.model import load_model
+from suspnet.recordings.manifest import Place
+from suspnet.runs.evaluate import find_runs
+from suspnet.trips.models import models_of, place_of
+
+TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
+PLACES = {
+    "one": Place("S1", "leading", "", "1", "1"),
+    "two": Place("S1", "trailing", "", "1", "1"),
+}
+
+
+@pytest.fixture(scope="module")
+def manifests(tmp_path_factory):
+    """Return the manifests of three trips of 5 minutes."""
+    return small_fleet(tmp_path_factory)[:3]
+
+
+@pytest.fixture
+def fleet(manifests, tmp_path):
+    """Return a folder of two suspensions with three trips each."""
+    for name, place in PLACES.items():
+        (tmp_path / "fleet" / name).mkdir(parents=True)
+        for path in manifests:
+            where = {"bogie": place.bogie, "train": place.train, "car": place.car}
+            changed(path, tmp_path / "fleet" / name, path.stem, suspension="S1", **where)
+    return tmp_path / "fleet"
+
+
+@pytest.fixture(autouse=True)
+def fitted(monkeypatch):
+    """Put the example's vehicle in the place of every fit, which would take long."""
+    outcome = commissioned_example()[1]
+    bogies = []
+
+    def commission(generator, *_):
+        bogies.append(generator.bogie)
+        found = replace(outcome.generator, bogie=generator.bogie)
+        return replace(outcome, generator=found)
+
+    monkeypatch.setattr(run, "commission", commission)
+    return bogies
+
+
+def trained(folder, fleet, *overrides):
+    return run_program(train, folder, *TRIPS, f"healthy={fleet}", "workers=1", *overrides)
+
+
+def stamps(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+def test_each_suspension_has_a_run_of_its_own(fitted, fleet, tmp_path, caplog):
+    folder = tmp_path / "run"
+    with caplog.at_level(logging.INFO):
+        assert trained(folder, fleet, "workers=1") == 0
+    assert fitted == ["leading", "trailing"]
+    assert find_runs(folder) == [folder / "one", folder / "two"]
+    models = [load_model(one) for one in find_runs(folder)]
+    assert [place_of(model) for model in models] == list(PLACES.values())
+    assert models_of(models, PLACES["two"]) == models[1:]
+    rows = json.loads((folder / "fleet.json").read_text())
+    assert [row["suspension"] for row in rows] == ["one", "two"]
+    assert rows[0]["place"]["bogie"] == "leading"
+    assert rows[0]["n_trips"] == 3
+    assert set(rows[0]["rms_percent"]) == set(models[0].task.outputs)
+    assert "2 suspensions in" in caplog.text
+    assert "| two " in caplog.text
+    for name in PLACES:
+        assert {"commissioning.html", "metrics.json", "train.log"} <= {
+            path.name for path in (folder / name).iterdir()
+        }
+        assert "-> " in (folder / name / "train.log").read_text()
+    saved = OmegaConf.load(folder / "two" / "config.yaml")
+    assert (saved.healthy, saved.generator.bogie) == (str(fleet / "two"), "trailing")
+    assert OmegaConf.load(folder / "config.yaml").healthy == str(fleet)
+
+
+def test_run_of_a_suspension_is_what_its_folder_alone_gives(fleet, tmp_path):
+    assert trained(tmp_path / "all", fleet) == 0
+    run_composed(
+        train, tmp_path / "two", *TRIPS, f"healthy={fleet / 'two'}", "generator.bogie=trailing"
+    )
+    for name in ("model.safetensors", "config.yaml"):
+        alone, of_all = ((tmp_path / x / name).read_bytes() for x in ("two", "all/two"))
+        assert alone.replace(b"workers: 2", b"workers: 1") == of_all
+
+
+def test_suspensions_of_one_folder_are_told_apart_by_their_names(fitted, fleet, tmp_path):
+    mixed = tmp_path / "mixed"
+    mixed.mkdir()
+    for name in PLACES:
+        for path in (fleet / name).glob("*.yaml"):
+            path.rename(mixed / f"{name}_{path.name}")
+    assert trained(tmp_path / "run", mixed) == 0
+    models = [load_model(one) for one in find_runs(tmp_path / "run")]
+    assert sorted(map(place_of, models)) == sorted(PLACES.values())
+    assert fitted == ["leading", "trailing"]
+
+
+def test_range_of_speeds_is_several_models_of_each_suspension(fleet, tmp_path):
+    assert trained(tmp_path / "run", fleet, "speed_m_per_s=[65,80]") == 0
+    models = [load_model(one) for one in find_runs(tmp_path / "run")]
+    assert len(models) == 4
+    assert len(models_of(models, PLACES["one"])) == 2
+    rows = json.loads((tmp_path / "run" / "fleet.json").read_text())
+    assert all(row["rms_percent"]["k_p"] > 0 for row in rows)
+
+
+def test_failing_suspension_is_told_and_stops_no_other(fleet, tmp_path, caplog):
+    next((fleet / "one").glob("*.yaml")).unlink()
+    (fleet / "empty").mkdir()
+    folder = tmp_path / "run"
+    said = trained(folder, fleet)
+    assert said == (
+        f"error: 2 of 3 suspensions are not trained (empty, one); the same command with "
+        f"resume={folder} tries these again"
+    )
+    assert "one is not trained: " in caplog.text
+    assert "2 healthy trips can be used, at least 3 are needed" in caplog.text
+    assert "empty is not trained: " in caplog.text
+    assert "at least 3 are needed" in (folder / "one" / folders.ERROR).read_text()
+    assert find_runs(folder) == [folder / "two"]
+    assert not (folder / "fleet.json").exists()
+
+
+def test_fault_of_the_program_leaves_its_traceback(fleet, tmp_path, monkeypatch, caplog):
+    def broken(*_):
+        raise LookupError("a fault")
+
+    monkeypatch.setattr(run, "commission", broken)
+    said = trained(tmp_path / "run", fleet)
+    assert said.startswith("error: 2 of 2 suspensions are not trained (one, two)")
+    assert "LookupError: a fault; see" in caplog.text
+    assert "Traceback" in (tmp_path / "run" / "one" / folders.ERROR).read_text()
+
+
+def test_finished_suspensions_are_not_trained_again(fitted, fleet, tmp_path, caplog):
+    removed = next((fleet / "two").glob("*.yaml"))
+    kept = removed.read_text()
+    removed.unlink()
+    folder = tmp_path / "run"
+    assert trained(folder, fleet) != 0
+    before = stamps(folder / "one")
+    removed.write_text(kept)
+    with caplog.at_level(logging.INFO):
+        assert trained(folder, fleet, f"resume={folder}", "threads=1") == 0
+    assert fitted == ["leading", "trailing"]
+    assert "2 suspensions in" in caplog.text
+    assert "1 are finished already" in caplog.text
+    assert stamps(folder / "one") == before
+    assert not (folder / "two" / folders.ERROR).exists()
+    assert trained(folder, fleet, f"resume={folder}") == 0
+    assert fitted == ["leading", "trailing"]
+    said = trained(folder, fleet, "seed=9")
+    assert "one holds a finished run of other settings; give another folder" in said
+
+
+def test_warnings_of_a_run_are_told_with_its_name(fleet, tmp_path, monkeypatch, caplog):
+    outcome = replace(commissioned_example()[1], n_agree=1)
+    monkeypatch.setattr(run, "commission", lambda *_: outcome)
+    assert trained(tmp_path / "run", fleet) == 0
+    for name in PLACES:
+        said = [r.getMessage() for r in caplog.records if r.getMessage().startswith(f"{name}: ")]
+        assert "no other one found this vehicle" in said[0]
+        log = (tmp_path / "run" / name / "train.log").read_text()
+        assert "no other one found this vehicle" in log
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["generator=quarter_car"], "cannot be commissioned as a QuarterCar"),
+        (["n_healthy=2"], "`n_healthy` must be a whole number >= 3 or null"),
+        (["workers=0"], "`workers` must be a whole number >= 1"),
+        (["data=curves"], "healthy= is for models that read trips: experiment=trips"),
+    ],
+)
+def test_mistakes_of_all_are_one_line_and_leave_nothing(overrides, words, fleet, tmp_path):
+    said = trained(tmp_path / "run", fleet, *overrides)
+    assert said.startswith("error: ")
+    assert words in said
+    assert list((tmp_path / "run").iterdir()) == []
+
+
+def test_processes_of_torchrun_are_refused(fleet, tmp_path, monkeypatch):
+    monkeypatch.setattr(train.program, "join_ranks", lambda _: None)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    said = trained(tmp_path / "run", fleet)
+    assert "cannot be spread by torchrun" in said
+
+
+def test_log_of_a_run_leaves_the_logger_as_it_was(tmp_path):
+    logger = logging.getLogger("suspnet")
+    before = logger.level, logger.propagate, list(logger.handlers)
+    with commission_fleet._own_log(tmp_path / "new" / "train.log") as warnings:
+        logging.getLogger("suspnet.x").warning("doubt %d", 1)
+        logging.getLogger("suspnet.x").info("news")
+    assert warnings == ["doubt 1"]
+    assert (tmp_path / "new" / "train.log").read_text() == "doubt 1\nnews\n"
+    assert (logger.level, logger.propagate, list(logger.handlers)) == before

@@ -1,0 +1,240 @@
+"""Trains of several suspensions: each is itself wherever it runs, and shares its train's trips."""
+
+import json
+import logging
+from dataclasses import replace
+
+import pytest
+from trip_fixtures import SENSORS
+from vehicles import AM96
+
+from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.recordings.manifest_files import UNFINISHED, partial_words, read_manifest
+from suspnet.simulation import fleet_writing, writing
+from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.fleet_writing import write_trains
+from suspnet.simulation.folders import FolderTakenError
+from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.trains import Trains
+from suspnet.trips.places import find_groups
+
+FLEET = Fleet(n_trips=2, minutes=0.1, last_mileage_km=1000.0, sensors=SENSORS)
+WORN = Scenario("worn", {"c_s": {"from_km": 0.0, "to_km": 1000.0, "ratio": 0.5}})
+SECTION_S = 20 * 60
+"""Length of the sections into which a live stream is cut [s]."""
+
+
+def simulate(folder, trains=None, fleet=FLEET, generator=None, **options):
+    generator = generator or QuarterCar(AM96)
+    given = {"seed": 5, "scatter": 1.0} | options
+    return write_trains(folder, trains or Trains(1, 1, 1), fleet, WORN, generator, **given)
+
+
+def contents(folder):
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def truth(folder):
+    return json.loads((folder / "truth.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """Return the folder of two suspensions, one of which wears."""
+    folder = tmp_path_factory.mktemp("trains") / "fleet"
+    simulate(folder)
+    return folder
+
+
+# which suspensions there are
+
+
+def test_every_bogie_of_every_car_has_a_place_and_a_seed_of_its_own():
+    found = Trains(3, 4).suspensions(0)
+    assert len(found) == Trains(3, 4).n_all == 24
+    assert len({one.name for one in found}) == len({one.seed for one in found}) == 24
+    assert str(found[5].aboard.place(" S1 ")) == "train 1, car 3, S1, trailing bogie"
+    assert found[5].name == "train_1_car_3_trailing"
+
+
+def test_suspensions_of_a_train_share_what_others_do_not():
+    found = Trains(3, 2).suspensions(0)
+    for shared in ("seed", "first_start"):
+        by_train = {
+            train: {getattr(one.aboard, shared) for one in found if one.aboard.train == train}
+            for train in "123"
+        }
+        assert all(len(values) == 1 for values in by_train.values())
+        assert len(set.union(*by_train.values())) == 3
+
+
+def test_trips_begin_where_a_section_of_a_stream_does():
+    for one in Trains(3).suspensions(0):
+        assert one.aboard.first_start.timestamp() % SECTION_S == 0
+    assert writing.DAYS_BETWEEN.total_seconds() % SECTION_S == 0
+
+
+def test_another_train_or_car_changes_no_number_of_the_others():
+    few = {one.name: replace(one, wears=False) for one in Trains(2, 1).suspensions(7)}
+    many = {one.name: replace(one, wears=False) for one in Trains(3, 2).suspensions(7)}
+    assert few.items() <= many.items()
+    assert few["train_1_car_1_leading"] != Trains(2, 1).suspensions(8)[0]
+
+
+@pytest.mark.parametrize(("n_wearing", "expected"), [(0, 0), (2, 2), (24, 24), (None, 24)])
+def test_as_many_wear_as_are_asked_for(n_wearing, expected):
+    for seed in range(3):
+        assert sum(one.wears for one in Trains(3, 4, n_wearing).suspensions(seed)) == expected
+
+
+def test_the_seed_draws_which_wear():
+    drawn = {
+        tuple(one.name for one in Trains(3, 4, 2).suspensions(seed) if one.wears)
+        for seed in range(20)
+    }
+    assert len(drawn) > 15
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ((0,), "`trains` must be a whole number >= 1"),
+        ((1, 0), "`cars` must be a whole number >= 1"),
+        ((1, 101), "`cars` must be at most 100"),
+        ((2, 1, 5), "`n_wearing` must be at most 4"),
+        ((1, 1, -1), "`n_wearing` must be a whole number >= 0"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        Trains(*given)
+
+
+# what is written
+
+
+def test_each_suspension_has_a_folder_that_says_where_it_is(fleet):
+    groups = find_groups(fleet)
+    assert [group.name for group in groups] == ["train_1_car_1_leading", "train_1_car_1_trailing"]
+    assert [str(group.place) for group in groups] == [
+        "train 1, car 1, simulated, leading bogie",
+        "train 1, car 1, simulated, trailing bogie",
+    ]
+    for group in groups:
+        trips = [read_manifest(path) for path in group.manifests]
+        assert [trip.mileage_km for trip in trips] == [500.0, 1000.0]
+        assert all(trip.place == group.place for trip in trips)
+        place = truth(group.folder)["place"]
+        assert (place["train"], place["car"], place["bogie"]) == ("1", "1", group.place.bogie)
+
+
+def test_suspensions_of_a_train_have_its_trips_and_a_vehicle_and_noise_of_their_own(fleet):
+    one, other = (group.manifests for group in find_groups(fleet))
+    for first, second in zip(one, other, strict=True):
+        assert read_manifest(first).start == read_manifest(second).start
+        files = [path.with_suffix("") for path in (first, second)]
+        speeds, signals = (
+            [(file / f"{name}.parquet").read_bytes() for file in files]
+            for name in ("speed", "body")
+        )
+        assert speeds[0] == speeds[1]
+        assert signals[0] != signals[1]
+    numbers = [truth(path.parent)["numbers"]["healthy_k_p"]["ratio"] for path in (one[0], other[0])]
+    assert truth(one[0].parent)["seed"] != truth(other[0].parent)["seed"]
+    assert numbers == [1.0, 1.0]  # a quarter car is its own drawing
+    values = [truth(path.parent)["numbers"]["healthy_k_p"]["value"] for path in (one[0], other[0])]
+    assert values[0] != values[1]
+
+
+def test_those_that_wear_are_told_and_nothing_of_the_others_wears(fleet):
+    whole = truth(fleet)
+    assert whole["scenario"] == "worn"
+    assert len(whole["wearing"]) == 1
+    for group in find_groups(fleet):
+        wears = group.name in whole["wearing"]
+        last = read_manifest(group.manifests[-1]).truth
+        assert last["c_s"] == (0.5 if wears else 1.0)
+        assert truth(group.folder)["scenario"] == ("worn" if wears else "healthy")
+
+
+def test_vertical_vehicle_is_taken_at_the_bogie_of_its_suspension(tmp_path, monkeypatch):
+    bogies = {}
+
+    def noted(folder, fleet, scenario, generator, **_):
+        bogies[folder.name] = generator.bogie
+
+    monkeypatch.setattr(fleet_writing, "write_fleet", noted)
+    simulate(tmp_path / "fleet", generator=VerticalVehicle(AM96))
+    assert bogies == {"train_1_car_1_leading": "leading", "train_1_car_1_trailing": "trailing"}
+
+
+def test_another_car_and_other_workers_change_no_file_of_the_others(fleet, tmp_path):
+    simulate(tmp_path / "more", Trains(1, 2, 0), n_jobs=2)
+    simulate(tmp_path / "same", Trains(1, 1, 0))
+    for name in ("train_1_car_1_leading", "train_1_car_1_trailing"):
+        assert contents(tmp_path / "more" / name) == contents(tmp_path / "same" / name)
+    (wearing,) = truth(fleet)["wearing"]
+    (healthy,) = {one.name for one in Trains().suspensions(5)} - {wearing}
+    assert contents(tmp_path / "same" / healthy) == contents(fleet / healthy)
+
+
+# interruptions and mistakes
+
+
+@pytest.fixture
+def stopped(tmp_path, monkeypatch):
+    """Return a folder in which a simulation was interrupted in its second suspension."""
+    write_manifest, folder = writing.write_manifest, tmp_path / "fleet"
+
+    def write_three(manifest):
+        if (manifest.bogie, manifest.name) == ("trailing", "trip_002"):
+            raise KeyboardInterrupt("stop")
+        return write_manifest(manifest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "write_manifest", write_three)
+        with pytest.raises(KeyboardInterrupt, match="stop"):
+            simulate(folder)
+    return folder
+
+
+def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
+    stopped, fleet, monkeypatch, caplog
+):
+    assert partial_words(stopped) == "partial: 1 of 2 suspensions are simulated"
+    assert partial_words(stopped / "train_1_car_1_trailing").startswith("partial: 1 of 2 trips")
+    assert partial_words(stopped / "train_1_car_1_leading") == ""
+    written, write_trip = [], writing._write_trip
+
+    def counted(trip, **options):
+        written.append((options["aboard"].bogie, trip[1]))
+        return write_trip(trip, **options)
+
+    monkeypatch.setattr(writing, "_write_trip", counted)
+    with caplog.at_level(logging.INFO):
+        simulate(stopped)
+    assert written == [("trailing", 1)]
+    assert "1 of 2 suspensions are there, going on" in caplog.text
+    assert contents(stopped) == contents(fleet)
+
+
+@pytest.mark.parametrize("kind", ["unfinished", "whole", "foreign"])
+def test_trips_of_another_simulation_stay(stopped, kind):
+    if kind == "whole":
+        simulate(stopped)
+    if kind == "foreign":
+        (stopped / UNFINISHED).unlink()
+    before = contents(stopped)
+    for other in ({"seed": 6}, {"trains": Trains(2, 1, 1)}):
+        with pytest.raises(FolderTakenError, match="fleet already holds trips; give another"):
+            simulate(stopped, **other)
+    with pytest.raises(FolderTakenError, match="fleet already holds trips; give another"):
+        writing.write_fleet(stopped, FLEET, WORN, QuarterCar(AM96), seed=5, scatter=1.0)
+    assert contents(stopped) == before
+
+
+def test_mistake_before_the_first_trip_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match="needs a vehicle with roll"):
+        simulate(tmp_path / "fleet", fleet=replace(FLEET, sides="both"))
+    assert not (tmp_path / "fleet").exists()

@@ -1,0 +1,97 @@
+"""Models of a fleet: each suspension is read with those that were commissioned on it."""
+
+from dataclasses import asdict, replace
+
+import pytest
+from trip_fixtures import changed, model_at
+
+from suspnet.model import ModelFileError
+from suspnet.model.from_recording import TripSettings
+from suspnet.model.validity import check_model
+from suspnet.recordings.manifest import Place
+from suspnet.runs.tensorboard import RunLog
+from suspnet.trips import output
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+from suspnet.trips.models import NAMED, models_of, place_of
+
+HERE, THERE = Place("S1", "leading", "", "1", "1"), Place("S1", "leading", "", "1", "2")
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
+    monkeypatch.setattr(output, "write_report", lambda *_: None)
+
+
+def commissioned(place, first_km=1000.0, speed=70.0):
+    """Return a model with the notes of a commissioning on a place; None says nothing of it."""
+    notes = {"n_trips": 3, "mileage_km": [first_km, first_km + 1000.0], "trips": []}
+    if place is not None:
+        notes["place"] = asdict(place)
+    model = model_at()
+    generator = replace(model.generator, speed_m_per_s=speed)
+    return replace(model, generator=generator, training=model.training | {"commissioned": notes})
+
+
+def test_place_is_that_of_the_notes_where_they_have_one():
+    assert place_of(commissioned(HERE)) == HERE
+    assert place_of(commissioned(None)) is None
+    assert place_of(model_at()) is None
+
+
+def test_models_are_those_of_the_very_place():
+    here, there = commissioned(HERE), commissioned(THERE)
+    faster, anew = commissioned(HERE, speed=80.0), commissioned(HERE, 9e4)
+    models = [there, here, faster, anew]
+    assert models_of(models, HERE) == [here, faster, anew]
+    assert models_of(models, THERE) == [there]
+
+
+def test_models_of_one_place_or_none_read_any_trip_as_ever():
+    one, older = commissioned(HERE), commissioned(None, 9e4)
+    for models in ([one], [older], [one, older], [model_at()]):
+        assert models_of(models, THERE) == models
+        assert models_of(models, Place()) == models
+
+
+def test_place_without_a_model_is_told_with_those_that_have_one():
+    unknown = replace(HERE, car="9")
+    with pytest.raises(
+        ModelFileError,
+        match=r"none .* commissioned on train 1, car 9, S1, leading bogie, but on train 1, car 1, "
+        r"S1, leading bogie; train 1, car 2, S1, leading bogie: commission it too",
+    ):
+        models_of([commissioned(HERE), commissioned(THERE)], unknown)
+    several = [commissioned(replace(HERE, car=f"{i}")) for i in range(NAMED + 18)]
+    with pytest.raises(ModelFileError, match=r"car 0, .* and 18 others: commission it too"):
+        models_of(several, Place("S2"))
+
+
+def test_models_of_one_place_must_still_fit_together():
+    with pytest.raises(ModelFileError, match="two models are for the same speed"):
+        models_of([commissioned(THERE), commissioned(HERE), commissioned(HERE)], HERE)
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["train 1", {"suspension": "S1"}, asdict(HERE) | {"side": 1}, asdict(HERE) | {"more": ""}],
+)
+def test_forged_place_is_refused(place):
+    model = commissioned(HERE)
+    check_model(model)
+    model.training["commissioned"]["place"] = place
+    with pytest.raises(TypeError, match=r"training\.commissioned\.place"):
+        check_model(model)
+
+
+def test_fleet_is_read_with_the_model_of_each_suspension(manifests, no_figures, tmp_path, caplog):
+    for name, place in (("a", HERE), ("b", THERE), ("c", replace(HERE, car="9"))):
+        (tmp_path / "trips" / name).mkdir(parents=True)
+        told = {key: text for key, text in asdict(place).items() if text}
+        changed(manifests[0], tmp_path / "trips" / name, "trip", **told)
+    models = [commissioned(HERE, 1000.0), commissioned(THERE, 500.0)]
+    settings = FleetSettings(TripSettings())
+    done = evaluate_fleet(tmp_path / "trips", models, tmp_path / "out", settings, progress=False)
+    read = {one.name: [r.healthy_since_km for r in one.results] for one in done}
+    assert read == {"a": [1000.0], "b": [500.0], "c": []}
+    assert "c is not read: none of the models is commissioned on train 1, car 9" in caplog.text
