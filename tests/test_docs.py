@@ -35,10 +35,11 @@ PROGRAMS = {
     "python train.py": "train",
     "python evaluate.py": "evaluate",
     "python -m suspnet.simulate": "simulate",
+    "python -m suspnet.serve": "serve",
     "python -m suspnet.replay": "replay",
     "suspnet-replay": "replay",
     "suspnet-monitor": "monitor",
-    "python -m suspnet.serve": "serve",
+    "suspnet-serve": "serve",
 }
 MOST_LINES = 120
 NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"

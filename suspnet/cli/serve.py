@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import socket
 import threading
@@ -72,6 +73,8 @@ def serve(board: Board, config: DictConfig) -> None:
     server: Any = create_server(app, sockets=[listening], threads=config.threads, ident="suspnet")
     address = f"http://{config.host}:{listening.getsockname()[1]}/"
     log.info("the fleet is at %s (Ctrl-C ends it)", address)
+    gc.collect()
+    gc.freeze()  # what the imports made stays: walking it again and again would hold answers up
     refresher.start()
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

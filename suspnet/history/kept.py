@@ -14,7 +14,7 @@ from suspnet.history.database import upsert
 from suspnet.history.events import Event
 from suspnet.history.rows import key_of, or_null
 from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions
-from suspnet.history.suspensions import Key
+from suspnet.history.suspensions import Key, is_one_of
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 
 Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
@@ -59,7 +59,9 @@ def other_alarms(
     connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
 ) -> list[int]:
     """Return the numbers of the suspensions whose kept alarms of some causes are not these."""
-    chosen = sql.select(alarms).where(alarms.c.cause.in_([str(one) for one in causes]))
+    chosen = sql.select(alarms).where(
+        is_one_of(alarms.c.suspension_id, found), alarms.c.cause.in_([str(one) for one in causes])
+    )
     there: dict[int, list[dict[str, Any]]] = {}
     for row in connection.execute(chosen).mappings():
         there.setdefault(row["suspension_id"], []).append(dict(row))

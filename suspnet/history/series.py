@@ -15,7 +15,7 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.history.events import Event
 from suspnet.history.kept import read_kept
 from suspnet.history.schema import VALUES, trips
-from suspnet.history.suspensions import Key, known_suspensions
+from suspnet.history.suspensions import Key, is_one_of, known_suspensions
 from suspnet.recordings.manifest import Place
 from suspnet.types import BoolArray, FloatArray
 
@@ -146,11 +146,8 @@ def _columns(
     flagged = sql.case((trips.c.flags == "", 0), else_=1)
     numbers = [trips.c.suspension_id, flagged, *(trips.c[name] for name in (*NUMBERS, *values))]
     query = sql.select(*numbers, *(trips.c[name] for name in TEXTS))
-    if chosen is not None:  # numbers of our own: written into the statement, there may be many
-        wanted: sql.BindParameter[list[int]] = sql.bindparam(
-            "chosen", chosen, expanding=True, literal_execute=True
-        )
-        query = query.where(trips.c.suspension_id.in_(wanted))
+    if chosen is not None:
+        query = query.where(is_one_of(trips.c.suspension_id, chosen))
     blocks = [np.zeros((0, len(numbers)))]
     texts = [[np.zeros(0, dtype=str)] for _ in TEXTS]
     for rows in connection.execute(query, execution_options={"yield_per": ROWS}).partitions():

@@ -17,9 +17,12 @@ Key = tuple[str, Place]
 """Vehicle and place: which suspension it is."""
 
 
-def known_suspensions(connection: Connection) -> dict[int, Key]:
-    """Return vehicle and place of each suspension by its number."""
-    rows = connection.execute(sql.select(suspensions)).mappings()
+def known_suspensions(
+    connection: Connection, where: sql.ColumnElement[bool] | None = None
+) -> dict[int, Key]:
+    """Return vehicle and place of each suspension, or of those chosen, by its number."""
+    chosen = sql.select(suspensions).where(sql.true() if where is None else where)
+    rows = connection.execute(chosen).mappings()
     return {int(row["id"]): key_of(row) for row in rows}
 
 
@@ -27,6 +30,15 @@ def places_of(connection: Connection) -> list[Key]:
     """Return vehicle and place of each suspension, sorted."""
     found = known_suspensions(connection).values()
     return sorted(found, key=lambda one: (one[0], str(one[1])))
+
+
+def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:
+    """Return the condition that a number is one of some, of which there may be many."""
+    # written into the statement: databases limit the number of its parameters
+    wanted: sql.BindParameter[list[int]] = sql.bindparam(
+        None, sorted(ids), expanding=True, literal_execute=True
+    )
+    return column.in_(wanted)
 
 
 def is_of(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
@@ -52,8 +64,9 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
     HistoryError
         If one is not known; it begins with the store's `name`.
     """
-    there = {key: one for one, key in known_suspensions(connection).items()}
     wanted = list(keys)
+    where = is_of(*wanted[0]) if len(wanted) == 1 else None  # all, if it is more than one
+    there = {key: one for one, key in known_suspensions(connection, where).items()}
     for vehicle, place in wanted:
         if (vehicle, place) not in there:
             known = "; ".join(f"{other}: {one}" for other, one in places_of(connection))

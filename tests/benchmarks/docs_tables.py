@@ -225,6 +225,22 @@ def alarms_delays(rows: Sequence[Row]) -> str:
     return markdown(lines, list(rows[0]))
 
 
+def page(rows: Sequence[Row]) -> str:
+    """Return times of the fleet page and of the state behind it."""
+    cells = [
+        [
+            f"{r['what']}, by {r['by']}" if r.get("by") in ("HTTP", "client") else str(r["what"]),
+            f"{r['median_s']:.3g}" if r["n"] > 1 else "",
+            f"{r['worst_s']:.3g}" if r["worst_s"] else "",
+            f"{r['processor_s']:.3g}" if r["processor_s"] else "",
+            f"{r['peak_mib']:.0f}",
+        ]
+        for r in rows
+    ]
+    header = ["", "median, s", "worst, or once, s", "processor, s", "largest memory so far, MiB"]
+    return markdown(cells, header)
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -239,6 +255,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "alarms_methods": ("alarms_methods.csv", alarms_methods),
     "alarms_delays": ("alarms_delays.csv", alarms_delays),
     "life": ("remaining_life.csv", life),
+    "page": ("page.csv", page),
     "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""

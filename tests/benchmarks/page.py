@@ -10,6 +10,7 @@ server of suspnet-serve (waitress), each in the process that also works out the 
 from __future__ import annotations
 
 import csv
+import gc
 import http.client
 import io
 import resource
@@ -174,6 +175,8 @@ def measure(store: str, settings: BoardSettings) -> list[Row]:
     threading.Thread(target=server.run, daemon=True).start()
     http_ask = over_http(server.effective_port)
     rows = []
+    gc.collect()
+    gc.freeze()  # as suspnet-serve does: what the imports made is not walked again and again
     working = threading.Thread(
         target=lambda: rows.append(measured("first view of all", "thread", board.refresh))
     )
@@ -215,7 +218,7 @@ def main() -> None:
         with History(store) as history:
             for i, made in enumerate(fleet(given.suspensions, given.trips, given.seed)):
                 history.write(with_curves(made, i))
-        rows = [row("the program, before the store is read", "", [0.0])]
+        rows = [row("the program before it reads the store", "start", [0.0])]
         rows += measure(store, BoardSettings(today=TODAY, seed=given.seed))
     lines = csv.DictWriter(stream := io.StringIO(), COLUMNS, lineterminator="\n")
     lines.writeheader()

@@ -76,6 +76,7 @@ def test_every_option_shows_every_argument_and_the_same_defaults(group, name):
 
 def test_programs_and_bases_show_the_same_defaults():
     check_arguments(OmegaConf.to_container(composed(name="evaluate"), resolve=False))
+    check_arguments(OmegaConf.to_container(composed(name="serve"), resolve=False))
     base = OmegaConf.to_container(OmegaConf.load(CONFIGS / "base" / "protocol.yaml"))
     first = OmegaConf.to_container(OmegaConf.load(CONFIGS / "scenarios.yaml")).pop("healthy")
     for node in (base, first):

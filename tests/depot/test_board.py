@@ -7,6 +7,7 @@ from datetime import date
 import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
+from empty_stores import KINDS, empty_store
 
 from suspnet.depot import board as module
 from suspnet.depot import fleet as fleet_module
@@ -112,6 +113,19 @@ def test_an_address_is_short_and_tells_suspensions_apart():
     assert len(found) == 8
     assert all(len(one) == 12 and int(one, 16) >= 0 for one in found)
     assert address(("am96", place("left"))) == address(("am96", place("left")))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_board_follows_each_database(kind, tmp_path):
+    store = empty_store(kind, tmp_path)
+    board = Board(store, SETTINGS)
+    for begin, end in ((0, 25), (25, 26), (26, 40)):
+        write(store, *(r for results in FLEET.values() for r in results[begin:end]))
+        assert board.refresh()
+        assert not board.refresh()
+        assert not board.view.trouble
+    assert found_of(board.view.states) == found_of(expected(store))
+    assert board.view.states[0].severity == Severity.ACT
 
 
 # property
@@ -302,6 +316,14 @@ def test_a_store_that_is_not_there_yet_is_told(tmp_path):
     assert board.refresh()
     assert board.view.trouble == ""
     assert len(board.view.states) == 1
+
+
+def test_a_server_that_does_not_answer_is_told():
+    pytest.importorskip("psycopg")
+    board = Board("postgresql://me:secret@127.0.0.1:1/x", SETTINGS)
+    assert board.refresh()
+    assert "127.0.0.1" in board.view.trouble
+    assert "secret" not in board.view.trouble
 
 
 def test_a_store_that_goes_away_leaves_the_last_view(store, board, tmp_path):

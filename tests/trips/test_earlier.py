@@ -59,6 +59,9 @@ def test_a_folder_is_read_with_the_trips_of_earlier_ones(
     assert metrics["trends"][0]["n_trips"] == 6
     place = both[0].place
     assert len(store.read("am96", place)) == 6  # the broken one may be whole another day
+    kept = store.responses("am96", place)
+    assert [one.trip for one in kept] == ["trip_0", *["trip_0", "trip_1", "trip_2"]]
+    np.testing.assert_array_equal(kept[-1].responses, both[5].curves.responses)
     again = read(folders[1], model, tmp_path / "three", store)
     assert [r.estimates for r in again] == [r.estimates for r in both]
     # trips relative to another healthy vehicle are left out, and said so
