@@ -1,0 +1,86 @@
+"""A replay over a broker that is restarted meanwhile gives the history that the files give."""
+
+import threading
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from live_frames import Mosquitto
+from trip_fixtures import OUTPUTS, model_at, small_fleet
+
+from suspnet.history import History
+from suspnet.live.broker import Broker
+from suspnet.live.journal import Journal
+from suspnet.live.monitor import Monitor
+from suspnet.live.mqtt import Mqtt
+from suspnet.live.recorded import trip_clock, trip_frames
+from suspnet.live.results import Results
+from suspnet.live.sinks import MqttSink
+from suspnet.live.suspension import LiveSettings, LiveSuspension
+from suspnet.model.from_recording import TripSettings
+from suspnet.recordings import read_manifest
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.trip import evaluate_trip
+
+pytest.importorskip("paho.mqtt.client")
+SETTINGS = FleetSettings(TripSettings())
+LIVE = LiveSettings(section_s=300, every_s=None, late_s=20.0)
+
+
+class Ending(Mqtt):
+    """A source that ends once all was sent and nothing more comes."""
+
+    is_sent = False
+
+    def receive(self, timeout_s):
+        frames = super().receive(timeout_s)
+        return None if self.is_sent and not frames else frames
+
+
+def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
+    tmp_path, tmp_path_factory
+):
+    path = small_fleet(tmp_path_factory)[0]
+    manifest = read_manifest(path)
+    clock = trip_clock(manifest)
+    frames = list(trip_frames(manifest, clock.zero_ns, clock.offsets_s, Counter()))
+    broker = Mosquitto(tmp_path).start()
+    settings = Broker(port=broker.port)
+    source, sink = Ending(settings, in_flight=300), MqttSink(settings)
+
+    def send():
+        while not source._is_connected:
+            time.sleep(0.02)
+        time.sleep(0.2)
+        sink.open()
+        for k, one in enumerate(frames):
+            if k == len(frames) // 2:
+                broker.end()
+                broker.start()
+            sink.send(one)
+        sink.close()
+        source.is_sent = True
+
+    thread = threading.Thread(target=send)
+    try:
+        with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
+            suspension = LiveSuspension(manifest, [model_at()], SETTINGS.trips, LIVE)
+            results = Results(store, SETTINGS, source.publish)
+            monitor = Monitor([suspension], source, journal, results.tell)
+            thread.start()
+            monitor.run()
+            results.close()
+            (found,) = store.read(manifest.vehicle, manifest.place)
+    finally:
+        thread.join()
+        source.close()
+        broker.end()
+    expected = evaluate_trip(path, [model_at()], SETTINGS.trips)
+    for name in ("status", "flags", "mileage_km"):
+        assert getattr(found, name) == getattr(expected, name)
+    for name in OUTPUTS:
+        np.testing.assert_allclose(found.estimates[name], expected.estimates[name], rtol=1e-10)
+    assert monitor.counts["taken"] >= len(frames)
+    assert set(monitor.counts) == {"taken"}
+    assert source.counts["reconnect"] == 1
