@@ -36,6 +36,10 @@ PROGRAMS = {
     "python evaluate.py": "evaluate",
     "python -m suspnet.simulate": "simulate",
     "python -m suspnet.serve": "serve",
+    "python -m suspnet.replay": "replay",
+    "suspnet-replay": "replay",
+    "suspnet-monitor": "monitor",
+    "suspnet-serve": "serve",
 }
 MOST_LINES = 120
 NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
@@ -64,7 +68,7 @@ def commands():
     found = []
     for page in PAGES:
         for line in "\n".join(blocks(page)).replace("\\\n", " ").splitlines():
-            for part in line.split("&&"):
+            for part in re.split(r"&&|\|", line):
                 part = re.sub(r"^torchrun .*?train\.py", "python train.py", part.strip())
                 if part.startswith(tuple(PROGRAMS)):
                     found.append(part)

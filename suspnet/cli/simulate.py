@@ -44,10 +44,10 @@ def compose(config: DictConfig) -> None:
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error
     log.info(
-        "learn the vehicle%s from the first trips: "
+        "learn the vehicle%s: "
         "python train.py experiment=trips vehicle=%s healthy=%s n_healthy=%d data.minutes=%g\n"
         "then read all of them: python evaluate.py trips=%s run=RUN",
-        " of each suspension" if trains else "",
+        " of each suspension from its first trips" if trains else " from the first of them",
         HydraConfig.get().runtime.choices["vehicle"],
         folder,
         3 if trains else 5,
@@ -71,9 +71,10 @@ def _tell_of_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
     """Log what was simulated of some trains, and which suspensions wear."""
     wearing = [one.name for one in trains.suspensions(config.seed) if one.wears]
     log.info(
-        "%d suspensions of %d trains, %d trips each, in %s\n%d follow scenario %s: %s",
+        "%d suspensions (trains=%d, cars=%d) of %d trips each in %s\n%d wear, scenario %s: %s",
         trains.n_all,
         trains.n_trains,
+        trains.n_cars,
         config.fleet.n_trips,
         folder,
         len(wearing),

@@ -20,17 +20,12 @@ from flask import (
     url_for,
 )
 from flask.typing import ResponseReturnValue
-from flask_wtf import FlaskForm
-from wtforms import HiddenField, StringField
-from wtforms.validators import DataRequired, Length
 
 from suspnet.depot.state import State
 from suspnet.depot.view import FleetView
 from suspnet.dynamics import PARAMETERS
 from suspnet.history import History, HistoryError
 from suspnet.history.acknowledging import acknowledge_alarms
-from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.limits import Severity
 from suspnet.trips.overview import finding
 from suspnet.trips.trend import PAYLOAD
 from suspnet.web import assets, fleet_page
@@ -38,6 +33,7 @@ from suspnet.web.fleet_page import Choice
 from suspnet.web.refresher import Refresher
 from suspnet.web.response_figure import response_figure
 from suspnet.web.security import WITH_PLOTS
+from suspnet.web.seen_form import Seen
 from suspnet.web.suspension_page import suspension_values
 from suspnet.web.trend_figure import trend_figure
 
@@ -50,14 +46,6 @@ REFRESHER = "suspnet_refresher"
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
-
-
-class Seen(FlaskForm):  # type: ignore[misc]
-    """The form by which a person says that an alarm has been seen."""
-
-    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
-    words = StringField("What is done about it", [Length(max=500)])
-    parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
 
 @pages.get("/")
@@ -122,7 +110,7 @@ def acknowledge(name: str) -> ResponseReturnValue:
     state, form = _state(name), Seen()
     if not form.validate_on_submit():
         return _suspension_page(name, form), 400
-    chosen = [one for one in state.alarms if _is_meant(one, form)]
+    chosen = [one for one in state.alarms if form.means(one)]
     if not chosen:
         flash("Nothing was acknowledged: this alarm is over, or is worse than it was shown.")
         return redirect(_address(name))
@@ -236,18 +224,6 @@ def _opened() -> History:
     if "://" not in place and not Path(place).is_file():
         raise HistoryError(f"{place}: the store has gone")
     return History(place)
-
-
-def _is_meant(alarm: Alarm, form: Seen) -> bool:
-    """Return whether an alarm is the one of a form, and no worse than it was shown there."""
-    same = (alarm.parameter, str(alarm.cause)) == (form.parameter.data, form.cause.data)
-    return same and str(alarm.severity) in _up_to(form.severity.data)
-
-
-def _up_to(severity: str | None) -> list[str]:
-    """Return the names of a severity and of those that are less severe."""
-    names = [str(one) for one in sorted(Severity)]
-    return names[: names.index(severity) + 1] if severity in names else []
 
 
 def _fleet_version(view: FleetView) -> str:

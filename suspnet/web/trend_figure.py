@@ -70,10 +70,9 @@ def trend_figure(state: State, limits: Mapping[str, Limits]) -> dict[str, Any]:
         layout["shapes"] += _levels(limits.get(name), axis)
     for km, words in _events(state):
         layout["shapes"].append(_line(x0=km, x1=km, y0=0, y1=1, yref="paper", dash="dot"))
-        note = {"x": km, "xref": "x", "y": 0, "yref": "paper", "text": words, "textangle": -90}
+        note = {"x": km, "xref": "x", "y": 1, "yref": "paper", "text": words, "textangle": -90}
         layout["annotations"].append(
-            note
-            | {"showarrow": False, "xanchor": "right", "yanchor": "bottom", "font": {"size": 11}}
+            note | {"showarrow": False, "xanchor": "right", "yanchor": "top", "font": {"size": 11}}
         )
     return {"data": data, "layout": layout}
 

@@ -187,13 +187,18 @@ def test_warnings_of_a_run_are_told_with_its_name(fleet, tmp_path, monkeypatch, 
         (["generator=quarter_car"], "cannot be commissioned as a QuarterCar"),
         (["n_healthy=2"], "`n_healthy` must be a whole number >= 3 or null"),
         (["workers=0"], "`workers` must be a whole number >= 1"),
-        (["data=curves"], "healthy= is for models that read trips: experiment=trips"),
     ],
 )
 def test_mistakes_of_all_are_one_line_and_leave_nothing(overrides, words, fleet, tmp_path):
     said = trained(tmp_path / "run", fleet, *overrides)
     assert said.startswith("error: ")
     assert words in said
+    assert list((tmp_path / "run").iterdir()) == []
+
+
+def test_models_of_curves_have_no_healthy_trips(fleet, tmp_path):
+    said = run_program(train, tmp_path / "run", *SMALL, f"healthy={fleet}")
+    assert said == "error: healthy= is for models that read trips: experiment=trips"
     assert list((tmp_path / "run").iterdir()) == []
 
 

@@ -13,7 +13,10 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = ("suspnet", "configs", "pyproject.toml", "README.md", "LICENSE")
 BUILD = "from setuptools import build_meta as b; b.build_wheel('dist'); b.build_sdist('dist')"
-PROGRAMS = ("suspnet-train", "suspnet-evaluate", "suspnet-simulate", "suspnet-replay")
+PROGRAMS = (
+    *("suspnet-train", "suspnet-evaluate", "suspnet-simulate"),
+    *("suspnet-replay", "suspnet-serve"),
+)
 PLAIN_PROGRAMS = ("suspnet-check", "suspnet-init")
 TINY = ["model=linear", "data.n_train=200", "data.n_test=50", "data.n_calibrate=null"]
 

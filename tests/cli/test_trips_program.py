@@ -555,16 +555,16 @@ def test_mistake_with_simulate_gets_one_line(trips, tmp_path, overrides, message
 
 
 def test_trains_are_simulated_and_those_that_wear_are_told(tmp_path, caplog):
-    given = ["trains=1", "cars=2", "n_wearing=1", "fleet.minutes=0.1", "workers=2"]
+    given = ["trains=1", "cars=2", "n_wearing=1", "fleet.minutes=0.1", "fleet.n_trips=2"]
     with caplog.at_level("INFO", logger="suspnet"):
         words = run_program(simulate, tmp_path / "log", *SIMULATE, *given, f"out={tmp_path / 'f'}")
     assert words == 0
     names = [path.name for path in sorted((tmp_path / "f").iterdir()) if path.is_dir()]
     assert names == [f"train_1_car_{i}_{b}" for i in (1, 2) for b in ("leading", "trailing")]
     (wearing,) = json.loads((tmp_path / "f" / "truth.json").read_text())["wearing"]
-    assert f"4 suspensions of 1 trains, 1 trips each, in {tmp_path / 'f'}" in caplog.text
-    assert f"1 follow scenario worn_spring: {wearing}" in caplog.text
-    assert "learn the vehicle of each suspension from the first trips:" in caplog.text
+    words = f"4 suspensions (trains=1, cars=2) of 2 trips each in {tmp_path / 'f'}"
+    assert f"{words}\n1 wear, scenario worn_spring: {wearing}" in caplog.text
+    assert "learn the vehicle of each suspension from its first trips:" in caplog.text
 
 
 def test_unknown_scenario_gets_one_line(tmp_path):

@@ -3,8 +3,12 @@
 import os
 import threading
 import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from live_frames import encoded, frame, numbers
 
 from suspnet.live import drop_folder
@@ -95,6 +99,28 @@ def test_file_with_anything_but_frames_is_refused_after_its_frames(tmp_path, con
     assert source.counts == {reason: 1}
     assert names(tmp_path / "refused") == ["bad"]
     assert names(tmp_path / "taken") == ["good"]
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.lists(
+        st.lists(
+            st.one_of(st.sampled_from(FRAMES), st.binary(min_size=1, max_size=40)), max_size=5
+        ),
+        max_size=5,
+    )
+)
+def test_files_of_anything_give_their_frames_and_are_put_away(contents):
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for k, parts in enumerate(contents):
+            (folder / str(k)).write_bytes(b"".join(parts))
+        found = everything(opened(folder))
+        assert sorted(found) == sorted(p for parts in contents for p in parts if p in FRAMES)
+        whole = [str(k) for k, parts in enumerate(contents) if parts and set(parts) <= set(FRAMES)]
+        assert names(folder) == []
+        assert names(folder / "taken") == whole
+        assert len(names(folder / "refused")) == len(contents) - len(whole)
 
 
 def test_thousands_of_files_and_batches_of_bounded_size(tmp_path, monkeypatch):

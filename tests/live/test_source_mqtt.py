@@ -15,7 +15,8 @@ import pytest
 from live_frames import Mosquitto, encoded, frame, numbers, received, until
 
 from suspnet.live.broker import Broker
-from suspnet.live.mqtt import Mqtt, is_in_part, read_part
+from suspnet.live.mqtt import Mqtt
+from suspnet.live.parts import is_in_part, read_part
 from suspnet.live.sinks import MqttSink
 from suspnet.stream import encode
 from suspnet.stream.frames import MOST_SAMPLES
