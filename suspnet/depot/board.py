@@ -181,7 +181,7 @@ class Board:
         """Read the suspensions that changed, and find their alarms."""
         changed = [key for key, one in revisions.items() if self._revisions.get(key) != one]
         changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
-        series = [  # not all at once: an SQLite file is not written meanwhile
+        series = [  # in parts: an SQLite file cannot be written while it is read
             one
             for begin in range(0, len(changed), READ_AT_ONCE)
             for one in history.series(changed[begin : begin + READ_AT_ONCE])
@@ -190,7 +190,7 @@ class Board:
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that the settings do not name
-                raise HistoryError(f"{self.store}: vehicle {vehicle}: {error}") from None
+                raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
         new = [one for one in series if (one.vehicle, one.place) not in self._revisions]
         if new:
             alarms = history.all_alarms()
