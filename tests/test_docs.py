@@ -68,7 +68,7 @@ def commands():
     found = []
     for page in PAGES:
         for line in "\n".join(blocks(page)).replace("\\\n", " ").splitlines():
-            for part in re.split(r"&&|\|", line):
+            for part in re.split(r"&&?|\|", line):
                 part = re.sub(r"^torchrun .*?train\.py", "python train.py", part.strip())
                 if part.startswith(tuple(PROGRAMS)):
                     found.append(part)
