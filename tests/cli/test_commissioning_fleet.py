@@ -166,8 +166,22 @@ def test_finished_suspensions_are_not_trained_again(fitted, fleet, tmp_path, cap
     assert not (folder / "two" / folders.ERROR).exists()
     assert trained(folder, fleet, f"resume={folder}") == 0
     assert fitted == ["leading", "trailing"]
+    saved = (folder / "config.yaml").read_text()
     said = trained(folder, fleet, "seed=9")
+    assert (folder / "config.yaml").read_text() == saved
     assert "one holds a finished run of other settings; give another folder" in said
+
+
+def test_suspension_that_is_new_is_trained_alone(fitted, fleet, manifests, tmp_path):
+    folder = tmp_path / "run"
+    assert trained(folder, fleet) == 0
+    (fleet / "new").mkdir()
+    for path in manifests:
+        changed(path, fleet / "new", path.stem, suspension="S2", bogie="leading")
+    assert trained(folder, fleet, f"resume={folder}") == 0
+    assert fitted == ["leading", "trailing", "leading"]
+    rows = json.loads((folder / "fleet.json").read_text())
+    assert [row["suspension"] for row in rows] == ["new", "one", "two"]
 
 
 def test_warnings_of_a_run_are_told_with_its_name(fleet, tmp_path, monkeypatch, caplog):
