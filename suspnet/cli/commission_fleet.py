@@ -100,10 +100,11 @@ def train_fleet(
             f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "
             "torchrun: start it with python and workers=N"
         )
-    program.save_config(config, folder)
     failed = {group.name: group.error for group in groups if group.error}
     runs = [_run(config, group, folder) for group in groups if not group.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
+    (folder / folders.FLEET).unlink(missing_ok=True)
+    program.save_config(config, folder)
     kept = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
     log.info("%d suspensions in %s%s", len(groups), config.healthy, kept)
     for name, words in failed.items():
@@ -128,7 +129,7 @@ def train_fleet(
             f"{len(failed)} of {len(groups)} suspensions are not trained ({names}); the same "
             f"command with resume={folder} tries these again"
         )
-    write_json(folder / "fleet.json", rows)
+    write_json(folder / folders.FLEET, rows)
 
 
 def _run(config: DictConfig, group: Group, folder: Path) -> Run:

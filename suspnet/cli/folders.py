@@ -20,9 +20,10 @@ from suspnet.storage import new_folder
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
 """Name of the file in the folder of a job of a multirun that says why the job failed."""
-FINISHED = ("metrics.json", "speeds.json", "fleet.json")
-"""Files of a training that are written last; the second is that of several speeds, the third that
-of several suspensions."""
+FLEET = "fleet.json"
+"""File that is written last where the models are those of several suspensions."""
+FINISHED = ("metrics.json", "speeds.json", FLEET)
+"""Files of a training that are written last; the second is that of several speeds."""
 EVENTS = "events.out.tfevents.*"
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
 """Keys that change no number, so that a run that differs in them alone is the same."""

@@ -45,7 +45,8 @@ def compose(config: DictConfig) -> None:
     program.join_ranks(config.device)
     folder = program.run_folder()
     finished = folders.finished_run(config, folder)
-    if finished is not None:
+    may_have_grown = (folder / folders.FLEET).is_file()  # by another suspension
+    if finished is not None and not (finished == folder and may_have_grown):
         log.info("finished before: %s", finished)
         return
     groups = several_suspensions(config)

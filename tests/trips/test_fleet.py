@@ -583,7 +583,7 @@ def test_cluster_needs_dask(monkeypatch):
 
 
 def test_two_models_of_one_speed_are_refused(model):
-    with pytest.raises(ModelFileError, match=r"same speed \(64.4 to 75.6 m/s, 64.4 to 75.6 m/s\)"):
+    with pytest.raises(ModelFileError, match=r"same speed \(64.4 to 75.6 m/s\);"):
         check_models([model, replace(model)])
 
 
