@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from joblib import cpu_count, register_parallel_backend
 from joblib.externals.loky import ProcessPoolExecutor
 from joblib.parallel import LokyBackend
+from tqdm import tqdm
 
 WATCH_S = 1.0
 """Time between two looks at whether the parent process is alive [s]."""
@@ -106,7 +107,11 @@ def _killed(error: BrokenProcessPool) -> str:
 
 
 def begin() -> None:
-    """Prepare a worker process: it ends with its parent, which alone hears Ctrl-C."""
+    """Prepare a worker process: it ends with its parent, which alone hears Ctrl-C.
+
+    tqdm's usual lock is a semaphore of the system, which a worker that is killed leaves behind.
+    """
+    tqdm.set_lock(threading.RLock())
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()

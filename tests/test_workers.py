@@ -57,6 +57,16 @@ def test_death_of_a_worker_costs_what_it_worked_on_alone(tmp_path):
     assert not any(isinstance(one, LostWorkerError) for one in found.values())
 
 
+def test_bar_in_a_worker_leaves_no_semaphore_behind():
+    """Workers are killed at the end, and the system then warned of what they had left."""
+    code = (
+        "from tqdm import tqdm; from suspnet.workers import each; "
+        "print(len(list(each(lambda item: len(list(tqdm(item, disable=True))), ['a', 'b'], 2))))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (ended.stdout, ended.stderr) == ("2\n", "")
+
+
 def test_one_worker_is_this_process():
     assert list(each(work, ["a", "b"], 1)) == [("a", os.getpid()), ("b", os.getpid())]
 
