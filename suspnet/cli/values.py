@@ -18,6 +18,8 @@ SWITCHES = frozenset(
         "log_ratios",
         "mass_known",
         "once",
+        "open_browser",
+        "open_to_network",
         "progress",
         "refine",
         "short_waves",

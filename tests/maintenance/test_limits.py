@@ -265,7 +265,7 @@ def test_limits_are_read_from_plain_values():
 
 
 def test_limits_are_the_defaults_unless_others_are_given():
-    settings = yaml.safe_load((CONFIGS / "evaluate.yaml").read_text())["monitor"]["limits"]
+    settings = yaml.safe_load((CONFIGS / "base" / "alarms.yaml").read_text())["limits"]
     assert read_limits(settings, DEFAULT_LIMITS, "a setting") == DEFAULT_LIMITS
     given = {"k_p": None, "c_p": {"act": [0.5, None]}, "M_s": {"notice": [0, 2], "act": [0, 3]}}
     found = read_limits(given, DEFAULT_LIMITS, "a setting")
