@@ -38,12 +38,7 @@ def compose(config: DictConfig) -> None:
     check_number("port", config.port, low=0, high=65535, whole=True)
     check_number("refresh_s", config.refresh_s, low=0.2, high=3600)
     check_number("threads", config.threads, low=1, most=64, whole=True)
-    if "://" not in config.store and not Path(config.store).is_file():
-        raise ValueError(
-            f"{config.store}: there is no such store; evaluate.py trips=DIR store= makes one"
-        )
-    with History(config.store):  # a store that cannot be used is told at once
-        pass
+    _check_store(config.store)
     _check_address(config)
     serve(Board(config.store, program.build(config, "board", _convert_="all")), config)
 
@@ -84,6 +79,17 @@ def serve(board: Board, config: DictConfig) -> None:
         refresher.stop()
         server.close()
     log.info("ended")
+
+
+def _check_store(store: str) -> None:
+    """Raise ValueError if a store cannot be used; one that is not there yet is waited for."""
+    if "://" in store or Path(store).exists():
+        with History(store):
+            return
+    folder = Path(store).absolute().parent
+    if not folder.is_dir():
+        raise ValueError(f"{store}: there is no folder {folder}")
+    log.warning("%s: there is no such store yet; the pages wait for it", store)
 
 
 def _check_address(config: DictConfig) -> None:
