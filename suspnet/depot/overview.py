@@ -13,7 +13,7 @@ from tabulate import tabulate
 from suspnet.depot.state import State
 from suspnet.dynamics import PARAMETERS
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
-from suspnet.maintenance.limits import N_LAST, Severity
+from suspnet.maintenance.limits import N_LAST
 from suspnet.maintenance.schedule import Plan
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
@@ -120,8 +120,8 @@ def _row(
 
 def _quiet(state: State) -> str:
     """Return what is to be said of a suspension without alarms."""
-    if state.severity == Severity.UNKNOWN:
-        return "no trip with an estimate"
+    if state.unjudged:
+        return state.unjudged
     why = state.watched.changes.why_not
     return f"alarms of changes not armed yet: {why}" if why else ""
 

@@ -15,7 +15,7 @@ from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.forecast import remaining_lives, trips_of_life
 from suspnet.maintenance.life import Life, learn_fleet
-from suspnet.maintenance.limits import Limits, Severity
+from suspnet.maintenance.limits import N_LAST, Limits, Severity
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.watch import Watched, watch
 from suspnet.trips.trend import PAYLOAD
@@ -54,10 +54,18 @@ class State:
 
     @cached_property
     def severity(self) -> Severity:
-        """The worst of its alarms; unknown if no trip has an estimate."""
-        if not (self.series.recent & self.series.done).any():
-            return Severity.UNKNOWN
-        return max((one.severity for one in self.alarms), default=Severity.NONE)
+        """The worst of its alarms; unknown without one if it cannot be judged."""
+        least = Severity.UNKNOWN if self.unjudged else Severity.NONE
+        return max((one.severity for one in self.alarms), default=least)
+
+    @property
+    def unjudged(self) -> str:
+        """Why it cannot be judged by its last trips; empty if it can be."""
+        used = self.series.recent & self.series.done
+        flagged = self.series.flagged[used][-N_LAST:]
+        if not len(flagged):
+            return "no trip with an estimate"
+        return f"all of the last {len(flagged)} trips are flagged" if flagged.all() else ""
 
     @cached_property
     def shortest(self) -> tuple[str, Life] | None:

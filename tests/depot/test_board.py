@@ -382,3 +382,26 @@ def test_limits_that_do_not_go_together_are_told(store):
 
 def failing(*_, **__):
     raise HistoryError("the store went away")
+
+
+@pytest.mark.parametrize(
+    ("flagged", "severity", "words"),
+    [
+        ([""] * 10, Severity.NONE, ""),
+        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, ""),
+        (["misfit"] * 10, Severity.UNKNOWN, "all of the last 5 trips are flagged"),
+        ([""] * 5 + ["misfit"] * 5, Severity.UNKNOWN, "all of the last 5 trips are flagged"),
+    ],
+)
+def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
+    tmp_path, flagged, severity, words
+):
+    where = place("left")
+    made = trips(where, 0, n_trips=len(flagged))
+    with History(tmp_path / "fleet.db") as store:
+        store.write([replace(one, flags=flag) for one, flag in zip(made, flagged, strict=True)])
+    board = Board(str(tmp_path / "fleet.db"), BoardSettings())
+    board.refresh()
+    (state,) = board.view.states
+    assert (state.severity, state.unjudged) == (severity, words)
+    assert words in board.view.rows[0]["reason"]
