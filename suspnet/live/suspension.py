@@ -71,7 +71,7 @@ class Told:
     is_final : bool
         Whether the section is over; else it is what has come of it so far.
     frames : dict of int
-        What became of the section's frames, as `Assembler.counts`, over all sensors.
+        What became of the section's frames, as ``Assembler.counts``, over all sensors.
     distance_km : float, [km]
         Run in the section; 0 where that is not known.
     """

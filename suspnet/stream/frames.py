@@ -63,7 +63,7 @@ class Frame:
     Parameters
     ----------
     suspension : str
-        Which suspension it is of, as its `Place` is written: "train 1, car 2, front, left".
+        Which suspension it is of, as its ``Place`` is written: "train 1, car 2, front, left".
     sensor : str
         The channel, followed by the side in a pair: "axle_box", "bogie left"; or "speed".
     sequence : int

@@ -114,7 +114,7 @@ class Running:
 
     @property
     def sensors(self) -> dict[str, Counter[str]]:
-        """What was counted of each sensor's frames, as `Assembler.counts`."""
+        """What was counted of each sensor's frames, as ``Assembler.counts``."""
         return {name: order.counts for name, order in self._orders.items()}
 
     @property
