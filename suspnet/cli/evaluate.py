@@ -13,14 +13,15 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import folders, program
+from suspnet.cli.named_runs import named_runs
 from suspnet.depot.state import State
 from suspnet.history import History
 from suspnet.maintenance.limits import Severity
 from suspnet.model.checkpoint import load_model
-from suspnet.runs.evaluate import evaluate, find_runs
+from suspnet.runs.evaluate import evaluate
 from suspnet.storage import write_atomically
 from suspnet.studies.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
@@ -101,7 +102,7 @@ def compose(config: DictConfig) -> int:
         found = program.build(config, "study", folder=program.run_folder())
         severities = [one.severity for one in found if isinstance(one, State)]
         return worst(ALARMS.get(one, FINE) for one in severities)
-    runs, output = _runs(config.run), program.run_folder()
+    runs, output = named_runs(config.run), program.run_folder()
     folders.clear(output)
     program.save_config(config, output)
     if config.trips is not None:
@@ -131,12 +132,6 @@ def compose(config: DictConfig) -> int:
     if len(results) > 1:
         write_table6(results, output)
     return FINE
-
-
-def _runs(named: Any) -> list[Path]:
-    """Return the folders with a model of one run, or of a list of runs."""
-    several = named if isinstance(named, ListConfig) else [named]
-    return list(dict.fromkeys(run for one in several for run in find_runs(Path(one))))
 
 
 def main() -> None:

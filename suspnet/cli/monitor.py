@@ -7,16 +7,16 @@ from contextlib import closing
 from pathlib import Path
 
 import hydra
-from omegaconf import DictConfig, ListConfig
+from omegaconf import DictConfig
 
 from suspnet.cli import program
+from suspnet.cli.named_runs import named_runs
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
 from suspnet.live.suspensions import read_suspensions
 from suspnet.model.checkpoint import load_model
-from suspnet.runs.evaluate import find_runs
 
 log = logging.getLogger(__name__)
 
@@ -31,9 +31,7 @@ def compose(config: DictConfig) -> None:
     program.log_to_stderr()
     program.n_threads(config.threads)
     program.save_config(config, program.run_folder())
-    named = config.run if isinstance(config.run, ListConfig) else [config.run]
-    runs = dict.fromkeys(run for one in named for run in find_runs(Path(one)))
-    models = [load_model(run, config.device) for run in runs]
+    models = [load_model(run, config.device) for run in named_runs(config.run)]
     settings = program.build(config, "monitor", _convert_="all")
     live = program.build(config, "live")
     suspensions = read_suspensions(Path(config.suspensions), models, settings, live)

@@ -14,6 +14,7 @@ from suspnet.live.source import Kind
 from suspnet.live.suspension import LiveSuspension, Told
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.watch import km_words
 from suspnet.model.trained import TrainedModel
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import json_bytes
@@ -108,11 +109,9 @@ class Results:
 def summary(told: Told) -> str:
     """Return an estimate on one line."""
     result = told.result
-    km = f"{result.mileage_km:,.0f}".replace(",", " ")
     values = ", ".join(f"{name} {value:.4g}" for name, value in result.estimates.items())
-    return (
-        f"{result.trip}, {km} km{'' if told.is_final else ' (so far)'}: {values or 'no estimate'}"
-    )
+    where = f"{result.trip}, {km_words(result.mileage_km)}{'' if told.is_final else ' (so far)'}"
+    return f"{where}: {values or 'no estimate'}"
 
 
 def estimate_row(name: str, told: Told, level: float) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from suspnet.model.trained import TrainedModel
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.recording import Recording
-from suspnet.stream import Frame, FrameError, Running, Sections
+from suspnet.stream import Frame, Running, Sections
 from suspnet.stream.assembler import OrderSettings
 from suspnet.stream.state import dump_state, load_state
 from suspnet.trips.trip import evaluate_recording
@@ -100,8 +100,6 @@ class LiveSuspension:
     ----------
     name : str
         As frames name it.
-    counts : Counter
-        Frames that could not be used, by reason.
 
     Raises
     ------
@@ -118,7 +116,6 @@ class LiveSuspension:
     ) -> None:
         self.manifest, self.models = manifest, models
         self.name = str(manifest.place)
-        self.counts: Counter[str] = Counter()
         self._trips, self._settings = trips, settings
         self._sections = Sections(
             manifest,
@@ -132,15 +129,11 @@ class LiveSuspension:
         self._silent: dict[str, tuple[float, int]] = {}
 
     def take(self, frame: Frame) -> None:
-        """Take a frame; raises FrameError, and counts it, where it cannot be used."""
-        try:
-            if frame.sensor in SlowValues.UNITS:
-                self._slow.take(frame)
-            else:
-                self._sections.add(frame)
-        except FrameError as error:
-            self.counts[error.reason] += 1
-            raise
+        """Take a frame; raises FrameError where it cannot be used."""
+        if frame.sensor in SlowValues.UNITS:
+            self._slow.take(frame)
+        else:
+            self._sections.add(frame)
 
     def due(self) -> list[Told]:
         """Return the estimates from sections that are over or have gone on for `every_s`."""
@@ -177,7 +170,6 @@ class LiveSuspension:
             "sections": self._sections.state(),
             "slow": self._slow.state(),
             "silent": {zero_ns: list(one) for zero_ns, one in self._silent.items()},
-            "counts": dict(self.counts),
         }
         return dump_state(self._identity, state)
 
@@ -187,7 +179,6 @@ class LiveSuspension:
         self._sections.restore(state["sections"])
         self._slow.restore(state["slow"])
         self._silent = {zero_ns: (km, n) for zero_ns, (km, n) in state["silent"].items()}
-        self.counts = Counter(state["counts"])
 
     @property
     def _identity(self) -> list[object]:

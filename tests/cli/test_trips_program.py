@@ -22,6 +22,7 @@ from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, simulate, train
+from suspnet.cli.named_runs import named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
 from suspnet.maintenance.limits import Severity
@@ -580,8 +581,8 @@ def test_several_runs_are_named_in_a_list(tmp_path):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "model.json").touch()
     named = [str(tmp_path / name) for name in ("first", "second", "first")]
-    found = evaluate._runs(OmegaConf.create(named))
+    found = named_runs(OmegaConf.create(named))
     assert [run.name for run in found] == ["first", "a", "b"]
-    assert evaluate._runs(named[0]) == [tmp_path / "first"]
+    assert named_runs(named[0]) == [tmp_path / "first"]
     with pytest.raises(FileNotFoundError, match="third does not exist"):
-        evaluate._runs(OmegaConf.create([named[0], str(tmp_path / "third")]))
+        named_runs(OmegaConf.create([named[0], str(tmp_path / "third")]))
