@@ -193,26 +193,27 @@ def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):
 
 # signals
 
+GO_ON = "go on with the same command and resume=outputs/"
+
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 @pytest.mark.parametrize(
-    ("module", "arguments", "hint"),
+    ("module", "step", "arguments", "hint"),
     [
-        (train, LINEAR, "start again at any time"),
-        (train, ["-m", "seed=0,1", *LINEAR], "go on with the same command and resume=outputs/"),
-        (simulate, ["out=trips"], "start again at any time"),
-        (evaluate, ["run=x", "trips=y"], "go on with the same command and resume=outputs/"),
+        (train, "train", LINEAR, "start again at any time"),
+        (train, "train", ["-m", "seed=0,1", *LINEAR], GO_ON),
+        (simulate, "write_fleet", ["out=trips"], "start again at any time"),
+        (evaluate, "named_runs", ["run=x", "trips=y"], GO_ON),
     ],
 )
-def test_sigterm_ends_a_program_with_one_line(tmp_path, monkeypatch, module, arguments, hint):
+def test_sigterm_ends_a_program_with_one_line(tmp_path, monkeypatch, module, step, arguments, hint):
     before = signal.getsignal(signal.SIGTERM)
 
     def killed(*_, **__):
         os.kill(os.getpid(), signal.SIGTERM)
         raise AssertionError("unreachable")
 
-    for name in ("train", "write_fleet", "find_runs"):
-        monkeypatch.setattr(module, name, killed, raising=False)
+    monkeypatch.setattr(module, step, killed)
     ended = typed(module, *arguments, cwd=tmp_path)
     assert ended.returncode == 143
     assert ended.stderr.startswith(f"terminated: nothing was half-written; {hint}")
