@@ -63,10 +63,14 @@ def by_time(frames):
 
 
 class ListSource:
-    """Encoded frames of a list; what is confirmed is kept in a file, and not given again."""
+    """Encoded frames of a list; what is confirmed is kept in a file, and not given again.
 
-    def __init__(self, frames, at_once=20, offset: Path | None = None):
+    With `pauses` it gives nothing every other time.
+    """
+
+    def __init__(self, frames, at_once=20, offset: Path | None = None, pauses: bool = False):
         self.frames, self.at_once, self.offset = frames, at_once, offset
+        self.pauses, self.is_pause = pauses, False
         self.counts: Counter[str] = Counter()
         self.published: list[tuple[str, str, dict]] = []
         self.at = self.confirmed = 0
@@ -79,6 +83,9 @@ class ListSource:
     def receive(self, timeout_s):
         if self.at >= len(self.frames):
             return None
+        self.is_pause = self.pauses and not self.is_pause
+        if self.is_pause:
+            return []
         given = self.frames[self.at : self.at + self.at_once]
         self.at += len(given)
         return given

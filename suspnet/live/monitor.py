@@ -1,8 +1,9 @@
 """The monitor: frames of many suspensions from a source, results to the history.
 
-Frames are taken, and the estimates told that are due with them; then the journal is committed, and
-then the source may forget the frames. Killed at any moment, the frames since the last commit come
-again, and estimates that are told twice replace themselves.
+Frames are taken, the journal is committed, and then the source may forget the frames. Estimates are
+made one at a time while no frames wait, so that hundreds that are due at once hold no frame up; the
+journal keeps the frames of a section until its estimate is told. Killed at any moment, the frames
+since the last commit come again, and estimates that are told twice replace themselves.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Callable, Iterable
 
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.source import Source
-from suspnet.live.suspension import LiveSuspension, Told
+from suspnet.live.suspension import Due, LiveSuspension, Told
 from suspnet.stream import FrameError, StateError, decode
 
 log = logging.getLogger(__name__)
@@ -81,6 +82,7 @@ class Monitor:
         if not self._suspensions:
             raise ValueError("no suspension is in this process's part")
         self._last_s = dict.fromkeys(self._suspensions, clock())
+        self._due: dict[str, Due] = {}
 
     def resume(self) -> int:
         """Go on from the journal; return the number of its frames.
@@ -103,7 +105,7 @@ class Monitor:
                     one.take(decode(data))
                 except FrameError as error:  # a part of it was of a section that is over
                     log.debug("%s: %s", name, error)
-            self._told(one, one.due())
+            self._add(one, one.due())
         return n_frames
 
     def run(self) -> None:
@@ -116,18 +118,23 @@ class Monitor:
         """
         n_pending = 0
         while True:  # as long as the source says
-            frames = self._source.receive(PAUSE_S if n_pending else WAIT_S)
+            wait_s = PAUSE_S if n_pending else WAIT_S
+            frames = self._source.receive(0.0 if self._due else wait_s)
             for data in frames or ():
                 self._take(data)
             n_pending += len(frames or ())
             if not frames or n_pending >= MOST_PENDING:
-                self._tell_silent()
+                self._add_silent()
                 self._commit()
                 n_pending = 0
             if frames is None:
                 break
+            if not frames and self._due:
+                self._estimate(next(iter(self._due)))
         for one in self._suspensions.values():
-            self._told(one, one.end())
+            self._add(one, one.end())
+        for name in list(self._due):
+            self._estimate(name)
         self._commit()
 
     def _load(self, one: LiveSuspension, state: bytes) -> None:
@@ -155,29 +162,47 @@ class Monitor:
             self._journal.add(name, data)
             one.take(frame)
             self.counts["taken"] += 1
-            self._told(one, one.due())
+            self._add(one, one.due())
             if self._journal.n_bytes[name] > MOST_JOURNAL:
-                self._journal.save(name, one.dump())
+                self._save(one)
         except FrameError as error:
             self.counts[error.reason] += 1
             if (name, error.reason) not in self._seen and len(self._seen) < 1000:
                 self._seen.add((name, error.reason))
                 log.warning("a frame cannot be used (%s): %s", error.reason, error)
 
-    def _tell_silent(self) -> None:
-        """Tell the sections of suspensions from which nothing has come for long."""
+    def _add_silent(self) -> None:
+        """Add the sections of suspensions from which nothing has come for long."""
         now_s = self._clock()
         for name, last_s in self._last_s.items():
             if now_s - last_s > self._idle_s:
                 self._last_s[name] = now_s
-                self._told(self._suspensions[name], self._suspensions[name].silent())
+                self._add(self._suspensions[name], self._suspensions[name].silent())
 
-    def _told(self, one: LiveSuspension, several: list[Told]) -> None:
-        """Tell estimates of a suspension; where a section is over, its frames are not kept on."""
-        for told in several:
-            self._tell(one, told)
-        if any(told.is_final for told in several):
-            self._journal.save(one.name, one.dump())
+    def _add(self, one: LiveSuspension, several: list[Due]) -> None:
+        """Let the last of a suspension's estimates wait; those before it are made now.
+
+        One that waits takes memory. One on the way is not made if a later one is there already.
+        """
+        for due in several:
+            waiting = self._due.get(one.name)
+            if waiting is not None and waiting.is_final and waiting.section is not due.section:
+                self._tell(one, one.estimate(waiting))
+            self._due[one.name] = due
+
+    def _estimate(self, name: str) -> None:
+        """Make the estimate of a suspension that waits, and tell it."""
+        one, due = self._suspensions[name], self._due.pop(name)
+        self._tell(one, one.estimate(due))
+        if due.is_final:
+            self._save(one)
+
+    def _save(self, one: LiveSuspension) -> None:
+        """Save a suspension's state in place of its frames, and of the section that waits."""
+        waiting = self._due.get(one.name)
+        if waiting is not None and waiting.is_final:
+            self._tell(one, one.estimate(self._due.pop(one.name)))
+        self._journal.save(one.name, one.dump())
 
     def _commit(self) -> None:
         """Write the journal, and then let the source forget what it gave."""

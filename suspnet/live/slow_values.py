@@ -25,6 +25,11 @@ class SlowValues:
         Until a frame tells it.
     temperature_c : float, optional, [°C]
         Until a frame tells it.
+
+    Attributes
+    ----------
+    passed_km : float, [km]
+        Mileage at the end of the last section that was passed.
     """
 
     UNITS: ClassVar[dict[str, dict[str, float]]] = {
@@ -34,7 +39,7 @@ class SlowValues:
     """Sensors of slow values, with the size of each of their units."""
 
     def __init__(self, mileage_km: float, temperature_c: float | None) -> None:
-        self._passed_km = mileage_km
+        self.passed_km = mileage_km
         self._known: dict[str, list[tuple[int, float]]] = {"mileage": [], "temperature": []}
         self._first_c = temperature_c
 
@@ -61,21 +66,21 @@ class SlowValues:
                 insort(known, one)
         del known[:-MOST_KEPT]
 
-    def within(self, begin_ns: int, end_ns: int) -> tuple[float, float | None]:
+    def within(self, begin_ns: int, end_ns: int) -> tuple[float | None, float | None]:
         """Return mileage [km] and temperature [°C] of a section.
 
-        Of several values in it the first one counts. Where there is none, the mileage is that at
-        the end of the section before, and the temperature the last one before.
+        Of several values in it the first one counts. Where there is none, the mileage is None: that
+        at the end of the section before; and the temperature is the last one before.
         """
         km = [value for at, value in self._known["mileage"] if begin_ns <= at < end_ns]
         inside = [value for at, value in self._known["temperature"] if begin_ns <= at < end_ns]
         before = [value for at, value in self._known["temperature"] if at < begin_ns]
         celsius = next(iter([*inside, *before[::-1]]), self._first_c)
-        return (km[0] if km else self._passed_km), celsius
+        return (km[0] if km else None), celsius
 
     def pass_section(self, end_ns: int, mileage_km: float) -> None:
         """Take the mileage at the end of a section, and forget what lies in it."""
-        self._passed_km = mileage_km
+        self.passed_km = mileage_km
         known = self._known["temperature"]
         last = [value for at, value in known if at < end_ns][-1:]
         self._first_c = last[0] if last else self._first_c
@@ -84,9 +89,9 @@ class SlowValues:
 
     def state(self) -> dict[str, Any]:
         """Return JSON-able values that `restore` makes the same of."""
-        return {"passed_km": self._passed_km, "first_c": self._first_c, "known": self._known}
+        return {"passed_km": self.passed_km, "first_c": self._first_c, "known": self._known}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state."""
-        self._passed_km, self._first_c = state["passed_km"], state["first_c"]
+        self.passed_km, self._first_c = state["passed_km"], state["first_c"]
         self._known = {name: [(at, v) for at, v in one] for name, one in state["known"].items()}

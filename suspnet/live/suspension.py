@@ -62,6 +62,26 @@ class LiveSettings:
 
 
 @dataclass(frozen=True)
+class Due:
+    """An estimate that is to be made; until then it keeps the signals of its section.
+
+    Attributes
+    ----------
+    section : Running
+    is_final : bool
+        Whether the section is over, or is told as if it were; else it is what has come so far.
+    mileage_km : float, optional, [km]
+        At the section's begin; None: at the end of the section before.
+    temperature_c : float, optional, [°C]
+    """
+
+    section: Running
+    is_final: bool
+    mileage_km: float | None
+    temperature_c: float | None
+
+
+@dataclass(frozen=True)
 class Told:
     """An estimate from a section.
 
@@ -71,7 +91,8 @@ class Told:
     is_final : bool
         Whether the section is over; else it is what has come of it so far.
     frames : dict of int
-        What became of the section's frames, as ``Assembler.counts``, over all sensors.
+        What became of the section's frames, as ``Assembler.counts``, over all sensors; "dropped"
+        are those that were given up before it as ``Sections.counts``.
     distance_km : float, [km]
         Run in the section; 0 where that is not known.
     """
@@ -126,7 +147,7 @@ class LiveSuspension:
         )
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
         self._told: dict[int, int] = {}
-        self._silent: dict[str, tuple[float, int]] = {}
+        self._silent: dict[int, tuple[float, int]] = {}
 
     def take(self, frame: Frame) -> None:
         """Take a frame; raises FrameError where it cannot be used."""
@@ -135,8 +156,11 @@ class LiveSuspension:
         else:
             self._sections.add(frame)
 
-    def due(self) -> list[Told]:
-        """Return the estimates from sections that are over or have gone on for `every_s`."""
+    def due(self) -> list[Due]:
+        """Return the estimates of sections that are over or have gone on for `every_s`.
+
+        A section that is over is given once: it is no longer part of the state.
+        """
         found = self._over(self._sections.over())
         every_s = self._settings.every_s
         if every_s is None:
@@ -146,30 +170,44 @@ class LiveSuspension:
             is_new = step > self._told.get(section.zero_ns, 0)
             if is_new and step * every_s < self._settings.section_s:
                 self._told = {section.zero_ns: step}
-                found.append(self._estimate(section, is_final=False))
+                found.append(self._due(section, is_final=False))
         return found
 
-    def silent(self) -> list[Told]:
-        """Return the estimates from what has come of open sections, once: nothing has for long."""
+    def silent(self) -> list[Due]:
+        """Return the estimates of what has come of open sections, once: nothing has for long."""
         found = []
         for section in self._sections.open:
-            _, n_frames = self._silent.get(str(section.zero_ns), (0.0, 0))
+            _, n_frames = self._silent.get(section.zero_ns, (0.0, 0))
             if section.n_frames > n_frames and not section.is_empty:
-                told = self._estimate(section, is_final=True)
-                self._silent[str(section.zero_ns)] = told.result.mileage_km, section.n_frames
-                found.append(told)
+                found.append(self._due(section, is_final=True))
         return found
 
-    def end(self) -> list[Told]:
-        """Return the estimates from all sections: no more frames come."""
+    def end(self) -> list[Due]:
+        """Return the estimates of all sections: no more frames come."""
         return self._over(self._sections.close())
+
+    def estimate(self, due: Due) -> Told:
+        """Return an estimate that is due; those of a suspension in their order.
+
+        The mileage goes on behind a section that is over.
+        """
+        section = due.section
+        told = self._estimate(due)
+        mileage_km = told.result.mileage_km
+        if due.is_final and section in self._sections.open:
+            self._silent[section.zero_ns] = mileage_km, section.n_frames
+        elif due.is_final:
+            end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
+            self._slow.pass_section(end_ns, mileage_km + told.distance_km)
+            self._silent.pop(section.zero_ns, None)
+        return told
 
     def dump(self) -> bytes:
         """Return the state."""
         state = {
             "sections": self._sections.state(),
             "slow": self._slow.state(),
-            "silent": {zero_ns: list(one) for zero_ns, one in self._silent.items()},
+            "silent": {str(zero_ns): list(one) for zero_ns, one in self._silent.items()},
         }
         return dump_state(self._identity, state)
 
@@ -178,41 +216,37 @@ class LiveSuspension:
         state = load_state(content, self._identity)
         self._sections.restore(state["sections"])
         self._slow.restore(state["slow"])
-        self._silent = {zero_ns: (km, n) for zero_ns, (km, n) in state["silent"].items()}
+        self._silent = {int(zero_ns): (km, n) for zero_ns, (km, n) in state["silent"].items()}
 
     @property
     def _identity(self) -> list[object]:
         return [self.name, self._sections.identity]
 
-    def _over(self, sections: Sequence[Running]) -> list[Told]:
-        """Return the estimates from sections that are over; the mileage goes on behind them.
+    def _over(self, sections: Sequence[Running]) -> list[Due]:
+        """Return the estimates of sections that are over.
 
         A section with no acceleration at all tells nothing: the last speed of a trip may lie in it.
         """
-        found = []
-        for section in sections:
-            if section.is_empty:
-                continue
-            told = self._estimate(section, is_final=True)
-            end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
-            self._slow.pass_section(end_ns, told.result.mileage_km + told.distance_km)
-            self._silent.pop(str(section.zero_ns), None)
-            found.append(told)
-        return found
+        return [self._due(section, is_final=True) for section in sections if not section.is_empty]
 
-    def _estimate(self, section: Running, is_final: bool) -> Told:
-        """Return the estimate from a section so far."""
+    def _due(self, section: Running, is_final: bool) -> Due:
+        """Return the estimate of a section; what is known of it by now does not depend on when."""
         end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
+        return Due(section, is_final, *self._slow.within(section.zero_ns, end_ns))
+
+    def _estimate(self, due: Due) -> Told:
+        """Return the estimate of a section."""
+        section, mileage_km = due.section, due.mileage_km
         start = EPOCH + timedelta(microseconds=section.zero_ns // 1000)
-        mileage_km, temperature_c = self._slow.within(section.zero_ns, end_ns)
-        # a trip that is kept already is replaced under the mileage by which it is known
-        mileage_km = self._silent.get(str(section.zero_ns), (mileage_km, 0))[0]
+        if section.zero_ns in self._silent:
+            # a trip that is kept already is replaced under the mileage by which it is known
+            mileage_km, _ = self._silent[section.zero_ns]
         manifest = replace(
             self.manifest,
             name=f"{start:%Y-%m-%d %H:%M}",
             start=start,
-            mileage_km=mileage_km,
-            temperature_c=temperature_c,
+            mileage_km=self._slow.passed_km if mileage_km is None else mileage_km,
+            temperature_c=due.temperature_c,
             truth={},
         )
         distance_km = 0.0
@@ -227,7 +261,10 @@ class LiveSuspension:
         frames: Counter[str] = Counter()
         for counts in section.sensors.values():
             frames.update(counts)
-        return Told(result, is_final, dict(frames), distance_km)
+        frames.update(self._sections.counts)
+        if due.is_final:
+            self._sections.counts.clear()
+        return Told(result, due.is_final, dict(frames), distance_km)
 
 
 def _distance_km(recording: Recording) -> float:

@@ -49,7 +49,7 @@ class Sections:
     Attributes
     ----------
     counts : Counter
-        "dropped" are sections of wrong times that were given up.
+        "dropped" are frames of sections of wrong times that were given up.
     identity : JSON-able
         What a state must share with the stream that goes on from it.
 
@@ -161,8 +161,8 @@ class Sections:
         """Give up the section with the fewest frames, of these the latest, if there are many."""
         if len(self._open) > MOST_OPEN:
             worst = min(self._open, key=lambda k: (self._open[k].n_frames, -k))
-            del self._open[worst], self._after[worst]
-            self.counts["dropped"] += 1
+            self.counts["dropped"] += self._open.pop(worst).n_frames
+            del self._after[worst]
 
     def _close(self, last: int) -> list[Running]:
         """Return the sections up to one, without frames that wait for others."""

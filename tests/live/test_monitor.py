@@ -20,8 +20,9 @@ from suspnet.live.suspensions import read_suspensions
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import read_manifest
 from suspnet.recordings.manifest import Place
-from suspnet.stream import Frame, encode
+from suspnet.stream import Frame, decode, encode
 from suspnet.stream.assembler import OrderSettings
+from suspnet.stream.sections import MOST_OPEN
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.trip import evaluate_trip
 
@@ -87,7 +88,8 @@ def check_chunking(folder, fleet, seed):
     path = fleet[seed % len(fleet)]
     parts = [disturbed(one, rng, WINDOW) for one in trip_frames(path, rng).values()]
     frames = [mileage_frame(path), *interleaved(parts, rng)]
-    source = ListSource([encode(one) for one in frames], at_once=int(rng.integers(1, 200)))
+    lump, pauses = int(rng.integers(1, 200)), bool(seed % 2)
+    source = ListSource([encode(one) for one in frames], lump, pauses=pauses)
     (found,), monitor = monitored(folder, fleet, source)
     assert_same_estimate(found, evaluate_trip(path, [model_at()], SETTINGS.trips))
     assert monitor.counts == {"taken": len(frames)}
@@ -133,18 +135,71 @@ def test_the_mileage_goes_on_with_the_speed(tmp_path, fleet):
 
 
 def test_estimates_come_while_a_section_runs(tmp_path, fleet):
-    source = ListSource(all_frames(fleet[0]))
+    source = ListSource(all_frames(fleet[0]), pauses=True)
     found, _ = monitored(tmp_path, fleet, source, replace(LIVE, every_s=100.0))
     told = [row["final"] for kind, _, row in source.published if kind == "estimates"]
     assert told == [False, False, True]
     assert len(found) == 1
 
 
+def test_estimates_on_the_way_wait_for_frames_and_are_left_out_if_these_never_pause(
+    tmp_path, fleet
+):
+    source = ListSource(all_frames(fleet[0]))
+    monitored(tmp_path, fleet, source, replace(LIVE, every_s=100.0))
+    told = [row["final"] for kind, _, row in source.published if kind == "estimates"]
+    assert told == [True]
+
+
+def two_sections(fleet, several):
+    """Return frames of a section of several suspensions, then some of the next one."""
+    every = [decode(one) for one in frames_of_trips(fleet[:1]) + frames_of_trips(fleet[1:2])[:300]]
+    return [encode(replace(one, suspension=to.name)) for one in every for to in several]
+
+
+def test_estimates_that_are_due_at_once_hold_frames_up_by_one_of_them(tmp_path, fleet):
+    several = [suspensions(fleet, train=str(k))[0] for k in range(4)]
+    frames = two_sections(fleet, several)
+    source = ListSource(frames, at_once=len(frames) - 40, pauses=True)
+    told, n_told, receive = [], [], source.receive
+
+    def received(timeout_s):
+        n_told.append(len(told))
+        source.at_once = 4 if source.at else source.at_once
+        return receive(timeout_s)
+
+    source.receive = received
+    with Journal(tmp_path / "journal") as journal:
+        Monitor(several, source, journal, lambda one, _: told.append(one.name)).run()
+    # a pause, all four are due, then an estimate with each pause until the source ends
+    assert n_told[:10] == [0, 0, 0, 1, 1, 2, 2, 3, 3, 4]
+    assert told[:4] == [one.name for one in several]
+
+
+def test_estimates_that_wait_are_made_after_a_kill(tmp_path, fleet):
+    def gone(timeout_s):
+        raise KeyboardInterrupt
+
+    frames = two_sections(fleet, suspensions(fleet))
+    (tmp_path / "whole").mkdir()
+    expected, _ = monitored(tmp_path / "whole", fleet, ListSource(frames))
+    source = ListSource(frames, at_once=len(frames), offset=tmp_path / "offset")
+    receive = source.receive
+    source.receive = lambda timeout_s: gone(0) if source.confirmed else receive(timeout_s)
+    with pytest.raises(KeyboardInterrupt):
+        monitored(tmp_path, fleet, source)
+    assert source.confirmed == len(frames)
+    assert not kept(tmp_path, fleet)
+    found, _ = monitored(tmp_path, fleet, ListSource(frames, offset=tmp_path / "offset"))
+    for one, other in zip(found, expected, strict=True):
+        assert_same_estimate(one, other)
+
+
 # kills
 
 
 def run_child(folder, fleet, frames):
-    source = ListSource(frames, offset=folder / "offset")
+    source = ListSource(frames, offset=folder / "offset", pauses=True)
     with open(folder / "published", "a") as file:
         source.publish = lambda *one: (file.write(f"{one}\n"), file.flush())
         monitored(folder, fleet, source)
@@ -239,6 +294,20 @@ def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fl
     told = source.published[-1][2]["frames"]
     assert told["clock"] == 10 * len(frames)
     assert found.quality.usable_percent < 90
+
+
+def test_frames_of_sections_that_are_given_up_are_told(tmp_path, fleet):
+    frames = trip_frames(fleet[0])
+    body = frames["body"][0]
+    for number in range(5):  # each opens a section of its own, of which only so many may be open
+        wrong = replace(body, time_ns=body.time_ns + (100 + number) * 300 * 10**9)
+        frames["body"].insert(10 * number, wrong)
+    several = [one for kind in ("axle_box", "bogie", "body", "speed") for one in frames[kind]]
+    source = ListSource([encode(one) for one in several])
+    monitored(tmp_path, fleet, source)
+    first, *wrong = [row["frames"] for kind, _, row in source.published if kind == "estimates"]
+    assert first["dropped"] == 5 + 1 - MOST_OPEN
+    assert not any("dropped" in counts for counts in wrong)
 
 
 def test_a_store_that_is_away_is_waited_for(tmp_path, fleet, monkeypatch):
