@@ -91,48 +91,62 @@ def levenberg_marquardt(
     """
     low, high = bounds or (start.new_full((1,), -math.inf), start.new_full((1,), math.inf))
 
-    def linearised(theta: Tensor, values: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return gradient (n, n_parameters) and J^T J without the parameters pressed to a bound."""
-        jacobian = _jacobian(residual, theta, rows, values if one_sided else None)
-        gradient = (jacobian @ values[:, :, None])[:, :, 0]
-        pressed = ((theta <= low) & (gradient > 0)) | ((theta >= high) & (gradient < 0))
-        jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
-        return gradient.masked_fill(pressed, 0.0), jacobian @ jacobian.transpose(1, 2)
-
     everything = rows = torch.arange(len(start), device=start.device)
     theta = start.clamp(low, high)
     values = residual(theta, rows)
+    gradient = torch.zeros_like(theta)
+    information = theta.new_zeros(*theta.shape, theta.shape[1])
+    moved = torch.ones_like(rows, dtype=torch.bool)
+
+    def linearise() -> None:
+        """Renew gradient and J^T J, without parameters pressed to a bound, of rows that moved."""
+        which = moved.nonzero()[:, 0]
+        if not len(which):
+            return
+        here, there = theta[which], values[which]
+        jacobian = _jacobian(residual, here, which, there if one_sided else None)
+        slope = (jacobian @ there[:, :, None])[:, :, 0]
+        pressed = ((here <= low) & (slope > 0)) | ((here >= high) & (slope < 0))
+        jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
+        gradient[which] = slope.masked_fill(pressed, 0.0)
+        information[which] = jacobian @ jacobian.transpose(1, 2)
+        moved[which] = False
+
+    def move(which: Tensor, taken: Tensor, trial: Tensor, trial_values: Tensor) -> None:
+        """Let rows take their steps, where these are taken."""
+        theta[which] = torch.where(taken[:, None], trial, theta[which])
+        values[which] = torch.where(taken[:, None], trial_values, values[which])
+        moved[which] = taken
+
     damping = theta.new_full((len(start),), first_damping)
     converged = torch.zeros_like(rows, dtype=torch.bool)
     n_iter = 0
     while n_iter < max_iter and len(rows):
         n_iter += 1
+        linearise()
         here, here_values = theta[rows], values[rows]
-        gradient, hessian = linearised(here, here_values, rows)
-        step, solved = _damped_step(gradient, hessian, damping[rows])
+        step, solved = _damped_step(gradient[rows], information[rows], damping[rows])
         trial = (here + step).clamp(low, high)
         trial_values = residual(trial, rows)
         better = (_cost(trial_values) <= _cost(here_values)) & solved
-        theta[rows] = torch.where(better[:, None], trial, here)
-        values[rows] = torch.where(better[:, None], trial_values, here_values)
         factor = torch.where(better, 0.2, 5.0)
         damping[rows] = (damping[rows] * factor).clamp(SMALLEST_DAMPING, LARGEST_DAMPING)
         small = _is_small(trial - here, here, tol) & solved
         converged[rows] = small & (better | (damping[rows] < 1))
         if least_decrease:
-            left = -0.5 * (gradient * step).sum(dim=1)
+            left = -0.5 * (gradient[rows] * step).sum(dim=1)
             converged[rows] |= solved & (left <= least_decrease)
+        move(rows, better, trial, trial_values)
         rows = rows[~converged[rows] & (damping[rows] < LARGEST_DAMPING)]
-    gradient, hessian = linearised(theta, values, everything)
-    step, solved = _damped_step(gradient, hessian, damping)
+    linearise()
+    step, solved = _damped_step(gradient, information, damping)
     trial = (theta + step).clamp(low, high)
     trial_values = residual(trial, everything)
     # so small a step changes the cost by no more than its rounding, which must not decide
     taken = converged & solved & _is_small(trial - theta, theta, tol)
     taken &= _cost(trial_values) <= _cost(values) * (1 + 1e-12)
-    theta = torch.where(taken[:, None], trial, theta)
-    values = torch.where(taken[:, None], trial_values, values)
-    _, information = linearised(theta, values, everything)
+    move(everything, taken, trial, trial_values)
+    linearise()
     return LeastSquaresSolution(theta, _cost(values), information, converged, n_iter)
 
 

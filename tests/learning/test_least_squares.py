@@ -169,6 +169,23 @@ def test_rosenbrock_ends_in_its_valley():
     np.testing.assert_allclose(found.cost, np.zeros(3), atol=1e-14)
 
 
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_step_that_is_not_taken_costs_one_evaluation(one_sided):
+    points = []
+
+    def residual(theta, rows):
+        points.extend(map(tuple, theta.tolist()))
+        return _rosenbrock(theta, rows)
+
+    start = torch.tensor([[-1.2, 1.0]], dtype=torch.float64)
+    found = levenberg_marquardt(residual, start, one_sided=one_sided)
+    assert len(set(points)) == len(points)
+    for_jacobian = 2 if one_sided else 4
+    n_places = (len(points) - 1 - found.n_iter - 1) / for_jacobian  # the start, trials, the last
+    assert n_places < found.n_iter - 4  # some steps were not taken
+    np.testing.assert_allclose(found.parameters, [[1.0, 1.0]], rtol=1e-7)
+
+
 def test_linear_problem_is_least_squares():
     rng = np.random.default_rng(1)
     A, y = rng.standard_normal((20, 3)), rng.standard_normal((4, 20))
