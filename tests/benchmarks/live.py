@@ -4,14 +4,19 @@
     python train.py experiment=trips healthy=trips/bench hydra.run.dir=outputs/bench \
         data.minutes=20 data.n_train=2000 data.n_test=200 data.n_calibrate=500 figures=false
     LIVE="python tests/benchmarks/live.py outputs/bench trips/bench/trip_001.yaml"
-    $LIVE --suspensions 20 --hours 1       # CPU time of one suspension, latency
-    $LIVE --suspensions 500 --hours 0.1    # memory of many
+    $LIVE --suspensions 20 --hours 1       # CPU time of one suspension
+    $LIVE --suspensions 500 --hours 1      # many at once: delay and memory
     $LIVE --hours 24                       # memory over a day
 
 The trip has three channels at 5000, 2000 and 2000 Hz and a speed of 1 Hz for 20 minutes; it is
-given again and again as frames of 1 s in single precision. Everything is done that
-`suspnet-monitor` does: journal, sections, estimates, history and alarms. Reading from a network
-and making the frames is not counted.
+given again and again as frames of 1 s in single precision, each suspension's at a moment of its
+own within a second. Everything is done that `suspnet-monitor` does: journal, sections, estimates,
+history and alarms. Reading from a network, making the frames and waiting for the disk is not
+counted.
+
+The clock is the CPU time of the monitor, as if it had a core for itself: frames come in real time
+by this clock, which jumps to the next one while the monitor waits. So the delay of a frame, from
+the moment at which it came until it is part of the state, holds on a busy machine, too.
 """
 
 from __future__ import annotations
@@ -21,7 +26,7 @@ import tempfile
 import time
 from argparse import ArgumentParser
 from array import array
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +36,7 @@ import torch
 
 from suspnet.history import History
 from suspnet.live.journal import Journal
-from suspnet.live.monitor import MOST_PENDING, Monitor
+from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
 from suspnet.live.suspension import LiveSettings, LiveSuspension
@@ -41,9 +46,12 @@ from suspnet.recordings.manifest_files import read_live_manifest
 from suspnet.stream import Frame, encode
 from suspnet.trips.fleet import FleetSettings
 
+MOST_AT_ONCE = 2000
+"""Largest number of frames that are given at once, as of ``source=mqtt``."""
+
 
 class Repeated:
-    """A source that gives a trip's frames to several suspensions, second after second.
+    """A source that gives a trip's frames to several suspensions in real time.
 
     Parameters
     ----------
@@ -55,6 +63,8 @@ class Repeated:
     ----------
     made_s : float, [s]
         CPU time that this took itself.
+    came_s : list of float, [s]
+        When the frames came that were given last.
     memory : list of float, [MiB]
         Of the process, ten times along the way.
     """
@@ -67,44 +77,62 @@ class Repeated:
         self._n_of = Counter(one.sensor for one in frames)
         self.n_seconds = round(3600 * hours)
         self.counts: Counter[str] = Counter()
-        self.made_s, self.memory = 0.0, list[float]()
-        self._waiting: list[bytes] = []
-        self._second = 0
+        self.made_s, self.came_s, self.memory = 0.0, list[float](), list[float]()
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._second, self._waited_s = 0, 0.0
+        self._begin_s = time.process_time()
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
         """Take the names."""
         self._names = suspensions
         return suspensions
 
+    @property
+    def now_s(self) -> float:
+        """Time since the begin by the monitor's own clock, [s]."""
+        return time.process_time() - self._begin_s - self.made_s + self._waited_s
+
     def receive(self, timeout_s: float) -> list[bytes] | None:
-        """Return some frames of this second, or of the next."""
-        start = time.process_time()
-        if not self._waiting:
-            if self._second == self.n_seconds:
-                return None
-            self._waiting = self._made()
-            if self._second % max(1, self.n_seconds // 10) == 0:
-                self.memory.append(_memory_mib())
-            self._second += 1
-        given, self._waiting = self._waiting[:MOST_PENDING], self._waiting[MOST_PENDING:]
-        self.made_s += time.process_time() - start
+        """Return the frames that have come, or wait for the next one."""
+        start_s, now_s = time.process_time(), self.now_s
+        until_s = now_s + timeout_s
+        self._make(until_s)
+        if not self._waiting and self._second == self.n_seconds:
+            return None
+        if self._waiting and now_s < self._waiting[0][0] <= until_s:
+            until_s = self._waiting[0][0]  # it does not wait longer than for the next
+        elif self._waiting and self._waiting[0][0] <= now_s:
+            until_s = now_s
+        given: list[bytes] = []
+        self.came_s = []
+        while self._waiting and self._waiting[0][0] <= until_s and len(given) < MOST_AT_ONCE:
+            came_s, data = self._waiting.popleft()
+            self.came_s.append(came_s)
+            given.append(data)
+        self._waited_s += until_s - now_s
+        self.made_s += time.process_time() - start_s
         return given
 
-    def _made(self) -> list[bytes]:
-        """Return the frames of a second, of each suspension."""
-        times, second = divmod(self._second, len(self._by_second))
-        found = []
-        for one in self._by_second[second]:
-            if one.sensor == "mileage" and times:
-                continue
-            shifted = replace(
-                one,
-                time_ns=one.time_ns + times * len(self._by_second) * 10**9,
-                sequence=one.sequence + times * self._n_of[one.sensor],
-                samples=one.samples.astype("f4") if one.sensor != "mileage" else one.samples,
-            )
-            found += [encode(replace(shifted, suspension=name)) for name in self._names]
-        return found
+    def _make(self, until_s: float) -> None:
+        """Make the frames that come until a time, of whole seconds."""
+        while self._second <= until_s and self._second < self.n_seconds:
+            if self._second % max(1, self.n_seconds // 10) == 0:
+                self.memory.append(_memory_mib())
+            times, second = divmod(self._second, len(self._by_second))
+            for k, name in enumerate(self._names):
+                came_s = self._second + 1 + k / len(self._names)  # it is sent when it is over
+                for one in self._by_second[second]:
+                    if one.sensor == "mileage" and times:
+                        continue
+                    shifted = replace(
+                        one,
+                        suspension=name,
+                        time_ns=one.time_ns + times * len(self._by_second) * 10**9,
+                        sequence=one.sequence + times * self._n_of[one.sensor],
+                        samples=one.samples.astype("f8" if one.sensor == "mileage" else "f4"),
+                    )
+                    self._waiting.append((came_s, encode(shifted)))
+            self._second += 1
 
     def confirm(self) -> None:
         """Forget nothing: the next frames are new."""
@@ -120,18 +148,28 @@ class Repeated:
 class Timed(Monitor):
     """A monitor that notes how long each frame takes until it is part of the state."""
 
-    latencies_ms: array[float]
+    took_ms: array[float]
+    delays_ms: array[float]
+    source: Repeated
 
     def _take(self, data: bytes) -> None:
         start = time.perf_counter()
         super()._take(data)
-        self.latencies_ms.append(1e3 * (time.perf_counter() - start))
+        self.took_ms.append(1e3 * (time.perf_counter() - start))
+        self.delays_ms.append(1e3 * (self.source.now_s - self.source.came_s.pop(0)))
 
 
 def _memory_mib() -> float:
     """Return the memory that the process has now."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20
+
+
+def _quantiles(several: array[float]) -> str:
+    """Return quantiles of times in words."""
+    values = np.array(several)
+    told = [f"{np.percentile(values, q):.3f} in {q:g} %" for q in (50, 99, 99.9)]
+    return ", ".join([*told, f"at most {values.max():.0f}"])
 
 
 def main() -> None:
@@ -160,12 +198,13 @@ def main() -> None:
         with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
             results = Results(store, settings, source.publish)
             monitor = Timed(several, source, journal, results.tell)
-            monitor.latencies_ms = array("d")  # eight bytes each
+            monitor.source = source
+            monitor.took_ms, monitor.delays_ms = array("d"), array("d")  # eight bytes each
             wall, start = time.perf_counter(), time.process_time()
             monitor.run()
             cpu_s = time.process_time() - start - source.made_s
             wall_s = time.perf_counter() - wall
-        took, n_seconds = np.array(monitor.latencies_ms), source.n_seconds
+        n_seconds = source.n_seconds
         size_mib = sum(file.stat().st_size for file in folder.glob("journal*")) / 2**20
     n_all = given.suspensions * n_seconds
     print(f"{given.suspensions} suspensions, {given.hours:g} h each; {dict(source.counts)}")
@@ -175,8 +214,8 @@ def main() -> None:
         f"{1e3 * cpu_s / n_all:.3f} ms for a second of a suspension: "
         f"{n_all / cpu_s:.0f} in real time"
     )
-    told = ", ".join(f"{q:g} %: {np.percentile(took, q):.3f}" for q in (50, 99, 99.9))
-    print(f"a frame is in the state after [ms] {told}, at most {took.max():.0f}")
+    print(f"to take a frame [ms]: {_quantiles(monitor.took_ms)}")
+    print(f"from when it came until it is in the state [ms]: {_quantiles(monitor.delays_ms)}")
     print("memory [MiB] " + " ".join(f"{one:.0f}" for one in source.memory), end="")
     each = (max(source.memory) - before_mib) / given.suspensions
     print(f", before {before_mib:.0f}: {each:.2f} each; journal {size_mib:.0f} MiB")
