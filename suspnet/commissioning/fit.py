@@ -7,9 +7,18 @@ one speed (`EstimateMisfit`), the most probable vehicle has the least::
     sum_g |u_g|^2 + |z|^2 + sum_i ((m_i - mean) / deviation)^2
 
 A Gauss-Newton search from the nominal vehicle would end in a valley far off: noise may be a
-thousandth of the curves. So the model is first allowed errors of 30 %, then of ever less. The
-inverse of J^T J at the end, without the rows of the masses, is the posterior covariance of z. Where
-a misfit is left beyond the noise, the noise is taken to be as much larger.
+thousandth of the curves. So the model is first allowed errors of 30 %, then of ever less, and the
+first of these searches, which chooses the valley, is made several times:
+
+- from the median of the prior, in the whole band and in bands that widen from low frequencies,
+  where the responses have no notches yet and delays are short against a period (frequency
+  continuation: Bunks et al., Multiscale seismic waveform inversion, 1995);
+- from the best vehicle found with some of its numbers redrawn from the prior, those that a search
+  is known to leave in a wrong valley (``REDRAWN``), again as long as this finds a better one.
+
+The best of these go on. The inverse of J^T J at the end, without the rows of the masses, is the
+posterior covariance of z. Where a misfit is left beyond the noise, the noise is taken to be as much
+larger.
 """
 
 from __future__ import annotations
@@ -17,7 +26,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import torch
@@ -43,20 +51,44 @@ ROUGH_TOL, TOL = 1e-3, 1e-6
 """Relative change of the sum of squares at which they end."""
 STEP = 1e-5
 """Step of differences, in standard deviations of the prior."""
-OFF = {"healthy_k_p": 0.2, "healthy_c_p": 0.4, "healthy_k_s": 0.2, "healthy_c_s": 0.4}
-"""Shares by which further starts lie off the prior's median."""
-SCAN = {
-    "half_wheelbase": tuple(np.arange(-3, 3.5, 0.5).tolist()),
-    "half_pivot_distance": (-2.0, -1.0, 0.0, 1.0, 2.0),
-}
-"""Deviations of the prior off its median at which a start may lie. Both lengths move notches of the
-responses along frequency: from a notch elsewhere no search leads back."""
-N_DRAWS, SEED = 400, 12
-"""Vehicles drawn from the prior as further starts, and the seed."""
+BAND_RATIOS = (math.inf, 2.0, math.sqrt(2.0))
+"""Ratio of the upper ends of neighbouring bands, for each search from the median of the prior;
+infinity is the whole band at once. One ratio may lead past a valley that another leads into."""
+LOWEST_BAND = 4.0
+"""The first band ends at this multiple of the lowest frequency or above: two octaves hold the modes
+of the body on its springs."""
+REDRAWN = (
+    ("half_wheelbase",),
+    ("half_pivot_distance", "body_gyration"),
+    ("healthy_c_p", "primary_bushing"),
+    (
+        "bending_frequency",
+        "bending_damping",
+        "bending_at_pivot",
+        "bending_at_sensor",
+        "bending_slope",
+    ),
+)
+"""Numbers that are redrawn together.
+
+The wheelbase moves notches along frequency. The pivot distance makes a delay that a wrong valley
+has off by a period; the body pitches as before if its radius of gyration goes with the distance. A
+damper in series with a bushing dissipates at one frequency as much as a weaker one whose bushing is
+stiff. Of a bending mode at the wrong frequency a search takes the amplitude away, and then no
+curve tells the frequency any more."""
+N_DRAWS, SEED = 200, 12
+"""Number of draws of each of ``REDRAWN``, and their seed."""
+FAR = 2.0
+"""Of the draws in which a number lies further than this many deviations of the prior from where it
+was, the best is searched from; the best of all would lie in the valley that is to be left."""
+MAX_ROUNDS, LEAST_GAIN = 4, 0.02
+"""Most rounds of redrawing, and the share of the cost that a round must save to be followed by
+another one."""
 N_STARTS = 4
 AGREEMENT = 0.25
-"""Two starts found the same vehicle if no number differs by more than this many deviations of the
-posterior, of which the weakest told numbers have one of the prior."""
+"""Two searches found the same vehicle if no number differs by more than this many deviations of the
+posterior, of which the weakest told numbers have one of the prior; in between, while the model is
+allowed errors, of the prior."""
 Z_BOUND = 8.0
 """Standard deviations of the prior within which coordinates stay."""
 
@@ -83,7 +115,7 @@ class Commissioned:
     deviations : array of shape (n_groups, 2, n_freq), [-]
         Of the measured log-magnitudes; infinite where a bin tells nothing.
     n_agree, n_starts : int
-        Searches that found this vehicle, of how many.
+        Searches that found this vehicle, of how many that were finished.
     converged : bool
     """
 
@@ -125,8 +157,7 @@ def commission(
         Bound to the vehicle: bins, window and estimator.
     groups : sequence of HealthySpectra
     n_starts : int
-        Searches beyond the first stage. They are the best of twice as many: from springs and
-        dampers nominal and off by ``OFF``, and from the likeliest of ``N_DRAWS`` of the prior.
+        Most searches that are finished: the best after the first spread, those first that differ.
 
     Raises
     ------
@@ -136,9 +167,8 @@ def commission(
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
     target = _Target(generator, settings, groups)
-    points = [*target.starts(n_starts), *target.draws(n_starts)]
-    first = sorted((target.search(start, SPREADS[:1]) for start in points), key=lambda f: f.cost)
-    rough = [target.search(found.x, SPREADS[1:-1]) for found in first[:n_starts]]
+    first = target.first_searches()[:n_starts]
+    rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
     order = np.argsort([found.cost for found in rough], kind="stable")
     best = target.search(rough[order[0]].x, SPREADS[-1:])
     posterior, mean_square = target.posterior(best)
@@ -162,7 +192,7 @@ def commission(
         fitted=fitted,
         deviations=deviations,
         n_agree=1 + sum(agree),
-        n_starts=n_starts,
+        n_starts=len(first),
         converged=bool(best.status > 0),
     )
 
@@ -180,6 +210,7 @@ class _Target:
         self._trips = [group.trip for group in groups]
         self.n_trips = 1 + max(self._trips)
         self._every = every_direction(generator)
+        self._frequencies_hz = settings.frequencies_hz()
         observer = settings.observer(generator)
         self._groups = [
             observer.at(group.speeds).measured_misfit(group.spectra) for group in groups
@@ -192,51 +223,76 @@ class _Target:
         healthy[:, -1] = theta[:, n + trip].exp()
         return self._every.vehicles(healthy, theta[:, :n])
 
-    def part(self, theta: Tensor, group: int, spread: float) -> Tensor:
-        """Return the residuals of one group, (n_rows, n_points)."""
+    def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
+        """Return the residuals of one group, (n_rows, n_points), those above `high_hz` 0."""
         misfit = self._groups[group]
         expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
         # logarithms lead from far off, but have the tails of a ratio of noise
         u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
-        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spread)
+        spreads = torch.where(self._frequencies_hz > high_hz, math.inf, spread)
+        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
 
-    def parts(self, theta: Tensor, spread: float) -> list[Tensor]:
+    def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
         """Return the residuals of each group, (n_rows, n_points)."""
-        return [self.part(theta, i, spread) for i in range(len(self._groups))]
+        return [self.part(theta, i, spread, high_hz) for i in range(len(self._groups))]
 
-    def residuals(self, theta: Tensor, spread: float) -> Tensor:
+    def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return all residuals with those of the priors, (n_rows, n_points)."""
         n = len(self.prior.names)
         masses = (theta[:, n:] - MASS_MEAN) / MASS_DEVIATION
-        return torch.cat([*self.parts(theta, spread), theta[:, :n], masses], dim=1)
+        return torch.cat([*self.parts(theta, spread, high_hz), theta[:, :n], masses], dim=1)
 
-    def starts(self, n_starts: int) -> list[FloatArray]:
-        """Return points with springs and dampers off the prior's median, each of the best ``SCAN``.
+    def first_searches(self) -> list[OptimizeResult]:
+        """Return the results of all searches at the first spread.
 
-        The first one's springs and dampers are the median.
+        First come those that differ by more than ``AGREEMENT`` from all better ones, the best one
+        first, so that several valleys are followed where there are some; then the others.
         """
-        names, factor = self.prior.names, self._every.factor.numpy()
-        grid = np.array(list(product(*(SCAN.get(name, (0.0,)) for name in names))))
-        starts = []
-        for i in range(n_starts):
-            # both up, both down, springs up and dampers down
-            spring, damper = ((0, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))[i % 5]
-            logs = [
-                math.log1p(OFF.get(name, 0.0) * (spring if "_k_" in name else damper))
-                for name in names
-            ]
-            z = np.linalg.lstsq(factor, (logs + grid * self.prior.deviations).T, rcond=None)[0].T
-            theta = np.hstack([z, np.full((len(z), self.n_trips), MASS_MEAN)])
-            starts.append(theta[int(self.costs(theta).argmin())])
-        return starts
+        rng = np.random.default_rng(SEED)
+        found = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
+        for _ in range(MAX_ROUNDS):
+            best = min(found, key=_cost)
+            more = [self.search(x, SPREADS[:1]) for x in self.redrawn(best.x, rng)]
+            found += more
+            if min(map(_cost, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
+                break
+        apart: list[OptimizeResult] = []
+        again: list[OptimizeResult] = []
+        for one in sorted(found, key=_cost):
+            near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in apart)
+            (again if near else apart).append(one)
+        return apart + again
 
-    def draws(self, n_starts: int) -> list[FloatArray]:
-        """Return the points of least cost among draws from the prior."""
-        n = len(self.prior.names)
-        z = np.random.default_rng(SEED).standard_normal((N_DRAWS, n))
-        theta = np.hstack([z, np.full((N_DRAWS, self.n_trips), MASS_MEAN)])
-        costs = self.costs(theta)
-        return list(theta[np.argsort(costs, kind="stable")[:n_starts]])
+    def widened(self, ratio: float) -> FloatArray:
+        """Return where searches in ever wider bands lead from the median of the prior.
+
+        Each band ends at `ratio` times the end of the one before; the whole band is not among them.
+        """
+        x = np.append(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
+        low_hz, high_hz = self._frequencies_hz[[0, -1]].tolist()
+        n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))
+        for i in range(n_bands, 0, -1):
+            x = self.search(x, SPREADS[:1], high_hz / ratio**i).x
+        return x
+
+    def redrawn(self, x: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
+        """Return, for each of ``REDRAWN``, the best point that differs in these numbers alone."""
+        n, factor, points = len(self.prior.names), self._every.factor.numpy(), []
+        for names in REDRAWN:
+            rows = [self.prior.names.index(name) for name in names if name in self.prior.names]
+            if not rows:
+                continue
+            here = factor @ x[:n]
+            drawn = self.prior.deviations[rows] * rng.standard_normal((N_DRAWS, len(rows)))
+            far = np.abs((drawn - here[rows]) / self.prior.deviations[rows]).max(axis=1) > FAR
+            if not far.any():
+                continue
+            logs = np.tile(here, (int(far.sum()), 1))
+            logs[:, rows] = drawn[far]
+            z = np.linalg.lstsq(factor, logs.T, rcond=None)[0].T
+            theta = np.hstack([z, np.tile(x[n:], (len(z), 1))])
+            points.append(theta[self.costs(theta).argmin()])
+        return points
 
     def costs(self, theta: FloatArray) -> FloatArray:
         """Return the sums of squares of points at the first search's spread, (n_rows,)."""
@@ -244,15 +300,20 @@ class _Target:
         found = [self.residuals(block, SPREADS[0]).square().sum(dim=1) for block in blocks]
         return np.asarray(torch.cat(found).numpy())
 
-    def search(self, start: FloatArray, spreads: Sequence[float]) -> OptimizeResult:
-        """Return the result of the searches with some spreads, one after the other."""
+    def search(
+        self, start: FloatArray, spreads: Sequence[float], high_hz: float = math.inf
+    ) -> OptimizeResult:
+        """Return the result of the searches with some spreads, one after the other.
+
+        Bins above `high_hz` are not used.
+        """
         found = OptimizeResult(x=start)
         for spread in spreads:
             last = spread == 0
             found = least_squares(
-                lambda x, spread=spread: self.residuals(_row(x), spread)[0].numpy(),
+                lambda x, spread=spread: self.residuals(_row(x), spread, high_hz)[0].numpy(),
                 np.clip(found.x, -0.99 * Z_BOUND, 0.99 * Z_BOUND),
-                jac=lambda x, spread=spread: self.jacobian(x, spread),
+                jac=lambda x, spread=spread: self.jacobian(x, spread, high_hz),
                 bounds=(-Z_BOUND, Z_BOUND),
                 ftol=TOL if last else ROUGH_TOL,
                 xtol=TOL,
@@ -261,7 +322,7 @@ class _Target:
             )
         return found
 
-    def jacobian(self, x: FloatArray, spread: float) -> FloatArray:
+    def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:
         """Return the derivative of all residuals, (n_points, n_coordinates), by differences."""
         n, found = len(self.prior.names), []
         for group, trip in enumerate(self._trips):
@@ -269,7 +330,7 @@ class _Target:
             columns = [*range(n), n + trip]
             steps = STEP * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
             steps[0] = 0.0
-            rows = self.part(_row(x) + steps, group, spread)
+            rows = self.part(_row(x) + steps, group, spread, high_hz)
             own = np.zeros((rows.shape[1], len(x)))
             own[:, columns] = ((rows[1:] - rows[:1]) / STEP).T.numpy()
             found.append(own)
@@ -320,3 +381,8 @@ class _Target:
 def _row(x: FloatArray) -> Tensor:
     """Return one point as a tensor of one row."""
     return torch.as_tensor(x)[None]
+
+
+def _cost(found: OptimizeResult) -> float:
+    """Return half the sum of squares where a search ended."""
+    return float(found.cost)

@@ -78,7 +78,7 @@ class EstimateMisfit:
         u = (self.observed[rows] / self.observer.noise_free(ratios)).log()
         return self.whitened(u, rows)
 
-    def whitened(self, u: Tensor, rows: Tensor, spread: float = 0.0) -> Tensor:
+    def whitened(self, u: Tensor, rows: Tensor, spread: float | Tensor = 0.0) -> Tensor:
         """Return the residuals (n, n_points) of relative differences.
 
         Parameters
@@ -86,8 +86,9 @@ class EstimateMisfit:
         u : complex tensor of shape (n, 2, n_freq), [-]
         rows : tensor of shape (n,)
             The estimates that they belong to.
-        spread : float, [-]
-            Rms error of the model that is allowed for beside the noise.
+        spread : float or tensor of shape (n_freq,), [-]
+            Rms error of the model that is allowed for beside the noise; a bin in which it is
+            infinite does not count.
         """
         covariance = self.covariance[rows]
         l_pp = (covariance[:, 0, 0].real + spread**2).sqrt()

@@ -150,6 +150,38 @@ def test_jacobian_is_that_of_finer_differences(bushed, spread):
     assert (error < 1e-4 * scale).all()
 
 
+def test_bins_above_a_band_count_for_nothing_and_those_below_as_before(bushed):
+    generator, _, groups, _ = bushed
+    target = module._Target(generator, SETTINGS, groups)
+    x = np.concatenate([0.3 * np.cos(np.arange(len(generator.distribution.names))), np.log(MASSES)])
+    theta = torch.as_tensor(x)[None]
+    used = SETTINGS.frequencies_hz() <= 4.0
+    assert 0 < used.sum() < len(used)
+    for whole, cut in zip(target.parts(theta, 0.3), target.parts(theta, 0.3, 4.0), strict=True):
+        shape = (4, len(used))  # real and imaginary parts of both responses
+        whole, cut = whole.reshape(shape), cut.reshape(shape)
+        torch.testing.assert_close(cut[:, used], whole[:, used], rtol=0, atol=0)
+        assert (cut[:, ~used] == 0).all()
+        assert (whole[:2, ~used] != 0).any()
+
+
+def test_points_redrawn_differ_far_off_and_in_one_group_of_numbers_alone(bushed):
+    generator, _, groups, found = bushed
+    target = module._Target(generator, SETTINGS, groups)
+    prior = generator.distribution
+    z = np.linalg.solve(prior.factor, found.posterior.mean)
+    x = np.concatenate([z, np.log(found.masses)])
+    points = target.redrawn(x, np.random.default_rng(0))
+    names = [set(group) & set(prior.names) for group in module.REDRAWN]
+    assert len(points) == sum(map(bool, names)) == 3  # nothing bends
+    for point, redrawn in zip(points, names, strict=False):
+        steps = prior.factor @ (point - x)[: len(prior.names)] / prior.deviations
+        moved = {name for name, step in zip(prior.names, steps, strict=True) if abs(step) > 1e-9}
+        assert moved == redrawn
+        assert np.abs(steps).max() > module.FAR
+        np.testing.assert_array_equal(point[len(prior.names) :], x[len(prior.names) :])
+
+
 def test_posterior_is_the_closed_form_of_the_problem_linearised_there(bushed):
     generator, _, groups, found = bushed
     n = len(found.prior.names)
