@@ -1,5 +1,6 @@
 """Fixtures shared by the tests: the AM96 and the protocols, as shipped."""
 
+import gc
 import os
 from collections.abc import Callable
 
@@ -15,6 +16,22 @@ from suspnet.dynamics import QuarterCar, Vehicle
 
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")
+
+
+gc.disable()  # until all tests are collected: a quarter of the time of imports and parameters
+
+
+def pytest_collection_finish():
+    """Let the garbage collector pass over what lives as long as the tests: modules and tests."""
+    gc.collect()
+    gc.freeze()
+    gc.enable()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file():
+    """Look for no examples in the docstrings of tests: there are none, and it takes seconds."""
+    return [found for found in (yield) if type(found) is pytest.Module]
 
 
 def pytest_collection_modifyitems(items):
