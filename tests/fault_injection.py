@@ -18,7 +18,6 @@ from pathlib import Path
 
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
-import torch._dynamo  # noqa: F401  torch.func.jvp imports it, which takes 2 s in each fork
 import yaml
 from PIL import Image
 
@@ -267,4 +266,6 @@ def main(folder, n_kills, seed, names):
 
 
 if __name__ == "__main__":
+    import torch._dynamo  # noqa: F401  torch.func.jvp imports it, which takes 2 s in each fork
+
     main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4:] or list(PROGRAMS))
