@@ -266,6 +266,4 @@ def main(folder, n_kills, seed, names):
 
 
 if __name__ == "__main__":
-    import torch._dynamo  # noqa: F401  torch.func.jvp imports it, which takes 2 s in each fork
-
     main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4:] or list(PROGRAMS))

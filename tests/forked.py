@@ -14,7 +14,6 @@ from pathlib import Path
 
 IMPORTED = (
     *("suspnet.cli.evaluate", "suspnet.cli.serve", "suspnet.cli.simulate", "suspnet.cli.train"),
-    "torch._dynamo",  # torch.func.jvp imports it
 )
 """What the server imports once, for all processes."""
 
