@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from cli_runner import blank_figures
 from hypothesis import settings
 from omegaconf import OmegaConf
 from protocols import shipped_protocol
@@ -74,6 +75,12 @@ def _configurations_read_once():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(OmegaConf, "load", staticmethod(load_once))
+        yield
+
+
+@pytest.fixture
+def blank():
+    with blank_figures():
         yield
 
 

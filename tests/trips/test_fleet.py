@@ -350,7 +350,7 @@ def test_summary_names_trips_errors_and_reasons(done):
     assert "rms error" not in summary(results[5:], OUTPUTS)
 
 
-def test_nothing_works_at_all(broken, model, tmp_path):
+def test_nothing_works_at_all(broken, model, blank, tmp_path):
     folder = tmp_path / "bad"
     folder.mkdir()
     shutil.copy(broken / "nonsense.yaml", folder)
@@ -455,7 +455,9 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
 # failure
 
 
-def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, alone, monkeypatch):
+def test_bad_trip_costs_its_row_and_the_report_exists(
+    three, manifests, model, blank, alone, monkeypatch
+):
     changed(manifests[0], three, "deadly")
     changed(manifests[0], three, "far", mileage_km=1e19)
     changed(manifests[0], three, "fast", channels={"body": {"rate_hz": 1e9}})
@@ -489,7 +491,9 @@ def test_bad_trip_costs_its_row_and_the_report_exists(three, manifests, model, a
     assert len(list(out.rglob("report.html"))) == len(found)
 
 
-def test_file_that_kills_or_hangs_its_reader_costs_its_row(three, manifests, model, monkeypatch):
+def test_file_that_kills_or_hangs_its_reader_costs_its_row(
+    three, manifests, model, blank, monkeypatch
+):
     monkeypatch.setitem(READERS, ".mat", apart(open_dying))
     monkeypatch.setenv(LIMIT, "2")
     for what in ("exit", "crash:1", "hang"):
