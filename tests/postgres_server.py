@@ -1,16 +1,20 @@
 """A PostgreSQL server of the tests' own, from the programs of the system, if they are there."""
 
 import atexit
+import ctypes
 import functools
 import os
 import pwd
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
+PR_SET_PDEATHSIG = 1
+"""Number of an option of Linux, in sys/prctl.h."""
 START_S = 60.0
 """Longest time until the server answers, [s]."""
 UNSAFE = ("fsync=off", "full_page_writes=off", "synchronous_commit=off", "listen_addresses=")
@@ -45,6 +49,7 @@ def url():
         server = subprocess.Popen(
             [place / "postgres", "-D", folder / "data", "-k", folder, *settings],
             stderr=errors,
+            preexec_fn=_end_with_parent,
             **options,
         )
     atexit.register(_end, server)
@@ -62,6 +67,12 @@ def _plain_user(folder):
     name = next(name for name in ("postgres", "nobody") if name in names)
     shutil.chown(folder, name)
     return name
+
+
+def _end_with_parent():
+    """Ask Linux to end this process with its parent, which may be killed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGQUIT)
 
 
 def _end(server):
