@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
+from matplotlib.figure import Figure
 from omegaconf import open_dict
 
 from suspnet.cli.program import CONFIGS, DEBUG
@@ -46,6 +47,14 @@ def run_program(module, folder, *overrides):
     except SystemExit as ended:
         return ended.code
     return 0
+
+
+@contextmanager
+def blank_figures():
+    """Leave figures blank: to draw them takes longest, and one run that draws is enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "draw", lambda *_: None)
+        yield
 
 
 def typed(module, *arguments, cwd, **variables):

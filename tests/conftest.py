@@ -1,11 +1,15 @@
 """Fixtures shared by the tests: the AM96 and the protocols, as shipped."""
 
+import copy
+import gc
 import os
 from collections.abc import Callable
 
 import pytest
 import torch
+from cli_runner import blank_figures
 from hypothesis import settings
+from omegaconf import OmegaConf
 from protocols import shipped_protocol
 from threadpoolctl import threadpool_limits
 from vehicles import AM96
@@ -15,6 +19,22 @@ from suspnet.dynamics import QuarterCar, Vehicle
 
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")
+
+
+gc.disable()  # until all tests are collected: a quarter of the time of imports and parameters
+
+
+def pytest_collection_finish():
+    """Let the garbage collector pass over what lives as long as the tests: modules and tests."""
+    gc.collect()
+    gc.freeze()
+    gc.enable()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collect_file():
+    """Look for no examples in the docstrings of tests: there are none, and it takes seconds."""
+    return [found for found in (yield) if type(found) is pytest.Module]
 
 
 def pytest_collection_modifyitems(items):
@@ -33,6 +53,34 @@ def _one_thread():
     torch.set_num_threads(1)
     n_threads = int(os.environ.setdefault("OMP_NUM_THREADS", "1"))
     with threadpool_limits(n_threads):
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _configurations_read_once():
+    """Read each text of a configuration once: Hydra reads the same 20 files in each composition.
+
+    What cannot be read is tried again each time, so that errors are those of the file.
+    """
+    load, known = OmegaConf.load, {}
+
+    def load_once(file_):
+        if not hasattr(file_, "read"):
+            return load(file_)
+        begin, text = file_.tell(), file_.read()
+        if text not in known:
+            file_.seek(begin)
+            known[text] = load(file_)
+        return copy.deepcopy(known[text])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OmegaConf, "load", staticmethod(load_once))
+        yield
+
+
+@pytest.fixture
+def blank():
+    with blank_figures():
         yield
 
 

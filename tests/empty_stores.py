@@ -1,12 +1,16 @@
-"""Places of stores that are not there yet: an SQLite file, or a PostgreSQL server where one is."""
+"""Places of stores that are not there yet: an SQLite file, or a schema of a PostgreSQL server."""
 
 import os
 
+import postgres_server
 import pytest
 import sqlalchemy
 
 SERVER = "SUSPNET_TEST_POSTGRESQL"
-"""Environment variable with the URL of a database in which the tests may make schemas."""
+"""Environment variable with the URL of a database in which the tests may make schemas.
+
+Without it they start a server of their own, if PostgreSQL and its driver are installed.
+"""
 KINDS = ("sqlite", "postgresql")
 
 
@@ -14,10 +18,10 @@ def empty_store(kind, folder):
     """Return file or URL of a store that is not there yet; skip the test without a server."""
     if kind == "sqlite":
         return str(folder / "history.db")
-    url = os.environ.get(SERVER)
+    pytest.importorskip("psycopg")
+    url = os.environ.get(SERVER) or postgres_server.url()
     if url is None:
         pytest.skip(f"no server: {SERVER}=postgresql://user:password@host/database")
-    pytest.importorskip("psycopg")
     schema = f"suspnet_test_{os.environ.get('PYTEST_XDIST_WORKER', 'alone')}"
     engine = sqlalchemy.create_engine(url.replace("postgresql:", "postgresql+psycopg:", 1))
     with engine.begin() as connection:

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
-import torch._dynamo  # noqa: F401  torch.func.jvp imports it, which takes 2 s in each fork
 import yaml
 from PIL import Image
 

@@ -2,14 +2,12 @@
 
 import importlib.util
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
+import fault_injection
 import pytest
+from forked import run_apart
 
-SCRIPT = Path(__file__).with_name("fault_injection.py")
 NEVER = (
     *("half-written", "lost", "orphans", "tracebacks"),
     *("other exit codes", "did not go on", "other results"),
@@ -21,16 +19,10 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ne
 
 def injected(folder, n_kills, seed, *programs):
     """Return the counts of some kills."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"}
-    ended = subprocess.run(
-        [sys.executable, SCRIPT, folder, str(n_kills), str(seed), *programs],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
-    )
-    assert ended.returncode == 0, ended.stderr
-    return json.loads(ended.stdout), ended.stderr
+    with run_apart(fault_injection.main, folder, n_kills, seed, programs) as (process, out, err):
+        process.join()
+        assert process.exitcode == 0, err.read_text()
+        return json.loads(out.read_text()), err.read_text()
 
 
 def test_a_handful_of_kills(tmp_path):

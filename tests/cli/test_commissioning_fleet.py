@@ -19,6 +19,7 @@ from suspnet.runs.evaluate import find_runs
 from suspnet.storage import read_json, write_json
 from suspnet.trips.models import models_of, place_of
 
+pytestmark = pytest.mark.usefixtures("blank")
 TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 PLACES = {
     "one": Place("S1", "leading", "", "1", "1"),

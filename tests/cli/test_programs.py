@@ -4,17 +4,16 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
-from cli_runner import FEW, ROOT, SMALL, command, run_main, typed
+from cli_runner import FEW, SMALL, blank_figures, command, run_main, typed
+from forked import started
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
-from suspnet.cli import evaluate, train
+from suspnet.cli import evaluate, program, train
 from suspnet.uncertainty.ood import KINDS
 
 RECORD = "protocol group output metric model published measured bound n_train snr_db seed seconds"
@@ -209,7 +208,14 @@ def is_one_line(ended, message):
     assert ended.stderr.count("\n") == 1
 
 
-def test_traceback_on_request(tmp_path):
+def test_traceback_on_request(tmp_path, monkeypatch):
+    monkeypatch.setattr(program, "_debugging", True)
+    with pytest.raises(ValueError, match="`seed` must be a whole number >= 0, got -1"):
+        typed(train, "seed=-1", *SMALL, cwd=tmp_path)
+
+
+@pytest.mark.slow  # the one before, but for the reading of the variable
+def test_traceback_in_a_process(tmp_path):
     environment = os.environ | {"HYDRA_FULL_ERROR": "1"}
     ended = command("train.py", "seed=-1", *SMALL, cwd=tmp_path, env=environment)
     assert ended.returncode == 1
@@ -218,21 +224,16 @@ def test_traceback_on_request(tmp_path):
 
 def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path):
     overrides = ["data.n_train=all", "data.n_test=100", "hydra.run.dir=run", "threads=1"]
-    with subprocess.Popen(
-        [sys.executable, str(ROOT / "train.py"), *overrides],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with started(train, *overrides, cwd=tmp_path) as (process, _, words):
         deadline = time.monotonic() + 120
         while not (tmp_path / "run" / "config.yaml").exists():
             assert time.monotonic() < deadline, "the program does not start"
             time.sleep(0.1)
         time.sleep(1.5)  # well inside the generation of 364,816 curves
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+        os.kill(process.pid, signal.SIGINT)
+        process.join(60)
+        errors = words.read_text()
+    assert process.exitcode == 130
     assert "Traceback" not in errors
     assert "interrupted" in errors
     left = {path.name for path in tmp_path.rglob("*") if path.is_file()}
@@ -245,14 +246,9 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
-    ended = typed(
-        train,
-        "experiment=table6",
-        "model=linear,msvr",
-        *FEW,
-        "progress=false",
-        cwd=folder,
-    )
+    options = ["experiment=table6", "model=linear,msvr", *FEW, "progress=false"]
+    with blank_figures():
+        ended = typed(train, *options, cwd=folder)
     assert ended.returncode == 0, ended.stderr
     (sweep,) = (folder / "outputs" / "table6").iterdir()
     return sweep, ended.stdout
@@ -322,14 +318,9 @@ def test_table6_files_agree(table6):
 
 def test_evaluate_takes_a_whole_multirun(table6, tmp_path):
     folder, _ = table6
-    ended = typed(
-        evaluate,
-        f"run={folder}",
-        "data.n_test=60",
-        "progress=false",
-        "hydra.run.dir=fresh",
-        cwd=tmp_path,
-    )
+    options = [f"run={folder}", "data.n_test=60", "progress=false", "hydra.run.dir=fresh"]
+    with blank_figures():
+        ended = typed(evaluate, *options, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     records = json.loads((tmp_path / "fresh" / "table6.json").read_text())
     assert {(r["group"], r["model"], r["seed"]) for r in records} == {

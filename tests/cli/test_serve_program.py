@@ -4,12 +4,12 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
+import time
 import urllib.request
 
 import pytest
-from cli_runner import ROOT, typed
+from cli_runner import typed
+from forked import started
 from served_fleet import fill
 
 from suspnet.cli import serve
@@ -63,24 +63,18 @@ def test_missing_package_names_the_extra(refused, path, monkeypatch):
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
 def test_pages_are_served_until_a_signal(path, tmp_path, number, code):
-    arguments = [sys.executable, "-m", "suspnet.serve", f"store={path}", "port=0"]
-    with subprocess.Popen(
-        arguments,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            address = re.search(r"http://127\.0\.0\.1:\d+/", process.stdout.readline())[0]
-            with urllib.request.urlopen(address, timeout=60) as answer:
-                assert "<h1>Fleet</h1>" in answer.read().decode()
-            process.send_signal(number)
-            printed, wrong = process.communicate(timeout=60)
-        finally:
-            process.kill()
-    assert process.returncode == code
+    with started(serve, f"store={path}", "port=0", cwd=tmp_path) as (process, output, errors):
+        deadline = time.monotonic() + 60
+        while not (found := re.search(r"http://127\.0\.0\.1:\d+/", output.read_text())):
+            assert process.is_alive(), errors.read_text()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        with urllib.request.urlopen(found[0], timeout=60) as answer:
+            assert "<h1>Fleet</h1>" in answer.read().decode()
+        os.kill(process.pid, number)
+        process.join(60)
+        printed, wrong = output.read_text(), errors.read_text()
+    assert process.exitcode == code
     assert "Traceback" not in printed + wrong
     assert ("ended" in printed) == (code == 0)
     with History(path) as store:

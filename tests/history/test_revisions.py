@@ -1,10 +1,10 @@
 """Revisions say which suspensions changed: each change raises them, whoever writes at once."""
 
-import multiprocessing
 import threading
 from dataclasses import replace
 
 import pytest
+from forked import forks
 from trip_records import trip
 
 from suspnet.history import Event, History
@@ -71,8 +71,7 @@ def test_alarms_as_they_were_raise_nothing(store):
 
 
 def test_writers_at_once_lose_no_trip_and_no_revision(store, place):
-    context = multiprocessing.get_context("spawn")
-    workers = [context.Process(target=write_many, args=(place, i)) for i in range(N_WRITERS)]
+    workers = [forks().Process(target=write_many, args=(place, i)) for i in range(N_WRITERS)]
     for worker in workers:
         worker.start()
     contents = {}

@@ -1,12 +1,12 @@
 """The store keeps trips and events: what is written is read, once, whoever writes at once."""
 
 import math
-import multiprocessing
 import sqlite3
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from forked import forks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
@@ -119,8 +119,7 @@ def test_trips_of_the_same_name_on_other_days_are_others(store):
 
 
 def test_programs_that_write_at_once_lose_nothing(store, place):
-    context = multiprocessing.get_context("spawn")
-    workers = [context.Process(target=write_many, args=(place, i, 10)) for i in range(2)]
+    workers = [forks().Process(target=write_many, args=(place, i, 10)) for i in range(2)]
     for worker in workers:
         worker.start()
     for worker in workers:

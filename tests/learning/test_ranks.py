@@ -1,7 +1,8 @@
 """One fit spread over processes is the fit of one process."""
 
 import json
-import multiprocessing
+import socket
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import torch
 import torch.multiprocessing
 from cli_runner import SMALL, command, run_main, typed
+from forked import forks, started
 from rank_worker import CASES, N_RANKS, arrays, samples, work
 from safetensors.numpy import load_file
 
@@ -16,7 +18,7 @@ from suspnet.cli import train
 from suspnet.learning import ranks
 
 N_TORCHRUN = 2
-"""Processes of a whole program, each of which imports all of it."""
+"""Processes of a whole program."""
 
 
 def torchrun(n_ranks, *overrides, cwd):
@@ -27,8 +29,7 @@ def torchrun(n_ranks, *overrides, cwd):
 @pytest.fixture(scope="module")
 def spread(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ranks")
-    # one server imports what all ranks need, and no thread of this process is copied
-    multiprocessing.set_forkserver_preload(["torch", "sklearn.base", "scipy.stats"])
+    forks()  # one server imports what all ranks need
     torch.multiprocessing.start_processes(
         work, (folder,), nprocs=N_RANKS, start_method="forkserver"
     )
@@ -62,12 +63,38 @@ def test_one_process_is_all_there_is():
     assert ranks.shard(5) == slice(0, 5)
 
 
+@pytest.mark.slow  # the next one starts the ranks as torchrun does, without its imports
 def test_torchrun_trains_the_model_of_one_process(tmp_path):
+    ended = torchrun(N_TORCHRUN, "hydra.run.dir=two", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    is_the_model_of_one_process(tmp_path, ended.stdout)
+
+
+def test_ranks_train_the_model_of_one_process(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    world = {"TORCHELASTIC_RUN_ID": "none", "WORLD_SIZE": str(N_TORCHRUN)}
+    world |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+    arguments = [*SMALL, "threads=1", "hydra.run.dir=two"]
+    with ExitStack() as stack:
+        begun = [
+            stack.enter_context(
+                started(train, *arguments, cwd=tmp_path, **world, RANK=rank, LOCAL_RANK=rank)
+            )
+            for rank in map(str, range(N_TORCHRUN))
+        ]
+        for process, _, errors in begun:
+            process.join(120)
+            assert process.exitcode == 0, errors.read_text()
+        printed = "".join(output.read_text() for _, output, _ in begun)
+    is_the_model_of_one_process(tmp_path, printed)
+
+
+def is_the_model_of_one_process(tmp_path, printed):
+    """Compare the run that several processes trained with that of this process."""
     one, two = tmp_path / "one", tmp_path / "two"
     run_main(train, one, *SMALL, "threads=1")
-    started = torchrun(N_TORCHRUN, f"hydra.run.dir={two}", cwd=tmp_path)
-    assert started.returncode == 0, started.stderr
-    assert started.stdout.count("| k_p ") == 1  # one process prints the table
+    assert printed.count("| k_p ") == 1  # one process prints the table
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "two"]
     expected, found = (load_file(folder / "model.safetensors") for folder in (one, two))
     assert set(found) == set(expected)
