@@ -273,7 +273,7 @@ def test_every_part_is_found_and_several_starts_agree():
 
 
 def test_a_vehicle_far_off_its_drawing_is_found():
-    # searches in the whole band alone left a misfit of 13, from shifted numbers or draws of the prior
+    # searches in the whole band alone, from shifted springs and draws, left a misfit of 13
     check_scattered(1.5, 3002, n_starts=1)
 
 
