@@ -157,7 +157,7 @@ def commission(
         Bound to the vehicle: bins, window and estimator.
     groups : sequence of HealthySpectra
     n_starts : int
-        Most searches that are finished: the best after the first spread, those first that differ.
+        Most searches that are finished, of those at the first spread.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def commission(
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
     target = _Target(generator, settings, groups)
-    first = target.first_searches()[:n_starts]
+    first = target.first_searches(n_starts)
     rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
     order = np.argsort([found.cost for found in rough], kind="stable")
     best = target.search(rough[order[0]].x, SPREADS[-1:])
@@ -242,11 +242,12 @@ class _Target:
         masses = (theta[:, n:] - MASS_MEAN) / MASS_DEVIATION
         return torch.cat([*self.parts(theta, spread, high_hz), theta[:, :n], masses], dim=1)
 
-    def first_searches(self) -> list[OptimizeResult]:
-        """Return the results of all searches at the first spread.
+    def first_searches(self, n_starts: int) -> list[OptimizeResult]:
+        """Return the results of those searches at the first spread that are to be finished.
 
-        First come those that differ by more than ``AGREEMENT`` from all better ones, the best one
-        first, so that several valleys are followed where there are some; then the others.
+        They are the best that differ by more than ``AGREEMENT`` from all better ones, so that
+        several valleys are followed where there are some; the last place is for the best of the
+        others, which says that more than one search came into a valley.
         """
         rng = np.random.default_rng(SEED)
         found = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
@@ -261,7 +262,8 @@ class _Target:
         for one in sorted(found, key=_cost):
             near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in apart)
             (again if near else apart).append(one)
-        return apart + again
+        n_apart = max(1, n_starts - 1)
+        return [*apart[:n_apart], *again, *apart[n_apart:]][:n_starts]
 
     def widened(self, ratio: float) -> FloatArray:
         """Return where searches in ever wider bands lead from the median of the prior.

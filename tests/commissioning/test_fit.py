@@ -18,12 +18,16 @@ from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.simulation.scatter import scattered
 
 RATES_HZ = (1000.0, 500.0, 500.0)
 RICH = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
 SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=RATES_HZ, high_hz=9.9).bound(AM96)
 """Bins of 0.2 Hz, a quarter of the usual ones, below the notch at 13 Hz: they cannot resolve it."""
 MAY_BE_ABSENT = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
+SHORT = EstimateSettings(minutes=5.0, segment_s=10.0, rates_hz=RATES_HZ).bound(AM96)
+"""The whole band of short trips: a bending mode, a period of the delay between bogies and the notch
+of a wheelbase make wrong valleys in it."""
 TAPS = moving_average_with(SETTINGS.welch.correlation().numpy())
 VERTICAL = [part for part in PARTS if part not in ("air_spring", "roll")]
 SPRINGS_AND_DAMPERS = ["healthy_k_p", "healthy_c_p", "healthy_k_s", "healthy_c_s"]
@@ -266,6 +270,30 @@ def test_every_part_is_found_and_several_starts_agree():
     assert found.n_agree == module.N_STARTS
     assert np.abs(off(found.posterior, numbers)).max() < 4
     assert (found.posterior.deviations <= 1.001 * found.prior.deviations).all()
+
+
+def test_a_vehicle_far_off_its_drawing_is_found():
+    # searches in the whole band alone, from shifted springs and draws, left a misfit of 13
+    check_scattered(1.5, 3002, n_starts=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1007, 1011, 4003, 4005, 4012, 4015, 4020])
+def test_scattered_vehicles_are_found(seed):
+    check_scattered(1.0, seed)
+
+
+def check_scattered(scatter, seed, **options):
+    """Check that a vehicle of the simulation is found on short trips, as are its numbers."""
+    generator = with_parts(*VERTICAL, bogie=("leading", "trailing")[seed % 2])
+    true = scattered(replace(generator, distribution=None), scatter, seed).distribution
+    assert true.names == generator.distribution.names
+    groups = trips(generator, true.median, seed, settings=SHORT)
+    found = commission(generator, SHORT, groups, **options)
+    assert found.converged
+    assert found.misfit == pytest.approx(1.0, abs=0.08)
+    np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
+    assert np.abs(off(found.posterior, true.median)).max() < 4
 
 
 @pytest.mark.parametrize(("spring", "damper"), [(0.8, 1.4), (1.2, 0.6)])
