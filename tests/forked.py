@@ -3,7 +3,6 @@
 No thread, lock or open file of this process is copied into them, as a fork of it would do.
 """
 
-import importlib
 import multiprocessing
 import multiprocessing.process
 import os
@@ -11,6 +10,8 @@ import sys
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
+
+from suspnet.cli.start import start
 
 IMPORTED = (
     *("suspnet.cli.evaluate", "suspnet.cli.serve", "suspnet.cli.simulate", "suspnet.cli.train"),
@@ -26,8 +27,8 @@ def forks():
 
 def started(module, *arguments, cwd, **variables):
     """Do as `run_apart` does with a program, as if typed in the folder `cwd`."""
-    argv = [f"{module.__name__.rpartition('.')[2]}.py", *map(str, arguments)]
-    return run_apart(_as_typed, module.__name__, argv, cwd, variables)
+    name = module.__name__.rpartition(".")[2]
+    return run_apart(_as_typed, name, [*map(str, arguments)], cwd, variables)
 
 
 @contextmanager
@@ -64,9 +65,9 @@ def _begin(files, function, arguments):
         sys.stderr.flush()
 
 
-def _as_typed(name, argv, cwd, variables):
-    """Run a program."""
+def _as_typed(name, arguments, cwd, variables):
+    """Run a program, which hears signals as its start lets it."""
     os.chdir(cwd)
     os.environ.update(variables)
-    sys.argv = argv
-    importlib.import_module(name).main()
+    sys.argv = [f"{name}.py", *arguments]
+    start(name)
