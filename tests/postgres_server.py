@@ -4,7 +4,6 @@ import atexit
 import ctypes
 import functools
 import os
-import pwd
 import shutil
 import signal
 import subprocess
@@ -37,7 +36,7 @@ def url():
         return None
     folder = Path(tempfile.mkdtemp(prefix="suspnet_postgres_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    user = {"user": _plain_user(folder)} if os.getuid() == 0 else {}
+    user = {"user": _plain_user(folder)} if hasattr(os, "getuid") and os.getuid() == 0 else {}
     options = {"cwd": folder, "stdout": subprocess.DEVNULL, **user}
     new = ["--auth=trust", "--username=suspnet", "--no-sync", "--no-locale", "--encoding=UTF8"]
     log = folder / "errors"
@@ -63,6 +62,8 @@ def url():
 
 def _plain_user(folder):
     """Give a folder to a user whom PostgreSQL serves, not root, and return the name."""
+    import pwd  # not everywhere
+
     names = {entry.pw_name for entry in pwd.getpwall()}
     name = next(name for name in ("postgres", "nobody") if name in names)
     shutil.chown(folder, name)
