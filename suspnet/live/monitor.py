@@ -13,6 +13,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 
+import numpy as np
+
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.source import Source
 from suspnet.live.suspension import Due, LiveSuspension, Told
@@ -28,7 +30,8 @@ MOST_PENDING = 256
 """Number of frames after which the journal is committed."""
 
 MOST_JOURNAL = 8 * 2**20
-"""Size of a suspension's frames in the journal above which its state is saved, [bytes]."""
+"""Size of a suspension's frames in the journal above which its state is saved, [bytes]; of the first
+suspension half of it, of others in between, so that hundreds are not saved at once."""
 
 Tell = Callable[[LiveSuspension, Told], None]
 
@@ -81,6 +84,8 @@ class Monitor:
         self._suspensions = {name: known[name] for name in wanted}
         if not self._suspensions:
             raise ValueError("no suspension is in this process's part")
+        sizes = np.linspace(MOST_JOURNAL / 2, MOST_JOURNAL, len(self._suspensions))
+        self._most_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
         self._last_s = dict.fromkeys(self._suspensions, clock())
         self._due: dict[str, Due] = {}
 
@@ -163,7 +168,7 @@ class Monitor:
             one.take(frame)
             self.counts["taken"] += 1
             self._add(one, one.due())
-            if self._journal.n_bytes[name] > MOST_JOURNAL:
+            if self._journal.n_bytes[name] > self._most_bytes[name]:
                 self._save(one)
         except FrameError as error:
             self.counts[error.reason] += 1
