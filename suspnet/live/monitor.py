@@ -30,8 +30,8 @@ MOST_PENDING = 256
 """Number of frames after which the journal is committed."""
 
 MOST_JOURNAL = 8 * 2**20
-"""Size of a suspension's frames in the journal above which its state is saved, [bytes]; of the first
-suspension half of it, of others in between, so that hundreds are not saved at once."""
+"""Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
+first suspension half of it, for others in between, so that hundreds are not saved at once."""
 
 Tell = Callable[[LiveSuspension, Told], None]
 
