@@ -113,9 +113,9 @@ class Journal:
 
     def frames(self, suspension: str) -> Iterator[bytes]:
         """Yield the frames since that state, in the order in which they were added."""
-        query = "SELECT frame FROM frames WHERE id BETWEEN ? AND ? ORDER BY id"
         if suspension not in self._numbers:
             return
+        query = "SELECT frame FROM frames WHERE id BETWEEN ? AND ? ORDER BY id"
         rows = self._connection.execute(query, _ids(self._numbers[suspension]))
         while several := rows.fetchmany(READ_AT_ONCE):  # ends with the rows
             yield from (frame for (frame,) in several)
@@ -128,19 +128,19 @@ class Journal:
 
     def add(self, suspension: str, frame: bytes) -> None:
         """Keep a frame with the next commit."""
-        self._known(suspension)
+        self._number(suspension)
         self._last[suspension] += 1
         self._frames.setdefault(suspension, []).append((self._last[suspension], frame))
         self.n_bytes[suspension] += len(frame)
 
     def save(self, suspension: str, state: bytes) -> None:
         """Keep a state with the next commit, in place of all frames of the suspension so far."""
-        self._known(suspension)
+        self._number(suspension)
         self._states[suspension] = state
         self._frames.pop(suspension, None)
         del self.n_bytes[suspension]
 
-    def _known(self, suspension: str) -> None:
+    def _number(self, suspension: str) -> None:
         """Give a suspension a number if it has none."""
         if suspension not in self._numbers:
             number = len(self._numbers) + 1

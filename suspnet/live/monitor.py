@@ -196,18 +196,19 @@ class Monitor:
             self._due[one.name] = due
 
     def _estimate(self, name: str) -> None:
-        """Make the estimate of a suspension that waits, and tell it."""
+        """Make the estimate of a suspension that waits, and tell it; after a final one, save."""
         one, due = self._suspensions[name], self._due.pop(name)
         self._tell(one, one.estimate(due))
         if due.is_final:
-            self._save(one)
+            self._journal.save(name, one.dump())
 
     def _save(self, one: LiveSuspension) -> None:
-        """Save a suspension's state in place of its frames, and of the section that waits."""
+        """Save a suspension's state in place of its frames; a section that waits is told before."""
         waiting = self._due.get(one.name)
         if waiting is not None and waiting.is_final:
-            self._tell(one, one.estimate(self._due.pop(one.name)))
-        self._journal.save(one.name, one.dump())
+            self._estimate(one.name)
+        else:
+            self._journal.save(one.name, one.dump())
 
     def _commit(self) -> None:
         """Write the journal, and then let the source forget what it gave."""
