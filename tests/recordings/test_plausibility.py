@@ -229,17 +229,34 @@ def test_recording_without_low_frequencies_is_said_not_to_be_checked():
     )
 
 
-def seen_on_one_side(seed, order=(0, 1, 2)):
-    """Return what the drawing says of the exact spectra of single sensors on a rolling vehicle."""
+def seen_on_one_side(seed, order=(0, 1, 2), ratios=(1.0,) * 5, known=False):
+    """Return what is said of the exact spectra of single sensors on a rolling vehicle.
+
+    Expected is what the drawing has, or the vehicle itself in its healthy state if it is known.
+    """
     drawing = VerticalVehicle(AM96)
     parts = tuple(part for part in PARTS if part != "air_spring")
     rolling = scattered(replace(drawing, parts=parts, sensor_lateral_m=(1.0,) * 3), 1.0, seed)
     frequencies_hz = torch.arange(0.1, RATE_HZ / 4, 0.05, dtype=torch.float64)
-    healthy = torch.ones(1, 5, dtype=torch.float64)
-    channels = rolling.channels(healthy, frequencies_hz)[0][:, list(order)]
+    worn = torch.tensor([ratios], dtype=torch.float64)
+    channels = rolling.channels(worn, frequencies_hz)[0][:, list(order)]
     cross = [(channels[:, x].conj() * channels[:, y]).sum(dim=0) for x, y in PAIRS]
     spectra = CrossSpectra(channels.abs().square().sum(dim=0), torch.stack(cross), 30.0)
-    return lambda **options: check_channels(spectra, frequencies_hz, drawing, AM96, **options)
+    expected = rolling if known else drawing
+    return lambda **options: check_channels(spectra, frequencies_hz, expected, AM96, **options)
+
+
+WORN = (1.11, 0.82, 0.63, 0.61, 0.91)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_worn_suspension_of_a_known_vehicle_is_not_called_swapped(seed):
+    told = seen_on_one_side(seed, ratios=WORN, known=True)()
+    # of the first vehicle the wrong order fits the healthy state 1.02 times as well
+    assert ("the order of the channels is not told" in told) == (seed == 0)
+    for order in WRONG_ORDERS if seed else ():
+        with pytest.raises(TripError, match="channels look swapped"):
+            seen_on_one_side(seed, order, WORN, known=True)()
 
 
 def test_single_sensors_of_a_vehicle_unlike_its_drawing_raise_doubts_alone():
