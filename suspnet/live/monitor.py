@@ -1,9 +1,10 @@
 """The monitor: frames of many suspensions from a source, results to the history.
 
 Frames are taken, the journal is committed, and then the source may forget the frames. Estimates are
-made one at a time while no frames wait, so that hundreds that are due at once hold no frame up; the
-journal keeps the frames of a section until its estimate is told. Killed at any moment, the frames
-since the last commit come again, and estimates that are told twice replace themselves.
+made by a second thread, one at a time and begun while no frame waits, so that hundreds that are due
+at once hold no frame up; everything else is the first thread's. The journal keeps the frames of a
+section until its estimate is told. Killed at any moment, the frames since the last commit come
+again, and estimates that are told twice replace themselves.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import numpy as np
 
+from suspnet.history.records import TripResult
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.source import Source
-from suspnet.live.suspension import Due, LiveSuspension, Told
+from suspnet.live.suspension import Due, Job, LiveSuspension, Told
 from suspnet.stream import FrameError, StateError, decode
 
 log = logging.getLogger(__name__)
@@ -32,6 +35,10 @@ MOST_PENDING = 256
 MOST_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
 first suspension half of it, for others in between, so that hundreds are not saved at once."""
+
+MOST_WAITING = 4 * MOST_JOURNAL
+"""Size of a suspension's frames in the journal above which frames are held up until the estimate of
+its last section is told: a state does not hold sections that are over, [bytes]."""
 
 Tell = Callable[[LiveSuspension, Told], None]
 
@@ -50,6 +57,8 @@ class Monitor:
         As of `LiveSettings`.
     clock : callable, optional
         Seconds that only grow.
+    executor : Executor, optional
+        Makes the estimates; None is a thread. It is shut down when `run` ends.
 
     Attributes
     ----------
@@ -70,6 +79,7 @@ class Monitor:
         tell: Tell,
         idle_s: float = 3600.0,
         clock: Callable[[], float] = time.monotonic,
+        executor: Executor | None = None,
     ) -> None:
         self.counts: Counter[str] = Counter()
         self._source, self._journal, self._tell = source, journal, tell
@@ -88,6 +98,8 @@ class Monitor:
         self._most_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
         self._last_s = dict.fromkeys(self._suspensions, clock())
         self._due: dict[str, Due] = {}
+        self._executor = executor or ThreadPoolExecutor(1, "estimates")
+        self._running: tuple[LiveSuspension, Job, Future[TripResult]] | None = None
 
     def resume(self) -> int:
         """Go on from the journal; return the number of its frames.
@@ -110,7 +122,7 @@ class Monitor:
                     one.take(decode(data))
                 except FrameError as error:  # a part of it was of a section that is over
                     log.debug("%s: %s", name, error)
-            self._add(one, one.due())
+                self._add(one, one.due())  # as when they came: only so many sections may be open
         return n_frames
 
     def run(self) -> None:
@@ -122,25 +134,37 @@ class Monitor:
             If the journal cannot be written, as on a full disk.
         """
         n_pending = 0
-        while True:  # as long as the source says
-            wait_s = PAUSE_S if n_pending else WAIT_S
-            frames = self._source.receive(0.0 if self._due else wait_s)
-            for data in frames or ():
-                self._take(data)
-            n_pending += len(frames or ())
-            if not frames or n_pending >= MOST_PENDING:
-                self._add_silent()
-                self._commit()
-                n_pending = 0
-            if frames is None:
-                break
-            if not frames and self._due:
-                self._estimate(next(iter(self._due)))
-        for one in self._suspensions.values():
-            self._add(one, one.end())
-        for name in list(self._due):
-            self._estimate(name)
-        self._commit()
+        try:
+            while True:  # as long as the source says
+                frames = self._source.receive(self._wait_s(n_pending))
+                for data in frames or ():
+                    self._take(data)
+                n_pending += len(frames or ())
+                if not frames or n_pending >= MOST_PENDING:
+                    self._add_silent()
+                    self._commit()
+                    n_pending = 0
+                if frames is None:
+                    break
+                if self._running is not None and self._running[2].done():
+                    self._finish()
+                if not frames and self._due and self._running is None:
+                    self._begin(next(iter(self._due)))
+            for one in self._suspensions.values():
+                self._add(one, one.end())
+            self._finish()
+            for name in list(self._due):
+                self._begin(name)
+                self._finish()
+            self._commit()
+        finally:
+            self._executor.shutdown(cancel_futures=True)
+
+    def _wait_s(self, n_pending: int) -> float:
+        """Return how long to wait for frames, [s]."""
+        if self._due and self._running is None:
+            return 0.0
+        return PAUSE_S if n_pending or self._running is not None else WAIT_S
 
     def _load(self, one: LiveSuspension, state: bytes) -> None:
         """Let a suspension go on from its state in the journal."""
@@ -192,23 +216,49 @@ class Monitor:
         for due in several:
             waiting = self._due.get(one.name)
             if waiting is not None and waiting.is_final and waiting.section is not due.section:
-                self._tell(one, one.estimate(waiting))
+                self._finish()
+                self._begin(one.name)
+                self._due[one.name] = due
+                self._finish()
             self._due[one.name] = due
 
-    def _estimate(self, name: str) -> None:
-        """Make the estimate of a suspension that waits, and tell it; after a final one, save."""
-        one, due = self._suspensions[name], self._due.pop(name)
-        self._tell(one, one.estimate(due))
-        if due.is_final:
-            self._journal.save(name, one.dump())
+    def _begin(self, name: str) -> None:
+        """Let the estimate of a suspension that waits be made; none is being made now."""
+        one = self._suspensions[name]
+        job = one.job(self._due.pop(name))
+        self._running = one, job, self._executor.submit(job.make)
+
+    def _finish(self) -> None:
+        """Wait for the estimate that is being made, if there is one, and tell it.
+
+        After a final one the state is saved, unless the next section waits for its own.
+        """
+        if self._running is None:
+            return
+        one, job, future = self._running
+        self._tell(one, one.finish(job, future.result()))
+        self._running = None
+        if job.due.is_final and not self._is_held(one.name):
+            self._journal.save(one.name, one.dump())
+
+    def _is_held(self, name: str) -> bool:
+        """Return whether a section of a suspension is over, and its estimate not told."""
+        waiting = self._due.get(name)
+        if waiting is not None and waiting.is_final:
+            return True
+        return self._running is not None and (
+            self._running[0].name == name and self._running[1].due.is_final
+        )
 
     def _save(self, one: LiveSuspension) -> None:
-        """Save a suspension's state in place of its frames; a section that waits is told before."""
-        waiting = self._due.get(one.name)
-        if waiting is not None and waiting.is_final:
-            self._estimate(one.name)
-        else:
+        """Save a suspension's state in place of its frames, as soon as all sections are told."""
+        if not self._is_held(one.name):
             self._journal.save(one.name, one.dump())
+        elif self._journal.n_bytes[one.name] > MOST_WAITING:
+            self._finish()
+            if one.name in self._due:
+                self._begin(one.name)
+                self._finish()
 
     def _commit(self) -> None:
         """Write the journal, and then let the source forget what it gave."""

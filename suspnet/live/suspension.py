@@ -15,7 +15,7 @@ from suspnet.live.slow_values import SlowValues
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.recording import Recording
 from suspnet.stream import Frame, Running, Sections
 from suspnet.stream.assembler import OrderSettings
@@ -63,7 +63,7 @@ class LiveSettings:
 
 @dataclass(frozen=True)
 class Due:
-    """An estimate that is to be made; until then it keeps the signals of its section.
+    """An estimate that is to be made; it keeps the signals of its section.
 
     Attributes
     ----------
@@ -79,6 +79,48 @@ class Due:
     is_final: bool
     mileage_km: float | None
     temperature_c: float | None
+
+
+@dataclass(frozen=True)
+class Job:
+    """An estimate that can be made, by any thread: it holds all that it needs.
+
+    Attributes
+    ----------
+    due : Due
+    manifest : TripManifest
+    recording : Recording or TripError
+        The section's as it was, or why there is none.
+    frames : dict of int
+        As of `Told`.
+    models : sequence of TrainedModel
+    trips : TripSettings
+    """
+
+    due: Due
+    manifest: TripManifest
+    recording: Recording | TripError
+    frames: dict[str, int]
+    models: Sequence[TrainedModel]
+    trips: TripSettings
+
+    def make(self) -> TripResult:
+        """Return the estimate, or why there is none; it never fails."""
+        return evaluate_recording(self.manifest, self._read, self.models, self.trips)
+
+    def _read(self) -> Recording:
+        if isinstance(self.recording, TripError):
+            raise self.recording
+        return self.recording
+
+    @property
+    def distance_km(self) -> float:
+        """Distance run in the section [km]; unknown speeds are as the others, 0 without any."""
+        if isinstance(self.recording, TripError):
+            return 0.0
+        speeds = self.recording.speed_m_per_s
+        known = speeds[np.isfinite(speeds)]
+        return float(known.mean()) * self.recording.duration_s / 1000 if len(known) else 0.0
 
 
 @dataclass(frozen=True)
@@ -186,21 +228,47 @@ class LiveSuspension:
         """Return the estimates of all sections: no more frames come."""
         return self._over(self._sections.close())
 
-    def estimate(self, due: Due) -> Told:
-        """Return an estimate that is due; those of a suspension in their order.
+    def job(self, due: Due) -> Job:
+        """Return an estimate that is due with what it needs of the state as it is now.
 
-        The mileage goes on behind a section that is over.
+        Before the next one of this suspension, `finish` is called with its result.
         """
-        section = due.section
-        told = self._estimate(due)
-        mileage_km = told.result.mileage_km
+        section, mileage_km = due.section, due.mileage_km
+        start = EPOCH + timedelta(microseconds=section.zero_ns // 1000)
+        if section.zero_ns in self._silent:
+            # a trip that is kept already is replaced under the mileage by which it is known
+            mileage_km, _ = self._silent[section.zero_ns]
+        manifest = replace(
+            self.manifest,
+            name=f"{start:%Y-%m-%d %H:%M}",
+            start=start,
+            mileage_km=self._slow.passed_km if mileage_km is None else mileage_km,
+            temperature_c=due.temperature_c,
+            truth={},
+        )
+        recording: Recording | TripError
+        try:
+            recording = replace(section.recording(), manifest=manifest)
+        except TripError as error:
+            recording = error
+        frames: Counter[str] = Counter()
+        for counts in section.sensors.values():
+            frames.update(counts)
+        frames.update(self._sections.counts)
+        if due.is_final:
+            self._sections.counts.clear()
         if due.is_final and section in self._sections.open:
-            self._silent[section.zero_ns] = mileage_km, section.n_frames
-        elif due.is_final:
+            self._silent[section.zero_ns] = manifest.mileage_km, section.n_frames
+        return Job(due, manifest, recording, dict(frames), self.models, self._trips)
+
+    def finish(self, job: Job, result: TripResult) -> Told:
+        """Return what is to be told; the mileage goes on behind a section that is over."""
+        section, distance_km = job.due.section, job.distance_km
+        if job.due.is_final and section not in self._sections.open:
             end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
-            self._slow.pass_section(end_ns, mileage_km + told.distance_km)
+            self._slow.pass_section(end_ns, result.mileage_km + distance_km)
             self._silent.pop(section.zero_ns, None)
-        return told
+        return Told(result, job.due.is_final, job.frames, distance_km)
 
     def dump(self) -> bytes:
         """Return the state."""
@@ -233,42 +301,3 @@ class LiveSuspension:
         """Return the estimate of a section; what is known of it by now does not depend on when."""
         end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
         return Due(section, is_final, *self._slow.within(section.zero_ns, end_ns))
-
-    def _estimate(self, due: Due) -> Told:
-        """Return the estimate of a section."""
-        section, mileage_km = due.section, due.mileage_km
-        start = EPOCH + timedelta(microseconds=section.zero_ns // 1000)
-        if section.zero_ns in self._silent:
-            # a trip that is kept already is replaced under the mileage by which it is known
-            mileage_km, _ = self._silent[section.zero_ns]
-        manifest = replace(
-            self.manifest,
-            name=f"{start:%Y-%m-%d %H:%M}",
-            start=start,
-            mileage_km=self._slow.passed_km if mileage_km is None else mileage_km,
-            temperature_c=due.temperature_c,
-            truth={},
-        )
-        distance_km = 0.0
-
-        def read() -> Recording:
-            nonlocal distance_km
-            recording = replace(section.recording(), manifest=manifest)
-            distance_km = _distance_km(recording)
-            return recording
-
-        result = evaluate_recording(manifest, read, self.models, self._trips)
-        frames: Counter[str] = Counter()
-        for counts in section.sensors.values():
-            frames.update(counts)
-        frames.update(self._sections.counts)
-        if due.is_final:
-            self._sections.counts.clear()
-        return Told(result, due.is_final, dict(frames), distance_km)
-
-
-def _distance_km(recording: Recording) -> float:
-    """Return the distance run in a recording [km]; its unknown speeds are as the others."""
-    speeds = recording.speed_m_per_s
-    known = speeds[np.isfinite(speeds)]
-    return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0

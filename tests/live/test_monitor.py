@@ -1,6 +1,7 @@
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections import Counter
 from dataclasses import replace
@@ -15,7 +16,7 @@ from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
-from suspnet.live.suspension import LiveSettings, LiveSuspension
+from suspnet.live.suspension import Job, LiveSettings, LiveSuspension
 from suspnet.live.suspensions import read_suspensions
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import read_manifest
@@ -157,23 +158,61 @@ def two_sections(fleet, several):
     return [encode(replace(one, suspension=to.name)) for one in every for to in several]
 
 
-def test_estimates_that_are_due_at_once_hold_frames_up_by_one_of_them(tmp_path, fleet):
+def test_frames_are_taken_while_an_estimate_is_made(tmp_path, fleet, monkeypatch):
     several = [suspensions(fleet, train=str(k))[0] for k in range(4)]
     frames = two_sections(fleet, several)
     source = ListSource(frames, at_once=len(frames) - 40, pauses=True)
-    told, n_told, receive = [], [], source.receive
+    told, receive, all_given, make = [], source.receive, threading.Event(), Job.make
 
     def received(timeout_s):
-        n_told.append(len(told))
         source.at_once = 4 if source.at else source.at_once
-        return receive(timeout_s)
+        given = receive(timeout_s)
+        if given is None:
+            all_given.set()
+        return given
+
+    def make_late(job):
+        assert all_given.wait(60)
+        return make(job)
 
     source.receive = received
+    monkeypatch.setattr(Job, "make", make_late)
     with Journal(tmp_path / "journal") as journal:
-        Monitor(several, source, journal, lambda one, _: told.append(one.name)).run()
-    # a pause, all four are due, then an estimate with each pause until the source ends
-    assert n_told[:10] == [0, 0, 0, 1, 1, 2, 2, 3, 3, 4]
-    assert told[:4] == [one.name for one in several]
+        Monitor(several, source, journal, lambda one, what: told.append((one.name, what))).run()
+    assert [name for name, _ in told[:4]] == [one.name for one in several]
+    # all four are due at once, the first estimate lasts as long as frames come, and none is lost
+    assert {what.result.status for _, what in told[:4]} == {"ok"}
+    assert source.confirmed == len(frames)
+
+
+def test_a_section_that_waits_for_its_estimate_holds_up_frames_only_when_the_journal_is_full(
+    tmp_path, fleet, monkeypatch
+):
+    monkeypatch.setattr("suspnet.live.monitor.MOST_JOURNAL", 10_000)
+    frames = two_sections(fleet, suspensions(fleet))
+    n_bytes, told = [], []
+
+    def monitored_with(most_waiting):
+        monkeypatch.setattr("suspnet.live.monitor.MOST_WAITING", most_waiting)
+        (one,), source = suspensions(fleet), ListSource(frames)
+        told.clear(), n_bytes.clear()
+        with Journal(tmp_path / f"journal {most_waiting}") as journal:
+            add = journal.add
+
+            def added(name, data):
+                add(name, data)
+                n_bytes.append((journal.n_bytes[name], len(told)))
+
+            journal.add = added
+            Monitor([one], source, journal, lambda *_: told.append(1)).run()
+        return len(told)
+
+    assert monitored_with(10**9) == 2
+    largest = max(n_bytes)[0]
+    assert largest > 500_000  # no frame ever paused, and the state is not saved without the section
+    assert monitored_with(200_000) == 2
+    assert 200_000 < max(n for n, n_told in n_bytes if not n_told) < 220_000
+    assert max(n for n, n_told in n_bytes if n_told) < 20_000
 
 
 def test_estimates_that_wait_are_made_after_a_kill(tmp_path, fleet):
@@ -210,10 +249,14 @@ def check_kills(folder, fleet, n_kills, seed):
     rng = np.random.default_rng(seed)
     frames = frames_of_trips(fleet[:3])
     (folder / "whole").mkdir()
-    start = time.perf_counter()
+    (folder / "timed").mkdir()
     expected, _ = monitored(folder / "whole", fleet, ListSource(frames))
-    longest_s = (time.perf_counter() - start) / max(1, n_kills // 4)
     fork, killed = multiprocessing.get_context("fork"), 0
+    timed = fork.Process(target=run_child, args=(folder / "timed", fleet, frames))
+    start = time.perf_counter()
+    timed.start()
+    timed.join(120)
+    longest_s = (time.perf_counter() - start) / max(1, n_kills // 4)
     for _ in range(20 * n_kills):  # each start gets further, or is killed before
         child = fork.Process(target=run_child, args=(folder, fleet, frames))
         child.start()
