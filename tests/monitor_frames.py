@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,15 @@ def mileage_frame(path):
 def by_time(frames):
     """Return encoded frames by their time."""
     return [encode(one) for one in sorted(frames, key=lambda one: one.time_ns)]
+
+
+class AtOnce(Executor):
+    """Runs what it is given before it returns, for tests of an order of events."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
 
 
 class ListSource:

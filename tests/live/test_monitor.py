@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from monitor_frames import ListSource, all_frames, by_time, mileage_frame, trip_frames
+from monitor_frames import AtOnce, ListSource, all_frames, by_time, mileage_frame, trip_frames
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, small_fleet
 
@@ -43,11 +43,11 @@ def suspensions(fleet, live=LIVE, **changes):
     return [LiveSuspension(manifest, [model_at()], SETTINGS.trips, live)]
 
 
-def monitored(folder, fleet, source, live=LIVE):
+def monitored(folder, fleet, source, live=LIVE, **options):
     """Run a monitor until its source ends; return what the store has then."""
     with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
         results = Results(store, SETTINGS, source.publish)
-        monitor = Monitor(suspensions(fleet, live), source, journal, results.tell)
+        monitor = Monitor(suspensions(fleet, live), source, journal, results.tell, **options)
         monitor.resume()
         monitor.run()
         results.close()
@@ -137,7 +137,8 @@ def test_the_mileage_goes_on_with_the_speed(tmp_path, fleet):
 
 def test_estimates_come_while_a_section_runs(tmp_path, fleet):
     source = ListSource(all_frames(fleet[0]), pauses=True)
-    found, _ = monitored(tmp_path, fleet, source, replace(LIVE, every_s=100.0))
+    live = replace(LIVE, every_s=100.0)
+    found, _ = monitored(tmp_path, fleet, source, live, executor=AtOnce())
     told = [row["final"] for kind, _, row in source.published if kind == "estimates"]
     assert told == [False, False, True]
     assert len(found) == 1
@@ -396,7 +397,7 @@ def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, a
     source.receive = receive
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
         results, (one,) = Results(store, SETTINGS, source.publish), suspensions(fleet)
-        Monitor([one], source, journal, results.tell, 1500.0, lambda: now_s[0]).run()
+        Monitor([one], source, journal, results.tell, 1500.0, lambda: now_s[0], AtOnce()).run()
     n_told = sum(kind == "estimates" for kind, *_ in source.published)
     assert n_told == (3 if at < len(frames) else 2)  # silent, perhaps again, and at the end
     (found,) = kept(tmp_path, fleet)
