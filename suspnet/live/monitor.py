@@ -147,15 +147,15 @@ class Monitor:
                 if frames is None:
                     break
                 if self._running is not None and self._running[2].done():
-                    self._finish()
+                    self._finish_and_save()
                 if not frames and self._due and self._running is None:
                     self._begin(next(iter(self._due)))
             for one in self._suspensions.values():
                 self._add(one, one.end())
-            self._finish()
+            self._finish_and_save()
             for name in list(self._due):
                 self._begin(name)
-                self._finish()
+                self._finish_and_save()
             self._commit()
         finally:
             self._executor.shutdown(cancel_futures=True)
@@ -229,17 +229,19 @@ class Monitor:
         self._running = one, job, self._executor.submit(job.make)
 
     def _finish(self) -> None:
-        """Wait for the estimate that is being made, if there is one, and tell it.
+        """Wait for the estimate that is being made, if there is one, and tell it."""
+        if self._running is not None:
+            one, job, future = self._running
+            self._tell(one, one.finish(job, future.result()))
+            self._running = None
 
-        After a final one the state is saved, unless the next section waits for its own.
-        """
-        if self._running is None:
-            return
-        one, job, future = self._running
-        self._tell(one, one.finish(job, future.result()))
-        self._running = None
-        if job.due.is_final and not self._is_held(one.name):
-            self._journal.save(one.name, one.dump())
+    def _finish_and_save(self) -> None:
+        """Tell the estimate that is being made; after a final one, save if no section waits."""
+        if self._running is not None:
+            one, job, _ = self._running
+            self._finish()
+            if job.due.is_final and not self._is_held(one.name):
+                self._journal.save(one.name, one.dump())
 
     def _is_held(self, name: str) -> bool:
         """Return whether a section of a suspension is over, and its estimate not told."""
@@ -255,10 +257,10 @@ class Monitor:
         if not self._is_held(one.name):
             self._journal.save(one.name, one.dump())
         elif self._journal.n_bytes[one.name] > MOST_WAITING:
-            self._finish()
+            self._finish_and_save()
             if one.name in self._due:
                 self._begin(one.name)
-                self._finish()
+                self._finish_and_save()
 
     def _commit(self) -> None:
         """Write the journal, and then let the source forget what it gave."""

@@ -216,21 +216,33 @@ def test_a_section_that_waits_for_its_estimate_holds_up_frames_only_when_the_jou
     assert max(n for n, n_told in n_bytes if n_told) < 20_000
 
 
-def test_estimates_that_wait_are_made_after_a_kill(tmp_path, fleet):
-    def gone(timeout_s):
-        raise KeyboardInterrupt
-
-    frames = two_sections(fleet, suspensions(fleet))
+@pytest.mark.parametrize("every_s", [None, 100.0])
+def test_estimates_that_wait_are_made_after_kills(tmp_path, fleet, every_s):
+    (one,), live = suspensions(fleet), replace(LIVE, every_s=every_s)
+    frames = two_sections(fleet, [one])
     (tmp_path / "whole").mkdir()
-    expected, _ = monitored(tmp_path / "whole", fleet, ListSource(frames))
-    source = ListSource(frames, at_once=len(frames), offset=tmp_path / "offset")
-    receive = source.receive
-    source.receive = lambda timeout_s: gone(0) if source.confirmed else receive(timeout_s)
-    with pytest.raises(KeyboardInterrupt):
-        monitored(tmp_path, fleet, source)
-    assert source.confirmed == len(frames)
-    assert not kept(tmp_path, fleet)
-    found, _ = monitored(tmp_path, fleet, ListSource(frames, offset=tmp_path / "offset"))
+    expected, _ = monitored(tmp_path / "whole", fleet, ListSource(frames), live)
+    with Journal(tmp_path / "journal") as journal:  # killed before any estimate was made
+        for data in frames:
+            journal.add(one.name, data)
+        journal.commit()
+    (tmp_path / "offset").write_text(str(len(frames)))
+
+    rounds = [[], []]
+
+    def receive(timeout_s):
+        if not rounds:
+            raise KeyboardInterrupt
+        return rounds.pop()
+
+    source = ListSource(frames, offset=tmp_path / "offset")
+    source.receive = receive
+    with pytest.raises(KeyboardInterrupt):  # it goes on from the journal, commits, and is killed
+        monitored(tmp_path, fleet, source, live)
+    # the first section is told where the next one has an estimate on the way
+    assert len(kept(tmp_path, fleet)) == (0 if every_s is None else 1)
+    found, _ = monitored(tmp_path, fleet, ListSource(frames, offset=tmp_path / "offset"), live)
+    assert len(found) == 2
     for one, other in zip(found, expected, strict=True):
         assert_same_estimate(one, other)
 
