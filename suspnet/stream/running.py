@@ -87,6 +87,7 @@ class Running:
         self.longest_s = longest_s
         self.cleaning = CleaningSettings() if cleaning is None else cleaning
         self.order = OrderSettings() if order is None else order
+        self._name = str(manifest.place)
         self._sources: dict[str, Source] = dict(manifest.sensors())
         self._units = dict.fromkeys(self._sources, ("acceleration", ACCELERATION_UNITS))
         if isinstance(manifest.speed, SpeedSource):
@@ -143,10 +144,10 @@ class Running:
             after the recording. What is already known of it is as before.
         """
         source = self._sources.get(frame.sensor)
-        if source is None or frame.suspension != str(self.manifest.place):
+        if source is None or frame.suspension != self._name:
             raise FrameError(
                 "sensor",
-                f"{str(self.manifest.place)!r} has {list(self._sources)}, the frame is of "
+                f"{self._name!r} has {list(self._sources)}, the frame is of "
                 f"{frame.sensor!r} of {frame.suspension!r}",
             )
         kind, units = self._units[frame.sensor]
@@ -242,4 +243,4 @@ class Running:
             for name, one in self._sources.items()
         }
         settings = [self.rate_hz, self.longest_s, asdict(self.cleaning), asdict(self.order)]
-        return [str(self.manifest.place), self.zero_ns, sensors, *settings]
+        return [self._name, self.zero_ns, sensors, *settings]
