@@ -147,13 +147,16 @@ class Mqtt:
         self._send()
 
     def close(self) -> None:
-        """Hand results over as far as the broker takes them, and disconnect; the session stays."""
+        """Hand over results and confirmations as far as the broker takes them, and disconnect.
+
+        The session stays.
+        """
         if self._client is None:
             return
         deadline = time.monotonic() + LAST_WORDS_S
         while time.monotonic() < deadline and self._is_connected:
             self._send()
-            if not self._results and not self._unacknowledged:
+            if not (self._results or self._unacknowledged or self._client.want_write()):
                 break
             time.sleep(0.01)
         with self._changed:

@@ -138,7 +138,8 @@ def tab_until(browser, is_there, most=80):
 def test_alarm_is_acknowledged_by_clicks(browser, site):
     address, _, path = site
     browser.get(address)
-    (link,) = browser.find_elements(By.CSS_SELECTOR, "a[href$='#alarm-k_s-limit']")
+    selector = "a[href$='#alarm-k_s-limit']"
+    (link,) = wait(browser, lambda b: b.find_elements(By.CSS_SELECTOR, selector))
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", link)
     link.click()
     wait(browser, lambda b: b.find_elements(By.ID, "by-alarm-k_s-limit"))
