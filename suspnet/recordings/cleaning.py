@@ -132,6 +132,9 @@ class Cleaner:
     range_m_per_s2 : float, optional, [m/s2]
         Largest magnitude that the sensor can give.
     settings : CleaningSettings, optional
+    late : float, [-]
+        Share of a window, 0 to 1, that is waited for beyond what is needed: with shares of their
+        own hundreds of channels that begin at once are not cleaned in the same second.
     """
 
     def __init__(
@@ -140,6 +143,7 @@ class Cleaner:
         rate_hz: float,
         range_m_per_s2: float | None = None,
         settings: CleaningSettings | None = None,
+        late: float = 0.0,
     ) -> None:
         self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
         self.settings = CleaningSettings() if settings is None else settings
@@ -152,7 +156,7 @@ class Cleaner:
         self._longest_constant = int(self.settings.constant_s * rate_hz + 1e-9)
         context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
         core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
-        self._windows = _Windows(core, context)
+        self._windows = _Windows(core, context, int(late * core))
 
     def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Yield values without NaN [m/s2] and where they are bad, in blocks of another size.
@@ -290,11 +294,12 @@ class Cleaner:
 class _Windows:
     """Cuts a stream into windows that follow each other with an overlap of `context` either side.
 
-    Each is (window, samples before its core, samples of its core); the cores are the signal.
+    Each is (window, samples before its core, samples of its core); the cores are the signal. A
+    window waits until `late` samples more have come than it needs.
     """
 
-    def __init__(self, core: int, context: int) -> None:
-        self.core, self.context = core, context  # core >= context
+    def __init__(self, core: int, context: int, late: int) -> None:
+        self.core, self.context, self.late = core, context, late  # core >= context
         self.pending: list[FloatArray] = []
         self.held = self.lead = 0
 
@@ -302,10 +307,12 @@ class _Windows:
         """Yield the windows that the next samples complete."""
         self.pending.append(block)
         self.held += len(block)
-        size = self.core + self.context
-        if self.held < self.lead + size:
-            return
-        buffer = np.concatenate(self.pending)
+        if self.held >= self.lead + self.core + self.context + self.late:
+            yield from self._complete()
+
+    def _complete(self) -> Iterator[tuple[FloatArray, int, int]]:
+        """Yield the windows that are complete."""
+        buffer, size = np.concatenate([np.empty(0), *self.pending]), self.core + self.context
         # after the first window each takes `core` samples off the buffer
         while len(buffer) >= self.lead + size:
             yield buffer[: self.lead + size], self.lead, self.core
@@ -313,6 +320,7 @@ class _Windows:
         self.pending, self.held = [buffer.copy()], len(buffer)  # a view would keep all of it
 
     def finish(self) -> Iterator[tuple[FloatArray, int, int]]:
-        """Yield the last window, whose core is shorter; there may be none."""
+        """Yield the rest; the core of the last window is shorter, and there may be none."""
+        yield from self._complete()
         if self.held > self.lead:
-            yield np.concatenate(self.pending), self.lead, self.held - self.lead
+            yield self.pending[0], self.lead, self.held - self.lead

@@ -13,13 +13,16 @@ a quarter of the rate, as large), and sums of cross spectra can be made only onc
 chosen. So a recording has to end; `longest_s` bounds it, and with it the memory. Its cross spectra
 add to those of others where the batch is cut at the same times.
 
-Besides, each sensor holds the samples whose window is not yet complete (at most ``CORE_SAMPLES``
-and two seconds or so, 2.2 MB), and the frames of `Assembler`. Rates are those of the manifest:
+Besides, each sensor holds the samples whose window is not yet complete or waits for its turn (at
+most twice ``CORE_SAMPLES`` and two seconds or so, 4.3 MB): recordings of many suspensions begin at
+the same instant, and each sensor is cleaned at a time of its own, by its name. Then there are the
+frames of `Assembler`. Rates are those of the manifest:
 the mean rate that the batch takes from a column of times is known at its end only.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter
 from dataclasses import asdict
 from typing import Any
@@ -107,7 +110,12 @@ class Running:
         }
         self._sensors = {
             name: RunningSensor(
-                f"{manifest.path}: channel {name!r}", name, channel, rate_hz, self.cleaning
+                f"{manifest.path}: channel {name!r}",
+                name,
+                channel,
+                rate_hz,
+                self.cleaning,
+                late=zlib.crc32(f"{self._name}, {name}".encode()) / 2**32,
             )
             for name, channel in manifest.sensors().items()
         }

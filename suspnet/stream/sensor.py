@@ -27,6 +27,8 @@ class RunningSensor:
     rate_hz : float, [Hz]
         Of the common clock.
     cleaning : CleaningSettings, optional
+    late : float, [-]
+        As of `Cleaner`.
 
     Attributes
     ----------
@@ -41,6 +43,7 @@ class RunningSensor:
         channel: Channel,
         rate_hz: float,
         cleaning: CleaningSettings | None = None,
+        late: float = 0.0,
     ) -> None:
         assert channel.rate_hz is not None
         assert channel.unit is not None
@@ -49,7 +52,7 @@ class RunningSensor:
         unit = ACCELERATION_UNITS[channel.unit]
         self._size = unit * channel.sign
         full_scale = None if channel.range is None else unit * channel.range
-        self._cleaner = Cleaner(name, channel.rate_hz, full_scale, cleaning)
+        self._cleaner = Cleaner(name, channel.rate_hz, full_scale, cleaning, late)
         self._first_stage = Decimator(channel.rate_hz, rate_hz)
         self._second_stage: Resampler | None = None
         self._signal = _Growing(np.empty(0), np.empty(0, dtype=np.bool_))

@@ -38,6 +38,29 @@ def clean(values: np.ndarray, block: int = 2**20, rate_hz: float = RATE_HZ, **se
     return cleaned, bad, {(f.kind, f.repaired): f for f in cleaner.faults(5.0)}
 
 
+@pytest.mark.parametrize("late", [0.01, 0.5, 1.0])
+def test_what_is_found_does_not_depend_on_how_late_it_is(late, monkeypatch):
+    monkeypatch.setattr(cleaning, "CORE_SAMPLES", 2000)
+    values = noise(9_700)
+    values[3000:3500], values[5555] = np.nan, 400.0
+
+    def found(**options):
+        cleaner = Cleaner("body", RATE_HZ, **options)
+        parts = [part for block in np.array_split(values, 97) for part in cleaner.push(block)]
+        n_before_the_end = cleaner.n_samples
+        parts += cleaner.finish()
+        several = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        return several, cleaner.faults(), n_before_the_end
+
+    (expected, expected_bad), faults, n_early = found()
+    (cleaned, bad), same_faults, n_late = found(late=late)
+    np.testing.assert_array_equal(cleaned, expected)
+    np.testing.assert_array_equal(bad, expected_bad)
+    assert same_faults == faults
+    assert len(cleaned) == len(values)
+    assert n_early >= n_late >= n_early - 2000
+
+
 def spikes(values: np.ndarray, segment: int = 1000) -> np.ndarray:
     centre, spread = local_level(values, segment)
     return find_spikes(values, segment, centre, 25 * spread, longest=3)
