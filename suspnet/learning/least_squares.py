@@ -322,7 +322,6 @@ def _derivatives(
     columns, second = [], []
     for steps in every.split(max(1, AT_ONCE // n_rows)):
         which = rows.repeat(len(steps))
-
         above = residual((theta + steps[:, None]).flatten(0, 1), which).unflatten(0, (-1, n_rows))
         below = values
         if not one_sided:

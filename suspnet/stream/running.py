@@ -16,8 +16,8 @@ add to those of others where the batch is cut at the same times.
 Besides, each sensor holds the samples whose window is not yet complete or waits for its turn (at
 most twice ``CORE_SAMPLES`` and two seconds or so, 4.3 MB): recordings of many suspensions begin at
 the same instant, and each sensor is cleaned at a time of its own, by its name. Then there are the
-frames of `Assembler`. Rates are those of the manifest:
-the mean rate that the batch takes from a column of times is known at its end only.
+frames of `Assembler`. Rates are those of the manifest: the mean rate that the batch takes from a
+column of times is known at its end only.
 """
 
 from __future__ import annotations
