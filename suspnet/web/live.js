@@ -28,6 +28,7 @@ async function replace() {
     const same = twin(fresh, one);
     if (same) same.replaceWith(one);
   }
+  fresh.prepend(...old.querySelectorAll(".said")); // the server says a thing once; it stays until the page is left
   const focused = old.contains(document.activeElement) ? document.activeElement : null;
   const places = [...old.querySelectorAll(".scroll")].map((one) => one.scrollLeft);
   const height = window.scrollY;
