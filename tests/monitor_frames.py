@@ -100,10 +100,10 @@ class ListSource:
         self.at += len(given)
         return given
 
-    def confirm(self):
-        self.confirmed = self.at
+    def confirm(self, n_frames=None):
+        self.confirmed = self.at if n_frames is None else self.confirmed + n_frames
         if self.offset is not None:
-            write_atomically(self.offset, str(self.at))
+            write_atomically(self.offset, str(self.confirmed))
 
     def publish(self, kind, suspension, payload):
         self.published.append((kind, suspension, json.loads(payload)))

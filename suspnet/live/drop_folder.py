@@ -33,11 +33,12 @@ UNFINISHED = (".part", ".tmp")
 
 @dataclass(frozen=True)
 class _File:
-    """A file as it was when it was opened."""
+    """A file as it was when it was opened; `n_given` frames were given with its last one."""
 
     path: Path
     identity: tuple[int, int, int]
     is_whole: bool
+    n_given: int
 
 
 class DropFolder:
@@ -80,7 +81,8 @@ class DropFolder:
         self._counts: Counter[str] = Counter()
         self._waiting: deque[Path] = deque()
         self._known: set[str] = set()
-        self._read: list[_File] = []
+        self._read: deque[_File] = deque()
+        self._n_given = self._n_kept = 0
         self._reading: Generator[list[bytes], None, None] | None = None
 
     @property
@@ -119,21 +121,23 @@ class DropFolder:
                 self._reading = None
             else:
                 frames += piece
+                self._n_given += len(piece)
                 n_bytes += sum(map(len, piece))
             if time.monotonic() > deadline:
                 break
         return frames
 
-    def confirm(self) -> None:
-        """Move or delete the files whose frames were all given."""
-        for file in self._read:
+    def confirm(self, n_frames: int | None = None) -> None:
+        """Move or delete the files all of whose frames are kept. See `Source`."""
+        self._n_kept = self._n_given if n_frames is None else self._n_kept + n_frames
+        while self._read and self._read[0].n_given <= self._n_kept:  # ends: with the files
+            file = self._read.popleft()
             try:
                 self._put_away(file)
             except OSError as error:
                 self._give_up(file.path, error)
             else:
                 self._known.discard(file.path.name)
-        self._read.clear()
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
         """Write a line of JSON to standard output."""
@@ -181,7 +185,8 @@ class DropFolder:
         last = splitter.push(data) + splitter.finish()
         self._counts += splitter.counts
         # from here on all of its frames are given
-        self._read.append(_File(path, identity, not splitter.counts))
+        n_given = self._n_given + len(last)
+        self._read.append(_File(path, identity, not splitter.counts, n_given))
         yield last
 
     def _put_away(self, file: _File) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 FORMAT = "suspnet-journal-2"
@@ -23,13 +24,43 @@ years."""
 READ_AT_ONCE = 256
 """Number of frames that are read back at once."""
 
+WRITTEN_AT_ONCE = 32
+"""Number of frames that are written by one statement; during it other threads can run."""
+
+PAGE_BYTES = 2**14
+"""Size of a page of a new journal: a frame of 1 s takes one or two."""
+
 
 class JournalError(ValueError):
     """The journal cannot be used: another file, or another monitor has it open."""
 
 
+@dataclass(frozen=True)
+class Batch:
+    """What was added and saved since the batch before, to be written together.
+
+    Attributes
+    ----------
+    new : list of (int, str)
+        Numbers and names of suspensions that the journal has not known.
+    states : dict of bytes
+        By suspension, in place of the frames that are written already.
+    frames : dict of list of (int, bytes)
+        By suspension, after its state; with their numbers.
+    """
+
+    new: list[tuple[int, str]] = field(default_factory=list)
+    states: dict[str, bytes] = field(default_factory=dict)
+    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.states or self.frames)
+
+
 class Journal:
     """States and frames of the suspensions of one process; a context manager.
+
+    What is added is written batch by batch, by any one thread, while more is added by another.
 
     Parameters
     ----------
@@ -52,12 +83,12 @@ class Journal:
         self.n_bytes: Counter[str] = Counter()
         self._numbers: dict[str, int] = {}
         self._last: dict[str, int] = {}
-        self._frames: dict[str, list[tuple[int, bytes]]] = {}
-        self._states: dict[str, bytes] = {}
-        self._new: list[tuple[int, str]] = []
+        self._batch = Batch()
         if not path.absolute().parent.is_dir():
             raise JournalError(f"{path}: there is no folder {path.absolute().parent}")
-        self._connection = sqlite3.connect(path, timeout=1.0, isolation_level=None)
+        self._connection = sqlite3.connect(
+            path, timeout=1.0, isolation_level=None, check_same_thread=False
+        )
         try:
             self._prepare()
         except sqlite3.Error as error:
@@ -71,6 +102,8 @@ class Journal:
     def _prepare(self) -> None:
         """Lock the file for this process, and make the tables where there are none."""
         run = self._connection.execute
+        run(f"PRAGMA page_size = {PAGE_BYTES}")
+        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what goes
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA journal_mode = WAL")
         run("PRAGMA synchronous = FULL")
@@ -102,7 +135,7 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file; what was not committed is gone."""
+        """Let go of the file; what was not written is gone."""
         self._connection.close()
 
     def state(self, suspension: str) -> bytes | None:
@@ -127,17 +160,17 @@ class Journal:
         ]
 
     def add(self, suspension: str, frame: bytes) -> None:
-        """Keep a frame with the next commit."""
+        """Keep a frame with the next batch."""
         self._number(suspension)
         self._last[suspension] += 1
-        self._frames.setdefault(suspension, []).append((self._last[suspension], frame))
+        self._batch.frames.setdefault(suspension, []).append((self._last[suspension], frame))
         self.n_bytes[suspension] += len(frame)
 
     def save(self, suspension: str, state: bytes) -> None:
-        """Keep a state with the next commit, in place of all frames of the suspension so far."""
+        """Keep a state with the next batch, in place of all frames of the suspension so far."""
         self._number(suspension)
-        self._states[suspension] = state
-        self._frames.pop(suspension, None)
+        self._batch.states[suspension] = state
+        self._batch.frames.pop(suspension, None)
         del self.n_bytes[suspension]
 
     def _number(self, suspension: str) -> None:
@@ -145,35 +178,42 @@ class Journal:
         if suspension not in self._numbers:
             number = len(self._numbers) + 1
             self._numbers[suspension], self._last[suspension] = number, number * RANGE
-            self._new.append((number, suspension))
+            self._batch.new.append((number, suspension))
 
-    def commit(self) -> None:
-        """Write all that was added and saved, to the disk; all of it or nothing.
+    def batch(self) -> Batch:
+        """Return what was added and saved since the last call; it is empty (false) if nothing."""
+        batch, self._batch = self._batch, Batch()
+        return batch
+
+    def write(self, batch: Batch) -> None:
+        """Write a batch to the disk, all of it or nothing; in the order of the batches.
+
+        Any thread may do so, one at a time, while others add and save.
 
         Raises
         ------
         JournalError
-            If it cannot be written, as on a full disk; all of it is kept for the next commit.
+            If it cannot be written, as on a full disk; it can be tried again.
         """
-        if not self._frames and not self._states:
-            return
         run = self._connection.execute
         try:
             run("BEGIN")
             many = self._connection.executemany
-            many("INSERT INTO suspensions (number, name) VALUES (?, ?)", self._new)
-            for name, state in self._states.items():
+            many("INSERT INTO suspensions (number, name) VALUES (?, ?)", batch.new)
+            for name, state in batch.states.items():
                 number = self._numbers[name]
                 run("DELETE FROM frames WHERE id BETWEEN ? AND ?", _ids(number))
                 run("UPDATE suspensions SET state = ? WHERE number = ?", (state, number))
-            for several in self._frames.values():
-                many("INSERT INTO frames VALUES (?, ?)", several)
+            frames = [one for several in batch.frames.values() for one in several]
+            for start in range(0, len(frames), WRITTEN_AT_ONCE):
+                part = frames[start : start + WRITTEN_AT_ONCE]
+                rows = ", ".join(["(?, ?)"] * len(part))
+                run(f"INSERT INTO frames VALUES {rows}", [value for row in part for value in row])
             run("COMMIT")
         except sqlite3.Error as error:
             if self._connection.in_transaction:
                 run("ROLLBACK")
             raise JournalError(f"{self.path}: the journal cannot be written ({error})") from None
-        self._frames, self._states, self._new = {}, {}, []
 
 
 def _ids(number: int) -> tuple[int, int]:

@@ -1,10 +1,11 @@
 """The monitor: frames of many suspensions from a source, results to the history.
 
-Frames are taken, the journal is committed, and then the source may forget the frames. Estimates are
-made by a second thread, one at a time and begun while no frame waits, so that hundreds that are due
-at once hold no frame up; everything else is the first thread's. The journal keeps the frames of a
-section until its estimate is told. Killed at any moment, the frames since the last commit come
-again, and estimates that are told twice replace themselves.
+Frames are taken, written to the journal batch by batch, and then the source may forget them. The
+first thread takes them; a second one writes, as a disk may be slow; a third one makes estimates,
+one at a time and begun while no frame waits, so that hundreds that are due at once hold no frame
+up. Everything else is the first thread's. The journal keeps the frames of a section until its
+estimate is told. Killed at any moment, the frames that were not yet written come again, and
+estimates that are told twice replace themselves.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import numpy as np
 
-from suspnet.history.records import TripResult
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.source import Source
-from suspnet.live.suspension import Due, Job, LiveSuspension, Told
+from suspnet.live.suspension import Due, Job, LiveSuspension, Made, Told
 from suspnet.stream import FrameError, StateError, decode
 
 log = logging.getLogger(__name__)
 
-WAIT_S, PAUSE_S = 1.0, 0.1
-"""Longest wait for frames; and if some have come: what is committed is what came before a pause
-of this length, or ``MOST_PENDING`` frames, [s]."""
+WAIT_S, PAUSE_S, WRITING_S = 1.0, 0.1, 0.01
+"""Longest wait for frames; if some have come: what is written is what came before a pause of this
+length, or ``MOST_PENDING`` frames; and while a batch is being written, [s]."""
 
-MOST_PENDING = 256
-"""Number of frames after which the journal is committed."""
+MOST_PENDING, MOST_UNWRITTEN = 256, 1024
+"""Number of frames after which a batch is written; and after which, if the batch before is still
+being written, no more are taken until it is."""
 
 MOST_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
@@ -66,6 +67,7 @@ class Monitor:
         Seconds that only grow.
     executor : Executor, optional
         Makes the estimates; None is a thread of low priority. It is shut down when `run` ends.
+        Batches are written by another thread of its own.
 
     Attributes
     ----------
@@ -106,7 +108,10 @@ class Monitor:
         self._last_s = dict.fromkeys(self._suspensions, clock())
         self._due: dict[str, Due] = {}
         self._executor = executor or ThreadPoolExecutor(1, "estimates", _give_way)
-        self._running: tuple[LiveSuspension, Job, Future[TripResult]] | None = None
+        self._running: tuple[LiveSuspension, Job, Future[Made]] | None = None
+        self._writer = ThreadPoolExecutor(1, "journal")
+        self._writing: tuple[int, Future[None]] | None = None
+        self._n_pending = 0
 
     def resume(self) -> int:
         """Go on from the journal; return the number of its frames.
@@ -140,17 +145,15 @@ class Monitor:
         JournalError
             If the journal cannot be written, as on a full disk.
         """
-        n_pending = 0
         try:
             while True:  # as long as the source says
-                frames = self._source.receive(self._wait_s(n_pending))
+                frames = self._source.receive(self._wait_s())
                 for data in frames or ():
                     self._take(data)
-                n_pending += len(frames or ())
-                if not frames or n_pending >= MOST_PENDING:
+                self._n_pending += len(frames or ())
+                if not frames or self._n_pending >= MOST_PENDING:
                     self._add_silent()
-                    self._commit()
-                    n_pending = 0
+                    self._write()
                 if frames is None:
                     break
                 if self._running is not None and self._running[2].done():
@@ -163,15 +166,20 @@ class Monitor:
             for name in list(self._due):
                 self._begin(name)
                 self._finish_and_save()
-            self._commit()
+            self._confirm()
+            self._write()
+            self._confirm()
         finally:
             self._executor.shutdown(cancel_futures=True)
+            self._writer.shutdown()
 
-    def _wait_s(self, n_pending: int) -> float:
+    def _wait_s(self) -> float:
         """Return how long to wait for frames, [s]."""
         if self._due and self._running is None:
             return 0.0
-        return PAUSE_S if n_pending or self._running is not None else WAIT_S
+        if self._writing is not None:
+            return WRITING_S
+        return PAUSE_S if self._n_pending or self._running is not None else WAIT_S
 
     def _load(self, one: LiveSuspension, state: bytes) -> None:
         """Let a suspension go on from its state in the journal."""
@@ -269,10 +277,26 @@ class Monitor:
                 self._begin(one.name)
                 self._finish_and_save()
 
-    def _commit(self) -> None:
-        """Write the journal, and then let the source forget what it gave."""
-        self._journal.commit()
-        self._source.confirm()
+    def _write(self) -> None:
+        """Let what was taken be written, unless the batch before still is; many frames wait."""
+        if self._writing is not None:
+            if not self._writing[1].done() and self._n_pending < MOST_UNWRITTEN:
+                return
+            self._confirm()
+        batch = self._journal.batch()
+        n_frames, self._n_pending = self._n_pending, 0
+        if batch:
+            self._writing = n_frames, self._writer.submit(self._journal.write, batch)
+        else:
+            self._source.confirm(n_frames)
+
+    def _confirm(self) -> None:
+        """Wait until the batch is written, if there is one; then the source may forget it."""
+        if self._writing is not None:
+            n_frames, future = self._writing
+            future.result()
+            self._writing = None
+            self._source.confirm(n_frames)
 
 
 def _give_way() -> None:

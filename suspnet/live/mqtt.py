@@ -127,16 +127,17 @@ class Mqtt:
         self._given += [(connection, number) for connection, number, _ in arrived]
         return [payload for _, _, payload in arrived]
 
-    def confirm(self) -> None:
-        """Acknowledge all frames that `receive` gave."""
+    def confirm(self, n_frames: int | None = None) -> None:
+        """Acknowledge frames that `receive` gave. See `Source`."""
         assert self._client is not None
+        n_kept = len(self._given) if n_frames is None else n_frames
         with self._changed:  # no new connection begins meanwhile
-            for connection, number in self._given:
+            for connection, number in self._given[:n_kept]:
                 # what came over an earlier connection comes again, under the same number or not
                 # and a number of 0 is that of a sender who asked for no acknowledgement
                 if number and self._is_connected and connection == self._connection:
                     self._client.ack(number, 1)
-        self._given.clear()
+        del self._given[:n_kept]
         self._send()
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:

@@ -60,7 +60,7 @@ class Pipe:
         """Return the frames that have come; None after the end of the input. See `Source`."""
         return self._inbox.take(timeout_s)
 
-    def confirm(self) -> None:
+    def confirm(self, n_frames: int | None = None) -> None:
         """Do nothing: a pipe cannot keep what was read."""
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:

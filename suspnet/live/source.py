@@ -47,8 +47,11 @@ class Source(Protocol):
         """
         ...
 
-    def confirm(self) -> None:
-        """Say that all frames received so far are kept: the source may forget them."""
+    def confirm(self, n_frames: int | None = None) -> None:
+        """Say that the next so many of the frames received are kept: the source may forget them.
+
+        None: all that were received so far.
+        """
         ...
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:

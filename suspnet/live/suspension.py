@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ from suspnet.live.slow_values import SlowValues
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.recording import Recording
 from suspnet.stream import Frame, Running, Sections
 from suspnet.stream.assembler import OrderSettings
@@ -88,9 +89,9 @@ class Job:
     Attributes
     ----------
     due : Due
+    section : Running
+        That of `due` as it was: no more frames come into it.
     manifest : TripManifest
-    recording : Recording or TripError
-        The section's as it was, or why there is none.
     frames : dict of int
         As of `Told`.
     models : sequence of TrainedModel
@@ -98,29 +99,39 @@ class Job:
     """
 
     due: Due
+    section: Running
     manifest: TripManifest
-    recording: Recording | TripError
     frames: dict[str, int]
     models: Sequence[TrainedModel]
     trips: TripSettings
 
-    def make(self) -> TripResult:
+    def make(self) -> Made:
         """Return the estimate, or why there is none; it never fails."""
-        return evaluate_recording(self.manifest, self._read, self.models, self.trips)
+        distance_km = 0.0
 
-    def _read(self) -> Recording:
-        if isinstance(self.recording, TripError):
-            raise self.recording
-        return self.recording
+        def read() -> Recording:
+            nonlocal distance_km
+            recording = replace(self.section.recording(), manifest=self.manifest)
+            distance_km = _distance_km(recording)
+            return recording
 
-    @property
-    def distance_km(self) -> float:
-        """Distance run in the section [km]; unknown speeds are as the others, 0 without any."""
-        if isinstance(self.recording, TripError):
-            return 0.0
-        speeds = self.recording.speed_m_per_s
-        known = speeds[np.isfinite(speeds)]
-        return float(known.mean()) * self.recording.duration_s / 1000 if len(known) else 0.0
+        result = evaluate_recording(self.manifest, read, self.models, self.trips)
+        return Made(result, distance_km)
+
+
+@dataclass(frozen=True)
+class Made:
+    """What became of a job.
+
+    Attributes
+    ----------
+    result : TripResult
+    distance_km : float, [km]
+        As of `Told`.
+    """
+
+    result: TripResult
+    distance_km: float
 
 
 @dataclass(frozen=True)
@@ -246,24 +257,21 @@ class LiveSuspension:
             temperature_c=due.temperature_c,
             truth={},
         )
-        recording: Recording | TripError
-        try:
-            recording = replace(section.recording(), manifest=manifest)
-        except TripError as error:
-            recording = error
         frames: Counter[str] = Counter()
         for counts in section.sensors.values():
             frames.update(counts)
         frames.update(self._sections.counts)
         if due.is_final:
             self._sections.counts.clear()
-        if due.is_final and section in self._sections.open:
-            self._silent[section.zero_ns] = manifest.mileage_km, section.n_frames
-        return Job(due, manifest, recording, dict(frames), self.models, self._trips)
+        if section in self._sections.open:
+            if due.is_final:
+                self._silent[section.zero_ns] = manifest.mileage_km, section.n_frames
+            section = copy.deepcopy(section)  # as the first thread goes on with it
+        return Job(due, section, manifest, dict(frames), self.models, self._trips)
 
-    def finish(self, job: Job, result: TripResult) -> Told:
+    def finish(self, job: Job, made: Made) -> Told:
         """Return what is to be told; the mileage goes on behind a section that is over."""
-        section, distance_km = job.due.section, job.distance_km
+        section, result, distance_km = job.due.section, made.result, made.distance_km
         if job.due.is_final and section not in self._sections.open:
             end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
             self._slow.pass_section(end_ns, result.mileage_km + distance_km)
@@ -301,3 +309,10 @@ class LiveSuspension:
         """Return the estimate of a section; what is known of it by now does not depend on when."""
         end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
         return Due(section, is_final, *self._slow.within(section.zero_ns, end_ns))
+
+
+def _distance_km(recording: Recording) -> float:
+    """Return the distance run [km]; unknown speeds are as the others, 0 without any."""
+    speeds = recording.speed_m_per_s
+    known = speeds[np.isfinite(speeds)]
+    return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0

@@ -14,10 +14,9 @@ as frames of 1 s in single precision, each suspension's at a moment of its own w
 Everything is done that `suspnet-monitor` does: journal, sections, estimates, history and alarms.
 Reading from a network, making the frames and waiting for the disk is not counted.
 
-The clock is the CPU time of the monitor, both threads, as if it had a core for itself: frames come
-in real time by this clock, which jumps to the next one while the monitor waits and no estimate is
-being made. So the delay of a frame, from the moment at which it came until it is part of the state,
-holds on a busy machine, too.
+The clock is the CPU time of the monitor, all threads, as if it had a core for itself: frames come
+in real time by this clock, which jumps to the next one while nothing is at work. So the delay of a
+frame, from the moment at which it came until it is part of the state, holds on a busy machine, too.
 """
 
 from __future__ import annotations
@@ -94,8 +93,8 @@ class Repeated:
 
     Attributes
     ----------
-    is_estimating : callable
-        Whether the monitor's second thread is at work.
+    is_busy : callable
+        Whether another thread of the monitor is at work.
     made_s : float, [s]
         CPU time that this took itself.
     came_s : list of float, [s]
@@ -116,7 +115,7 @@ class Repeated:
         self.made_s, self.came_s, self.memory = 0.0, list[float](), list[float]()
         self._waiting: deque[tuple[float, bytes]] = deque()
         self._second, self._waited_s = 0, 0.0
-        self.is_estimating: Callable[[], bool] = lambda: False
+        self.is_busy: Callable[[], bool] = lambda: False
         self._begin_s = time.process_time()
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
@@ -137,7 +136,7 @@ class Repeated:
             return None
         self.made_s += time.thread_time() - start_s
         until_s = max(self.now_s, min(until_s, self._waiting[0][0] if self._waiting else until_s))
-        while self.is_estimating() and self.now_s < until_s:  # its CPU time passes
+        while self.is_busy() and self.now_s < until_s:  # its CPU time passes
             time.sleep(1e-4)
         self._waited_s += max(0.0, until_s - self.now_s)
         start_s = time.thread_time()
@@ -169,7 +168,7 @@ class Repeated:
                     )
             self._second += 1
 
-    def confirm(self) -> None:
+    def confirm(self, n_frames: int | None = None) -> None:
         """Forget nothing: the next frames are new."""
 
     def publish(self, kind: str, suspension: str, payload: bytes) -> None:
@@ -187,9 +186,10 @@ class Timed(Monitor):
     delays_ms: array[float]
     source: Repeated
 
-    def is_estimating(self) -> bool:
-        """Return whether the second thread is at work."""
-        return self._running is not None and not self._running[2].done()
+    def is_busy(self) -> bool:
+        """Return whether an estimate is being made, or a batch written."""
+        busy = [one[-1] for one in (self._running, self._writing) if one is not None]
+        return not all(one.done() for one in busy)
 
     def _take(self, data: bytes) -> None:
         start = time.perf_counter()
@@ -237,7 +237,7 @@ def main() -> None:
         with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
             results = Results(store, settings, source.publish)
             monitor = Timed(several, source, journal, results.tell)
-            monitor.source, source.is_estimating = source, monitor.is_estimating
+            monitor.source, source.is_busy = source, monitor.is_busy
             monitor.took_ms, monitor.delays_ms = array("d"), array("d")  # eight bytes each
             wall, start = time.perf_counter(), time.process_time()
             monitor.run()

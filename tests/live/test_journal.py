@@ -1,4 +1,5 @@
 import sqlite3
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -10,7 +11,7 @@ def filled(path):
     journal = Journal(path)
     journal.add("A", b"1")
     journal.add("B", b"22")
-    journal.commit()
+    journal.write(journal.batch())
     journal.add("A", b"3")
     journal.save("A", b"state")
     journal.add("A", b"4")
@@ -28,7 +29,7 @@ WHOLE = {"A": (b"state", [b"4", b"55"]), "B": (None, [b"22"])}
 
 def test_state_takes_the_place_of_the_frames_before_it(tmp_path):
     with filled(tmp_path / "journal") as journal:
-        journal.commit()
+        journal.write(journal.batch())
         assert content(journal) == WHOLE
         assert journal.n_bytes == {"A": 3, "B": 2}
     with Journal(tmp_path / "journal") as journal:
@@ -36,7 +37,7 @@ def test_state_takes_the_place_of_the_frames_before_it(tmp_path):
         assert journal.n_bytes == {"A": 3, "B": 2}
 
 
-def test_what_was_not_committed_is_not_there(tmp_path):
+def test_what_was_not_written_is_not_there(tmp_path):
     filled(tmp_path / "journal").close()
     with Journal(tmp_path / "journal") as journal:
         assert content(journal) == {"A": (None, [b"1"]), "B": (None, [b"22"])}
@@ -47,8 +48,23 @@ def test_frames_come_back_in_their_order(tmp_path):
     with Journal(tmp_path / "journal") as journal:
         for one in frames:
             journal.add("A", one)
-        journal.commit()
+        journal.write(journal.batch())
         assert list(journal.frames("A")) == frames
+
+
+def test_batches_can_be_written_while_more_is_added(tmp_path):
+    frames = [str(k).encode() for k in range(100)]
+    with Journal(tmp_path / "journal") as journal, ThreadPoolExecutor(1) as writer:
+        written = []
+        for k, one in enumerate(frames):
+            journal.add("A", one)
+            if k == 50:
+                journal.save("A", b"state")
+            written.append(writer.submit(journal.write, journal.batch()))
+        for one in written:
+            one.result()
+        assert content(journal) == {"A": (b"state", frames[51:])}
+        assert not journal.batch()
 
 
 def test_journal_stays_small_where_states_are_saved(tmp_path):
@@ -58,7 +74,7 @@ def test_journal_stays_small_where_states_are_saved(tmp_path):
             journal.add("A", bytes(50_000))
             if k % 10 == 9:
                 journal.save("A", bytes(10_000))
-            journal.commit()
+            journal.write(journal.batch())
     assert path.stat().st_size < 2e6
 
 
@@ -94,14 +110,15 @@ def test_folder_that_is_missing_is_told(tmp_path):
         Journal(tmp_path / "none" / "journal")
 
 
-def test_full_disk_keeps_all_for_the_next_commit(tmp_path):
+def test_batch_that_a_full_disk_refused_can_be_written_again(tmp_path):
     with filled(tmp_path / "journal") as journal:
         (pages,) = journal._connection.execute("PRAGMA page_count").fetchone()
         journal._connection.execute(f"PRAGMA max_page_count = {pages}")
         journal.add("B", bytes(10**6))
+        batch = journal.batch()
         with pytest.raises(JournalError, match="cannot be written"):
-            journal.commit()
+            journal.write(batch)
         journal._connection.execute("PRAGMA max_page_count = 100000")
-        journal.commit()
+        journal.write(batch)
         assert content(journal)["A"] == WHOLE["A"]
         assert content(journal)["B"] == (None, [b"22", bytes(10**6)])

@@ -186,6 +186,48 @@ def test_frames_are_taken_while_an_estimate_is_made(tmp_path, fleet, monkeypatch
     assert source.confirmed == len(frames)
 
 
+@pytest.mark.parametrize("most", [200, 10**9])
+def test_frames_are_taken_while_a_batch_is_written_but_only_so_many(
+    tmp_path, fleet, monkeypatch, most
+):
+    monkeypatch.setattr("suspnet.live.monitor.MOST_PENDING", 100)
+    monkeypatch.setattr("suspnet.live.monitor.MOST_UNWRITTEN", most)
+    frames = frames_of_trips(fleet[:1])
+    source, is_slow = ListSource(frames), threading.Event()
+    receive, write, taken = source.receive, Journal.write, []
+
+    def received(timeout_s):
+        given = receive(timeout_s)
+        taken.append((source.at, source.confirmed))
+        if given is None or source.at == most + 100:
+            is_slow.set()
+        return given
+
+    def write_late(self, batch):
+        assert is_slow.wait(60)
+        write(self, batch)
+
+    source.receive = received
+    monkeypatch.setattr(Journal, "write", write_late)
+    (found,), _ = monitored(tmp_path, fleet, source)
+    assert max(at for at, confirmed in taken if not confirmed) == min(most + 100, len(frames))
+    assert source.confirmed == len(frames)
+    assert_same_estimate(found, evaluate_trip(fleet[0], [model_at()], SETTINGS.trips))
+
+
+def test_an_estimate_on_the_way_is_of_what_had_come_when_it_was_begun(fleet):
+    (one,), frames = suspensions(fleet, replace(LIVE, every_s=200.0)), frames_of_trips(fleet[:1])
+    for data in frames:
+        one.take(decode(data))
+        for due in one.due():
+            job = one.job(due)
+            made = job.make()
+    again = job.make()  # the section has gone on
+    assert_same_estimate(again.result, made.result)
+    assert made.result.status == "ok"
+    assert again.distance_km == made.distance_km == pytest.approx(14.0, rel=0.05)  # of 21 km
+
+
 def test_a_section_that_waits_for_its_estimate_holds_up_frames_only_when_the_journal_is_full(
     tmp_path, fleet, monkeypatch
 ):
@@ -225,7 +267,7 @@ def test_estimates_that_wait_are_made_after_kills(tmp_path, fleet, every_s):
     with Journal(tmp_path / "journal") as journal:  # killed before any estimate was made
         for data in frames:
             journal.add(one.name, data)
-        journal.commit()
+        journal.write(journal.batch())
     (tmp_path / "offset").write_text(str(len(frames)))
 
     rounds = [[], []]
@@ -385,10 +427,10 @@ def test_a_store_that_is_away_is_waited_for(tmp_path, fleet, monkeypatch):
 def test_nothing_is_confirmed_that_is_not_in_the_journal(tmp_path, fleet, monkeypatch):
     source = ListSource(frames_of_trips(fleet[:1]))
 
-    def full(self):
+    def full(self, batch):
         raise JournalError("journal: the journal cannot be written (disk is full)")
 
-    monkeypatch.setattr(Journal, "commit", full)
+    monkeypatch.setattr(Journal, "write", full)
     with pytest.raises(JournalError, match="disk is full"):
         monitored(tmp_path, fleet, source)
     assert source.confirmed == 0

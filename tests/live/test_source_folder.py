@@ -123,6 +123,26 @@ def test_files_of_anything_give_their_frames_and_are_put_away(contents):
         assert len(names(folder / "refused")) == len(contents) - len(whole)
 
 
+def test_files_are_put_away_as_their_frames_are_confirmed_one_after_the_other(tmp_path):
+    (tmp_path / "a").write_bytes(b"".join(FRAMES[:2]))
+    (tmp_path / "b").write_bytes(b"".join(FRAMES[2:5]))
+    source = opened(tmp_path, once=False)
+    assert source.receive(1.0) == FRAMES[:5]
+    (tmp_path / "c").write_bytes(b"foreign")
+    assert source.receive(0.05) == []
+    source.confirm(1)
+    assert names(tmp_path) == ["a", "b", "c"]
+    source.confirm(3)
+    assert names(tmp_path) == ["b", "c"]
+    source.confirm(1)
+    assert names(tmp_path) == []
+    assert names(tmp_path / "taken") == ["a", "b"]
+    (tmp_path / "d").write_bytes(b"foreign")
+    assert source.receive(0.05) == []
+    source.confirm(0)
+    assert names(tmp_path / "refused") == ["c", "d"]
+
+
 def test_thousands_of_files_and_batches_of_bounded_size(tmp_path, monkeypatch):
     monkeypatch.setattr(drop_folder, "BATCH_BYTES", 20 * len(FRAMES[0]))
     frames = encoded(2000)

@@ -102,6 +102,18 @@ def test_confirmed_frames_never_come_again(broker, opened):
     assert second.counts == {}
 
 
+def test_frames_are_confirmed_in_the_order_in_which_they_came(broker, opened):
+    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
+    send(sink, 30)
+    assert len(received(source, 30)) == 30
+    source.confirm(7)
+    source.confirm(5)
+    source.close()
+    time.sleep(0.5)  # a client of the same name ends the connection before, with what is unread
+    found = numbers(received(opened(Mqtt(at(broker))), 18))
+    assert [number for *_, number in found] == list(range(12, 30))
+
+
 def test_frames_come_again_to_a_monitor_that_was_killed_before_it_confirmed(broker, opened):
     script = (
         "import sys\n"
