@@ -18,6 +18,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,21 @@ MOST_WAITING = 4 * MOST_JOURNAL
 its last section is told: a state does not hold sections that are over, [bytes]."""
 
 Tell = Callable[[LiveSuspension, Told], None]
+
+
+class _Making(NamedTuple):
+    """The estimate that is being made."""
+
+    one: LiveSuspension
+    job: Job
+    future: Future[Made]
+
+
+class _Writing(NamedTuple):
+    """The batch that is being written, of so many frames that the source gave."""
+
+    n_frames: int
+    future: Future[None]
 
 
 class Monitor:
@@ -108,9 +124,9 @@ class Monitor:
         self._last_s = dict.fromkeys(self._suspensions, clock())
         self._due: dict[str, Due] = {}
         self._executor = executor or ThreadPoolExecutor(1, "estimates", _give_way)
-        self._running: tuple[LiveSuspension, Job, Future[Made]] | None = None
+        self._making: _Making | None = None
         self._writer = ThreadPoolExecutor(1, "journal")
-        self._writing: tuple[int, Future[None]] | None = None
+        self._writing: _Writing | None = None
         self._n_pending = 0
 
     def resume(self) -> int:
@@ -156,9 +172,9 @@ class Monitor:
                     self._write()
                 if frames is None:
                     break
-                if self._running is not None and self._running[2].done():
+                if self._making is not None and self._making.future.done():
                     self._finish_and_save()
-                if not frames and self._due and self._running is None:
+                if not frames and self._due and self._making is None:
                     self._begin(next(iter(self._due)))
             for one in self._suspensions.values():
                 self._add(one, one.end())
@@ -175,11 +191,11 @@ class Monitor:
 
     def _wait_s(self) -> float:
         """Return how long to wait for frames, [s]."""
-        if self._due and self._running is None:
+        if self._due and self._making is None:
             return 0.0
         if self._writing is not None:
             return WRITING_S
-        return PAUSE_S if self._n_pending or self._running is not None else WAIT_S
+        return PAUSE_S if self._n_pending or self._making is not None else WAIT_S
 
     def _load(self, one: LiveSuspension, state: bytes) -> None:
         """Let a suspension go on from its state in the journal."""
@@ -241,19 +257,19 @@ class Monitor:
         """Let the estimate of a suspension that waits be made; none is being made now."""
         one = self._suspensions[name]
         job = one.job(self._due.pop(name))
-        self._running = one, job, self._executor.submit(job.make)
+        self._making = _Making(one, job, self._executor.submit(job.make))
 
     def _finish(self) -> None:
         """Wait for the estimate that is being made, if there is one, and tell it."""
-        if self._running is not None:
-            one, job, future = self._running
+        if self._making is not None:
+            one, job, future = self._making
             self._tell(one, one.finish(job, future.result()))
-            self._running = None
+            self._making = None
 
     def _finish_and_save(self) -> None:
         """Tell the estimate that is being made; after a final one, save if no section waits."""
-        if self._running is not None:
-            one, job, _ = self._running
+        if self._making is not None:
+            one, job, _ = self._making
             self._finish()
             if job.due.is_final and not self._is_held(one.name):
                 self._journal.save(one.name, one.dump())
@@ -263,9 +279,8 @@ class Monitor:
         waiting = self._due.get(name)
         if waiting is not None and waiting.is_final:
             return True
-        return self._running is not None and (
-            self._running[0].name == name and self._running[1].due.is_final
-        )
+        making = self._making
+        return making is not None and making.one.name == name and making.job.due.is_final
 
     def _save(self, one: LiveSuspension) -> None:
         """Save a suspension's state in place of its frames, as soon as all sections are told."""
@@ -280,13 +295,13 @@ class Monitor:
     def _write(self) -> None:
         """Let what was taken be written, unless the batch before still is; many frames wait."""
         if self._writing is not None:
-            if not self._writing[1].done() and self._n_pending < MOST_UNWRITTEN:
+            if not self._writing.future.done() and self._n_pending < MOST_UNWRITTEN:
                 return
             self._confirm()
         batch = self._journal.batch()
         n_frames, self._n_pending = self._n_pending, 0
         if batch:
-            self._writing = n_frames, self._writer.submit(self._journal.write, batch)
+            self._writing = _Writing(n_frames, self._writer.submit(self._journal.write, batch))
         else:
             self._source.confirm(n_frames)
 

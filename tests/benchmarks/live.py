@@ -188,8 +188,8 @@ class Timed(Monitor):
 
     def is_busy(self) -> bool:
         """Return whether an estimate is being made, or a batch written."""
-        busy = [one[-1] for one in (self._running, self._writing) if one is not None]
-        return not all(one.done() for one in busy)
+        busy = [one for one in (self._making, self._writing) if one is not None]
+        return not all(one.future.done() for one in busy)
 
     def _take(self, data: bytes) -> None:
         start = time.perf_counter()
