@@ -83,6 +83,7 @@ class DropFolder:
         self._known: set[str] = set()
         self._read: deque[_File] = deque()
         self._n_given = self._n_kept = 0
+        self._next_look_s = 0.0
         self._reading: Generator[list[bytes], None, None] | None = None
 
     @property
@@ -107,12 +108,14 @@ class DropFolder:
             if self._reading is None and not self._waiting:
                 if frames:
                     break
-                self._look()
+                if self.once or time.monotonic() >= self._next_look_s:
+                    self._look()
+                    self._next_look_s = time.monotonic() + self.poll_s
             if self._reading is None and not self._waiting:
-                left_s = deadline - time.monotonic()
-                if self.once or left_s <= 0:
+                now_s = time.monotonic()
+                if self.once or now_s >= deadline:
                     return None if self.once else []
-                time.sleep(min(self.poll_s, left_s))
+                time.sleep(max(0.0, min(self._next_look_s, deadline) - now_s))
                 continue
             if self._reading is None:
                 self._reading = self._frames(self._waiting.popleft())

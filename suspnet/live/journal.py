@@ -10,6 +10,7 @@ written again for the sake of a frame of one among hundreds of suspensions.
 from __future__ import annotations
 
 import sqlite3
+import threading
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -86,6 +87,7 @@ class Journal:
         self._batch = Batch()
         if not path.absolute().parent.is_dir():
             raise JournalError(f"{path}: there is no folder {path.absolute().parent}")
+        self._writing = threading.Lock()
         self._connection = sqlite3.connect(
             path, timeout=1.0, isolation_level=None, check_same_thread=False
         )
@@ -135,8 +137,9 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file; what was not written is gone."""
-        self._connection.close()
+        """Let go of the file once a batch that is being written is; what was not is gone."""
+        with self._writing:
+            self._connection.close()
 
     def state(self, suspension: str) -> bytes | None:
         """Return the last saved state of a suspension."""
@@ -195,6 +198,11 @@ class Journal:
         JournalError
             If it cannot be written, as on a full disk; it can be tried again.
         """
+        with self._writing:
+            self._write(batch)
+
+    def _write(self, batch: Batch) -> None:
+        """Write a batch."""
         run = self._connection.execute
         try:
             run("BEGIN")

@@ -186,8 +186,8 @@ class Monitor:
             self._write()
             self._confirm()
         finally:
-            self._executor.shutdown(cancel_futures=True)
             self._writer.shutdown()
+            self._executor.shutdown(cancel_futures=True)
 
     def _wait_s(self) -> float:
         """Return how long to wait for frames, [s]."""
@@ -293,7 +293,11 @@ class Monitor:
                 self._finish_and_save()
 
     def _write(self) -> None:
-        """Let what was taken be written, unless the batch before still is; many frames wait."""
+        """Let what was taken be written, and what is written be forgotten by the source.
+
+        While the batch before is still being written nothing happens, unless so many frames are
+        pending that it is waited for.
+        """
         if self._writing is not None:
             if not self._writing.future.done() and self._n_pending < MOST_UNWRITTEN:
                 return

@@ -272,7 +272,8 @@ class LiveSuspension:
     def finish(self, job: Job, made: Made) -> Told:
         """Return what is to be told; the mileage goes on behind a section that is over."""
         section, result, distance_km = job.due.section, made.result, made.distance_km
-        if job.due.is_final and section not in self._sections.open:
+        was_over = job.section is section  # when the job was begun: it is no copy
+        if job.due.is_final and was_over:
             end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
             self._slow.pass_section(end_ns, result.mileage_km + distance_km)
             self._silent.pop(section.zero_ns, None)

@@ -12,7 +12,7 @@ Sensors on one side: ``fleet.sides=left`` in place of ``generator=best``. The tr
 channels at 5000, 2000 and 2000 Hz and a speed of 1 Hz for 20 minutes; it is given again and again
 as frames of 1 s in single precision, each suspension's at a moment of its own within a second.
 Everything is done that `suspnet-monitor` does: journal, sections, estimates, history and alarms.
-Reading from a network, making the frames and waiting for the disk is not counted.
+Reading from a network, making the frames and waiting for the disk alone is not counted.
 
 The clock is the CPU time of the monitor, all threads, as if it had a core for itself: frames come
 in real time by this clock, which jumps to the next one while nothing is at work. So the delay of a
@@ -136,7 +136,7 @@ class Repeated:
             return None
         self.made_s += time.thread_time() - start_s
         until_s = max(self.now_s, min(until_s, self._waiting[0][0] if self._waiting else until_s))
-        while self.is_busy() and self.now_s < until_s:  # its CPU time passes
+        while self.is_busy() and self.now_s < until_s:  # the CPU time of its threads passes
             time.sleep(1e-4)
         self._waited_s += max(0.0, until_s - self.now_s)
         start_s = time.thread_time()

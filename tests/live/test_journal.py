@@ -1,4 +1,6 @@
 import sqlite3
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -65,6 +67,28 @@ def test_batches_can_be_written_while_more_is_added(tmp_path):
             one.result()
         assert content(journal) == {"A": (b"state", frames[51:])}
         assert not journal.batch()
+
+
+def test_close_waits_for_the_batch_that_is_being_written(tmp_path, monkeypatch):
+    is_begun, is_closing, write = threading.Event(), threading.Event(), Journal._write
+
+    def write_late(self, batch):
+        is_begun.set()
+        assert is_closing.wait(60)
+        time.sleep(0.05)
+        write(self, batch)
+
+    monkeypatch.setattr(Journal, "_write", write_late)
+    journal = Journal(tmp_path / "journal")
+    journal.add("A", b"1")
+    with ThreadPoolExecutor(1) as writer:
+        written = writer.submit(journal.write, journal.batch())
+        assert is_begun.wait(60)
+        is_closing.set()
+        journal.close()
+        written.result()
+    with Journal(tmp_path / "journal") as journal:
+        assert content(journal) == {"A": (None, [b"1"])}
 
 
 def test_journal_stays_small_where_states_are_saved(tmp_path):

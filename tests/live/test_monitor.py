@@ -458,6 +458,29 @@ def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, a
     assert_same_estimate(found, expected[0])
 
 
+def test_a_silent_section_that_is_over_before_its_estimate_is_made_is_one_trip(fleet):
+    (one,) = suspensions(fleet)
+    frames = [decode(data) for data in two_sections(fleet, [one])]
+    found = []
+    for frame in frames:
+        if frame.sensor != "mileage":
+            one.take(frame)
+        found += one.due()
+        if not found and frame.time_ns >= frames[0].time_ns + 250 * 10**9:
+            found += one.silent()
+            job = one.job(found[0])
+            made = job.make()
+    silent, over = found
+    assert silent.section is over.section
+    told = [one.finish(job, made)]
+    for due in (over, *one.end()):
+        job = one.job(due)
+        told.append(one.finish(job, job.make()))
+    first, again, following = (what.result for what in told)
+    assert again.mileage_km == first.mileage_km
+    assert following.mileage_km == pytest.approx(again.mileage_km + 21.0, abs=0.5)
+
+
 def test_journal_of_other_settings_is_refused(tmp_path, fleet):
     frames = frames_of_trips(fleet[:2])
     monitored(tmp_path, fleet, ListSource(frames))

@@ -218,6 +218,14 @@ def test_file_that_is_replaced_before_it_is_confirmed_is_read_anew(tmp_path):
     assert names(tmp_path / "taken") == ["a"]
 
 
+def test_folder_is_looked_at_no_oftener_than_it_was_told(tmp_path, monkeypatch):
+    source, n_looks, look = opened(tmp_path, once=False, poll_s=60.0), [], DropFolder._look
+    monkeypatch.setattr(DropFolder, "_look", lambda self: (n_looks.append(1), look(self)))
+    for _ in range(10):
+        assert source.receive(0.002) == []
+    assert len(n_looks) == 1
+
+
 def test_receive_waits_for_files_no_longer_than_it_was_told(tmp_path):
     source = opened(tmp_path, once=False)
     begin = time.monotonic()
