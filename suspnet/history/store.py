@@ -9,13 +9,16 @@ from pathlib import Path
 
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.database import (
+    WAIT_S,
     HistoryError,
     connect,
     database_url,
+    error_of,
+    is_prepared,
     prepare,
     reading,
     upsert,
@@ -41,12 +44,17 @@ from suspnet.recordings.manifest import Place
 class History:
     """Trips of all suspensions, their estimates and alarms, and what people did.
 
-    Several programs may read and write at once. Made anew where there is nothing yet.
+    Several programs may read and write at once. A store that is missing, or an empty file, becomes
+    a new store; any other file is refused unchanged.
 
     Parameters
     ----------
     place : str or Path
         A file (SQLite), or a URL such as "postgresql://user:password@host/database".
+    wait_s : float, [s]
+        Longest time that a transaction waits for other programs.
+    must_exist : bool
+        Whether a store that is missing or empty is refused.
 
     Raises
     ------
@@ -54,12 +62,19 @@ class History:
         If it is no store of this version, or cannot be reached.
     """
 
-    def __init__(self, place: str | Path) -> None:
+    def __init__(
+        self, place: str | Path, *, wait_s: float = WAIT_S, must_exist: bool = False
+    ) -> None:
         self._url = database_url(place)
-        self._engine = connect(self._url)
+        self._engine = connect(self._url, wait_s, must_exist=must_exist)
         try:
-            with self._writing() as connection:
-                prepare(connection, str(self))
+            with self._reading() as connection:
+                is_there = is_prepared(connection, str(self))
+            if not is_there:
+                if must_exist:
+                    raise HistoryError(f"{self}: the store is empty, no trip was ever kept in it")
+                with self._writing() as connection:
+                    prepare(connection, str(self))
         except BaseException:
             self.close()
             raise
@@ -273,12 +288,9 @@ class History:
 
     @contextmanager
     def _transaction(self, engine: Engine) -> Iterator[Connection]:
-        """Give a connection, and tell its errors as those of the store."""
+        """Give a connection, and raise its errors as those of the store."""
         try:
             with engine.begin() as connection:
                 yield connection
-        except DBAPIError as error:
-            words = str(error.orig).strip().splitlines()[0]
-            raise HistoryError(f"{self}: the store cannot be used ({words})") from None
         except SQLAlchemyError as error:
-            raise HistoryError(f"{self}: the store cannot be used ({error})") from None
+            raise error_of(error, str(self)) from None

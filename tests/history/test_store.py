@@ -243,7 +243,7 @@ def test_a_wrong_event_is_refused(fields, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"no database at all, but some text" * 40, "cannot be used .*not a database"),
+        (b"no database at all, but some text" * 40, "is not an SQLite database"),
         (None, "there is no folder"),
     ],
 )
