@@ -100,9 +100,7 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
     address = f"{path.as_uri()}?mode={'rw' if must_exist else 'rwc'}"
     engine = sql.create_engine(
         "sqlite://",
-        creator=lambda: sqlite3.connect(
-            address, timeout=wait_s, uri=True, check_same_thread=False
-        ),
+        creator=lambda: sqlite3.connect(address, timeout=wait_s, uri=True, check_same_thread=False),
         poolclass=sql.QueuePool,
     )
 

@@ -12,9 +12,9 @@ from sqlalchemy.engine import Connection
 
 from suspnet.history.database import upsert
 from suspnet.history.events import Event
-from suspnet.history.rows import key_of, or_null
+from suspnet.history.rows import BadRow, Key, bad_row, check_types, key_of, or_null
 from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions
-from suspnet.history.suspensions import Key, is_one_of
+from suspnet.history.suspensions import is_one_of
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 
 Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
@@ -27,9 +27,15 @@ TABLES: dict[type, sql.Table] = {
 
 
 def read_kept(
-    connection: Connection, kind: type[Kept], where: sql.ColumnElement[bool] | None = None
+    connection: Connection,
+    kind: type[Kept],
+    bad: list[BadRow],
+    where: sql.ColumnElement[bool] | None = None,
 ) -> dict[Key, list[Kept]]:
-    """Return what is kept of each suspension, or of those chosen, in order of the table's key."""
+    """Return what is kept of each suspension, or of those chosen, in order of the table's key.
+
+    Rows that cannot be read are left out, and added to `bad`.
+    """
     table, names = TABLES[kind], [one.name for one in fields(kind)]
     places = (suspensions.c[name] for name in ("vehicle", *PLACE))
     chosen = (
@@ -40,10 +46,18 @@ def read_kept(
     )
     found: dict[Key, list[Kept]] = {}
     for row in connection.execute(chosen).mappings():
-        values: dict[str, Any] = {
-            name: math.nan if row[name] is None else row[name] for name in names
-        }
-        found.setdefault(key_of(row), []).append(kind(**values))
+        try:
+            key = key_of(row)
+        except ValueError:  # a bad row of the suspensions, not of these
+            continue
+        try:
+            check_types(table, row)
+            values: dict[str, Any] = {
+                name: math.nan if row[name] is None else row[name] for name in names
+            }
+            found.setdefault(key, []).append(kind(**values))
+        except ValueError as error:
+            bad.append(bad_row(table, row, error, key))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -26,19 +27,25 @@ from suspnet.history.database import (
 from suspnet.history.events import Event
 from suspnet.history.kept import other_alarms, read_kept, replace_alarms, write_kept
 from suspnet.history.records import TripResult
-from suspnet.history.rows import key_of, result_of, row_of
+from suspnet.history.rows import BadRow, Key, bad_row, result_of, row_of
 from suspnet.history.schema import suspensions, trips
 from suspnet.history.series import Series, read_series
 from suspnet.history.suspensions import (
-    Key,
     add_suspensions,
     is_of,
+    known_suspensions,
     numbers_of,
     places_of,
     raise_revisions,
 )
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.recordings.manifest import Place
+
+log = logging.getLogger(__name__)
+MOST_LOGGED = 1000
+"""Largest number of bad rows that are logged, so that a damaged store fills no disk."""
+_LOGGED: set[str] = set()
+"""Bad rows that this process has logged: a program that follows a store reads them often."""
 
 
 class History:
@@ -56,6 +63,11 @@ class History:
     must_exist : bool
         Whether a store that is missing or empty is refused.
 
+    Attributes
+    ----------
+    bad_rows : list of BadRow
+        Rows that could not be read and were left out, so far.
+
     Raises
     ------
     HistoryError
@@ -65,6 +77,7 @@ class History:
     def __init__(
         self, place: str | Path, *, wait_s: float = WAIT_S, must_exist: bool = False
     ) -> None:
+        self.bad_rows: list[BadRow] = []
         self._url = database_url(place)
         self._engine = connect(self._url, wait_s, must_exist=must_exist)
         try:
@@ -100,7 +113,7 @@ class History:
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
         with self._reading() as connection:
-            return places_of(connection)
+            return places_of(connection, self.bad_rows)
 
     def revisions(self) -> dict[Key, int]:
         """Return a number of each suspension that grows with each change of what is kept of it.
@@ -109,8 +122,7 @@ class History:
         this is of these revisions or of later ones.
         """
         with self._reading() as connection:
-            rows = connection.execute(sql.select(suspensions)).mappings()
-            return {key_of(row): int(row["revision"]) for row in rows}
+            return dict(known_suspensions(connection, bad=self.bad_rows).values())
 
     def write(self, results: Sequence[TripResult]) -> None:
         """Keep trips, all or none. One that is there already is replaced by what was read last.
@@ -138,10 +150,15 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
-        chosen = sql.select(trips).join(suspensions).where(is_of(vehicle, place))
+        columns = [one for one in trips.columns if one.name != "key"]
+        chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+        found = []
         with self._reading() as connection:
-            rows = connection.execute(chosen).mappings().all()
-        found = [result_of(vehicle, place, row) for row in rows]
+            for row in connection.execute(chosen).mappings():
+                try:
+                    found.append(result_of(vehicle, place, row))
+                except ValueError as error:
+                    self.bad_rows.append(bad_row(trips, row, error, (vehicle, place)))
         return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
@@ -155,7 +172,7 @@ class History:
             Of these suspensions alone; those that the store does not know are left out.
         """
         with self._reading() as connection:
-            return read_series(connection, None if keys is None else set(keys))
+            return read_series(connection, self.bad_rows, None if keys is None else set(keys))
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
         """Return the transfer functions that are kept of a suspension, by mileage.
@@ -184,7 +201,8 @@ class History:
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
         with self._reading() as connection:
-            return read_kept(connection, Event, is_of(vehicle, place)).get((vehicle, place), [])
+            found = read_kept(connection, Event, self.bad_rows, is_of(vehicle, place))
+        return found.get((vehicle, place), [])
 
     def keep_alarms(
         self,
@@ -241,12 +259,13 @@ class History:
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, open or not, by the mileage where they begin."""
         with self._reading() as connection:
-            return read_kept(connection, Alarm, is_of(vehicle, place)).get((vehicle, place), [])
+            found = read_kept(connection, Alarm, self.bad_rows, is_of(vehicle, place))
+        return found.get((vehicle, place), [])
 
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
         with self._reading() as connection:
-            return read_kept(connection, Alarm)
+            return read_kept(connection, Alarm, self.bad_rows)
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
         """Keep acknowledgements of alarms, for ever; the same one again replaces its words.
@@ -261,13 +280,13 @@ class History:
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
         """Return the acknowledgements of a suspension's alarms, by mileage and time."""
         with self._reading() as connection:
-            found = read_kept(connection, Acknowledgement, is_of(vehicle, place))
+            found = read_kept(connection, Acknowledgement, self.bad_rows, is_of(vehicle, place))
         return found.get((vehicle, place), [])
 
     def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
         """Return the acknowledgements of each suspension that has any."""
         with self._reading() as connection:
-            return read_kept(connection, Acknowledgement)
+            return read_kept(connection, Acknowledgement, self.bad_rows)
 
     def _keep(
         self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
@@ -278,9 +297,16 @@ class History:
             raise_revisions(connection, ids)
             write_kept(connection, ids[0], kept)
 
-    def _reading(self) -> AbstractContextManager[Connection]:
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
         """Give a connection that sees one state of the store, and holds no writer up."""
-        return self._transaction(reading(self._engine))
+        with self._transaction(reading(self._engine)) as connection:
+            yield connection
+        for one in self.bad_rows:
+            words = f"{self}: {one}; it is left out: correct or delete it"
+            if words not in _LOGGED and len(_LOGGED) < MOST_LOGGED:
+                _LOGGED.add(words)
+                log.warning("%s", words)
 
     def _writing(self) -> AbstractContextManager[Connection]:
         """Give a connection whose changes are kept together at the end, or not at all."""
