@@ -25,6 +25,10 @@ CONNECT_S = 5
 """Time that a server has to accept a connection, [s]."""
 APPLICATION_ID = 0x73757368
 """Number in the header of an SQLite store, by which it is recognised."""
+DAMAGED = (
+    "{name}: the store is damaged ({words}); put a copy in its place, or evaluate the trips again "
+    "into a new one"
+)
 MARKER = f"SELECT 1 FROM {versions.name}"
 """Query that returns a row of a store."""
 READS = "suspnet_reads"
@@ -193,11 +197,15 @@ def error_of(error: SQLAlchemyError, name: str) -> HistoryError:
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or "lock timeout" in words:
         return BusyError(f"{name}: another program holds the store locked ({words}); try again")
     if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
-        return HistoryError(
-            f"{name}: the store is damaged ({words}); put a copy in its place, or evaluate the "
-            "trips again into a new one"
-        )
+        return HistoryError(DAMAGED.format(name=name, words=words))
     return HistoryError(f"{name}: the store cannot be used ({words})")
+
+
+def check_file(connection: Connection, name: str) -> None:
+    """Raise HistoryError, which begins with the `name`, if an SQLite file is damaged."""
+    words = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
+    if words != "ok":
+        raise HistoryError(DAMAGED.format(name=name, words=" ".join(str(words).split())))
 
 
 def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, Any]]) -> None:

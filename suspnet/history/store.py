@@ -16,6 +16,7 @@ from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.database import (
     WAIT_S,
     HistoryError,
+    check_file,
     connect,
     database_url,
     error_of,
@@ -109,6 +110,18 @@ class History:
     def close(self) -> None:
         """Let go of the file or the server."""
         self._engine.dispose()
+
+    def check(self) -> None:
+        """Look through a whole SQLite file for damage; a server looks after itself.
+
+        Raises
+        ------
+        HistoryError
+            If it is damaged.
+        """
+        if self._url.get_backend_name() == "sqlite":
+            with self._reading() as connection:
+                check_file(connection, str(self))
 
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
