@@ -189,14 +189,15 @@ def prepare(connection: Connection, name: str) -> None:
     connection.execute(versions.insert().values(schema=SCHEMA))
 
 
-def error_of(error: SQLAlchemyError, name: str) -> HistoryError:
+def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:
     """Return an error of the database as one line that begins with the store's name."""
     words = " ".join(str(getattr(error, "orig", None) or error).split("\n")[0].split())
     cause = error.orig if isinstance(error, DBAPIError) else None
     code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or "lock timeout" in words:
         return BusyError(f"{name}: another program holds the store locked ({words}); try again")
-    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+    is_damaged = code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+    if is_damaged or isinstance(error, UnicodeDecodeError):
         return HistoryError(DAMAGED.format(name=name, words=words))
     return HistoryError(f"{name}: the store cannot be used ({words})")
 

@@ -331,5 +331,5 @@ class History:
         try:
             with engine.begin() as connection:
                 yield connection
-        except SQLAlchemyError as error:
+        except (SQLAlchemyError, UnicodeDecodeError) as error:  # of damaged names of tables
             raise error_of(error, str(self)) from None
