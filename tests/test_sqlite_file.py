@@ -109,7 +109,7 @@ def test_files_of_others_are_refused_unchanged(make, kind, tmp_path):
     make(path)
     before = listing(place)
     opened, error = OPENED[kind]
-    with pytest.raises(error, match="theirs: .*(no store|no journal|is a |link)"):
+    with pytest.raises(error, match=r"theirs: .*(no store|no journal|is a |link)"):
         opened(path).close()
     assert listing(place) == before
 

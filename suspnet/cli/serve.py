@@ -86,14 +86,14 @@ def serve(board: Board, config: DictConfig) -> None:
     threading.Thread(target=_run, args=(server, ended), name="server", daemon=True).start()
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-    number = ended.get()
+    code = ended.get()
     start.end_at_once()  # a second signal
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
-    if not number:
+    if not code:
         raise RuntimeError("the server has ended by itself; start suspnet-serve again")
-    print(f"{start.VERBS[number]}: the pages are no longer served", file=sys.stderr)
-    sys.exit(128 + number)
+    print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
+    sys.exit(128 + code)
 
 
 def _run(server: Any, ended: SimpleQueue[int]) -> None:

@@ -195,7 +195,10 @@ def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryE
     cause = error.orig if isinstance(error, DBAPIError) else None
     code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or "lock timeout" in words:
-        return BusyError(f"{name}: another program holds the store locked ({words}); try again")
+        return BusyError(
+            f"{name}: another program holds the store locked ({words}); it can be used again once "
+            "that one has ended"
+        )
     is_damaged = code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
     if is_damaged or isinstance(error, UnicodeDecodeError):
         return HistoryError(DAMAGED.format(name=name, words=words))

@@ -1,4 +1,4 @@
-"""What is kept of a suspension beside its trips: maintenance, alarms, acknowledgements."""
+"""What is kept of a suspension: its trips, maintenance, alarms, acknowledgements."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from sqlalchemy.engine import Connection
 
 from suspnet.history.database import upsert
 from suspnet.history.events import Event
-from suspnet.history.rows import BadRow, Key, bad_row, check_types, key_of, or_null
-from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions
-from suspnet.history.suspensions import is_one_of
+from suspnet.history.records import TripResult
+from suspnet.history.rows import BadRow, Key, bad_row, check_types, key_of, or_null, result_of
+from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions, trips
+from suspnet.history.suspensions import is_of, is_one_of
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.recordings.manifest import Place
 
 Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
 TABLES: dict[type, sql.Table] = {
@@ -24,6 +26,21 @@ TABLES: dict[type, sql.Table] = {
     Acknowledgement: acknowledgements,
 }
 """Table of each kind."""
+
+
+def read_trips(
+    connection: Connection, vehicle: str, place: Place, bad: list[BadRow]
+) -> list[TripResult]:
+    """Return the trips of a suspension, by mileage; those that cannot be read go to `bad`."""
+    columns = [one for one in trips.columns if one.name != "key"]
+    chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+    found = []
+    for row in connection.execute(chosen).mappings():
+        try:
+            found.append(result_of(vehicle, place, row))
+        except ValueError as error:
+            bad.append(bad_row(trips, row, error, (vehicle, place)))
+    return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
 
 def read_kept(

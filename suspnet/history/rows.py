@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,9 +18,14 @@ from suspnet.history.records import Quality, TripResult
 from suspnet.history.schema import NUMBERS, PLACE, TEXTS, VALUES, suspensions, trips
 from suspnet.recordings.manifest import Place
 
+log = logging.getLogger(__name__)
+MOST_LOGGED = 1000
+"""Largest number of bad rows that are logged, so that a damaged store fills no disk."""
+_LOGGED: set[str] = set()
+"""Bad rows that this process has logged: a program that follows a store reads them often."""
 Key = tuple[str, Place]
 """Vehicle and place: which suspension it is."""
-KINDS = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
+KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Types of the values of a column, by its type. SQLite holds any value in any column."""
 _FIELDS = {one.name: str(one.type) for one in fields(Quality)}
 """Each field of a trip's quality with the name of its type."""
@@ -51,7 +57,7 @@ class BadRow:
 
 
 def bad_row(
-    table: sql.Table, row: Mapping[str, Any], error: Exception | str, key: Key | None = None
+    table: sql.Table, row: RowMapping, error: Exception | str, key: Key | None = None
 ) -> BadRow:
     """Return a row that an error keeps from being read."""
     names = [one.name for one in table.primary_key.columns if one.name in row]
@@ -59,7 +65,16 @@ def bad_row(
     return BadRow(table.name, words, " ".join(str(error).split())[:200], key)
 
 
-def check_types(table: sql.Table, row: Mapping[str, Any]) -> None:
+def log_once(name: str, rows: Iterable[BadRow]) -> None:
+    """Log the rows of a store, by its name, that this process has not logged yet."""
+    for one in rows:
+        words = f"{name}: {one}; it is left out: correct or delete it"
+        if words not in _LOGGED and len(_LOGGED) < MOST_LOGGED:
+            _LOGGED.add(words)
+            log.warning("%s", words)
+
+
+def check_types(table: sql.Table, row: RowMapping) -> None:
     """Raise ValueError if a value is not of the type of its column."""
     for name, value in row.items():
         column = table.columns.get(name)

@@ -166,9 +166,7 @@ def _columns(
     return numbers, trip, start
 
 
-def _readable(
-    rows: Sequence[sql.Row[Any]], names: Mapping[int, Key], bad: list[BadRow]
-) -> list[Block]:
+def _readable(rows: Sequence[Any], names: Mapping[int, Key], bad: list[BadRow]) -> list[Block]:
     """Return the columns of the rows that can be read; the others are found by halving."""
     try:
         return [_block(rows)]
@@ -186,7 +184,7 @@ def _readable(
     return []
 
 
-def _block(rows: Sequence[sql.Row[Any]]) -> Block:
+def _block(rows: Sequence[Any]) -> Block:
     """Return the columns of rows.
 
     Raises

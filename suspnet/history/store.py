@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import logging
-import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -26,10 +23,16 @@ from suspnet.history.database import (
     upsert,
 )
 from suspnet.history.events import Event
-from suspnet.history.kept import other_alarms, read_kept, replace_alarms, write_kept
+from suspnet.history.kept import (
+    other_alarms,
+    read_kept,
+    read_trips,
+    replace_alarms,
+    write_kept,
+)
 from suspnet.history.records import TripResult
-from suspnet.history.rows import BadRow, Key, bad_row, result_of, row_of
-from suspnet.history.schema import suspensions, trips
+from suspnet.history.rows import BadRow, Key, log_once, row_of
+from suspnet.history.schema import trips
 from suspnet.history.series import Series, read_series
 from suspnet.history.suspensions import (
     add_suspensions,
@@ -41,12 +44,6 @@ from suspnet.history.suspensions import (
 )
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.recordings.manifest import Place
-
-log = logging.getLogger(__name__)
-MOST_LOGGED = 1000
-"""Largest number of bad rows that are logged, so that a damaged store fills no disk."""
-_LOGGED: set[str] = set()
-"""Bad rows that this process has logged: a program that follows a store reads them often."""
 
 
 class History:
@@ -163,16 +160,8 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
-        columns = [one for one in trips.columns if one.name != "key"]
-        chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
-        found = []
         with self._reading() as connection:
-            for row in connection.execute(chosen).mappings():
-                try:
-                    found.append(result_of(vehicle, place, row))
-                except ValueError as error:
-                    self.bad_rows.append(bad_row(trips, row, error, (vehicle, place)))
-        return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+            return read_trips(connection, vehicle, place, self.bad_rows)
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
         """Return the trips of all suspensions as arrays, sorted by vehicle and place.
@@ -315,11 +304,7 @@ class History:
         """Give a connection that sees one state of the store, and holds no writer up."""
         with self._transaction(reading(self._engine)) as connection:
             yield connection
-        for one in self.bad_rows:
-            words = f"{self}: {one}; it is left out: correct or delete it"
-            if words not in _LOGGED and len(_LOGGED) < MOST_LOGGED:
-                _LOGGED.add(words)
-                log.warning("%s", words)
+        log_once(str(self), self.bad_rows)
 
     def _writing(self) -> AbstractContextManager[Connection]:
         """Give a connection whose changes are kept together at the end, or not at all."""
