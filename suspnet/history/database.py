@@ -184,7 +184,7 @@ def prepare(connection: Connection, name: str) -> None:
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
     elif others := sql.inspect(connection).get_table_names():
-        log.warning("%s: new tables of a store, next to %d other tables", name, len(others))
+        log.warning("%s: new tables of a store, next to %d tables of others", name, len(others))
     metadata.create_all(connection)
     connection.execute(versions.insert().values(schema=SCHEMA))
 

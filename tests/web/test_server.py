@@ -1,10 +1,11 @@
 """The server answers while connections hang, dribble, or send too much."""
 
+import http.client
 import socket
 import threading
 import time
 import urllib.request
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 from served_fleet import fill, served
@@ -100,10 +101,14 @@ def test_pages_come_while_many_connections_hang_or_dribble(site, sent, every_s):
 
 
 def test_answered_connection_is_not_closed_for_a_few_others(site):
-    with connection(site) as mine, hanging(site, 20, b""):
+    mine = http.client.HTTPConnection(site.removeprefix("http://"), timeout=10)
+    mine.connect()
+    first = mine.sock
+    with closing(mine), hanging(site, 20, b""):
         for _ in range(3):
-            mine.sendall(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n")
-            assert mine.recv(65_536).startswith(b"HTTP/1.1 200")
+            mine.request("GET", "/state")
+            assert mine.getresponse().read()
+            assert mine.sock is first
 
 
 def test_too_large_requests_are_refused_while_they_come(site):
