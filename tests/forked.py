@@ -28,7 +28,7 @@ def forks():
 def started(module, *arguments, cwd, **variables):
     """Do as `run_apart` does with a program, as if typed in the folder `cwd`."""
     name = module.__name__.rpartition(".")[2]
-    return run_apart(_as_typed, name, [*map(str, arguments)], cwd, variables)
+    return run_apart(as_typed, name, [*map(str, arguments)], cwd, variables)
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def _begin(files, function, arguments):
         sys.stderr.flush()
 
 
-def _as_typed(name, arguments, cwd, variables):
+def as_typed(name, arguments, cwd, variables):
     """Run a program, which hears signals as its start lets it."""
     os.chdir(cwd)
     os.environ.update(variables)

@@ -1,12 +1,12 @@
 """A small fleet in a store, and the application that serves it, for the tests of the pages."""
 
+import socket
 import threading
 from contextlib import contextmanager
 
 import numpy as np
 from trip_records import curves
 from waitress import wasyncore
-from waitress.server import create_server
 
 from suspnet.depot.board import Board, BoardSettings
 from suspnet.history import History
@@ -14,6 +14,7 @@ from suspnet.history.records import Quality, TripResult
 from suspnet.recordings.manifest import Place
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher
+from suspnet.web.server import http_server
 
 N_TRIPS = 30
 EVIL = "<script>window.evil = 1</script>"
@@ -67,9 +68,8 @@ def fill(path):
 def served(path, every_s=0.3):
     """Serve a store on a free port of this computer; give its address and the thread behind it."""
     refresher = Refresher(Board(str(path), SETTINGS), every_s)
-    sockets = {}
     app = create_app(refresher, (), every_s)
-    server = create_server(app, map=sockets, host="127.0.0.1", port=0)
+    server = http_server(app, socket.create_server(("127.0.0.1", 0)), 8)
     thread = threading.Thread(target=server.run, daemon=True)
     refresher.start()
     thread.start()
@@ -78,7 +78,7 @@ def served(path, every_s=0.3):
     finally:
         refresher.stop()
         server.task_dispatcher.shutdown(timeout=5)
-        server.trigger.pull_trigger(lambda: wasyncore.close_all(sockets, ignore_all=True))
+        server.trigger.pull_trigger(lambda: wasyncore.close_all(server._map, ignore_all=True))
         thread.join(5)
 
 

@@ -12,7 +12,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, redirect_stderr
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -59,14 +59,20 @@ naming.register()
 reference.register()
 
 
-def run(main: Callable[[], Any]) -> None:
+def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     """Run a Hydra program; end with one line and exit code 1 on a mistake, 130 on Ctrl-C.
 
-    The exit code of SIGTERM is 143. HYDRA_FULL_ERROR=1 shows the traceback instead.
+    The exit code of SIGTERM is 143, unless the program handles signals itself (`unwinds` is false).
+    HYDRA_FULL_ERROR=1 shows the traceback instead.
     """
     guard_joblib()
     try:
-        with _terminable(), _one_writer(), _whole_errors(), _checked_loader():
+        with (
+            _terminable() if unwinds else nullcontext(),
+            _one_writer(),
+            _whole_errors(),
+            _checked_loader(),
+        ):
             main()
     except (KeyboardInterrupt, _Terminated) as ended:
         verb, code = ("terminated", 143) if isinstance(ended, _Terminated) else ("interrupted", 130)

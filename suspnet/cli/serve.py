@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
+import signal
 import socket
+import sys
 import threading
 import webbrowser
 from importlib.util import find_spec
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.checks import check_number
-from suspnet.cli import program
-from suspnet.depot.board import Board
+from suspnet.cli import program, start
+from suspnet.depot.board import LOOK_S, Board
 from suspnet.history import History
+from suspnet.history.database import BusyError
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
 """Packages of the extra `live` that the pages need."""
+END_S = 2.0
+"""Longest time that each part of the program is waited for at the end, [s]."""
 ANY = "0.0.0.0"
 """Stands for all addresses of this computer."""
 
@@ -44,19 +51,19 @@ def compose(config: DictConfig) -> None:
 
 
 def serve(board: Board, config: DictConfig) -> None:
-    """Serve the pages of a fleet until Ctrl-C.
+    """Serve the pages of a fleet until a signal ends it.
 
     Raises
     ------
     ValueError
         If the address is taken, or not of this computer.
+    SystemExit
+        With 128 and the number of the signal.
     """
-    from waitress.server import create_server
-
     from suspnet.web.app import create_app
     from suspnet.web.refresher import Refresher
+    from suspnet.web.server import http_server
 
-    logging.getLogger("waitress.queue").setLevel(logging.ERROR)  # waiting a moment is no fault
     refresher = Refresher(board, config.refresh_s)
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
     app = create_app(refresher, names, config.refresh_s)
@@ -65,31 +72,54 @@ def serve(board: Board, config: DictConfig) -> None:
     except OSError as error:
         words = error.strerror or str(error)
         raise ValueError(f"{config.host}:{config.port}: {words}; choose another port=") from None
-    server: Any = create_server(app, sockets=[listening], threads=config.threads, ident="suspnet")
+    server = http_server(app, listening, config.threads)
     address = f"http://{config.host}:{listening.getsockname()[1]}/"
-    log.info("the fleet is at %s (Ctrl-C ends it)", address)
     gc.collect()
     gc.freeze()  # what the imports made stays: walking it again and again would hold answers up
+    # The main thread does nothing but wait: raised in the middle of a request, the exception of a
+    # signal would be caught and logged by the server, which then went on.
+    ended: SimpleQueue[int] = SimpleQueue()
+    for number in start.SIGNALS:
+        signal.signal(number, lambda number, _: ended.put(number))
+    log.info("the fleet is at %s (Ctrl-C ends it)", address)
     refresher.start()
+    threading.Thread(target=_run, args=(server, ended), name="server", daemon=True).start()
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    code = ended.get()
+    start.end_at_once()  # a second signal
+    refresher.stop(END_S)
+    server.task_dispatcher.shutdown(timeout=END_S)
+    if not code:
+        raise RuntimeError("the server has ended by itself; start suspnet-serve again")
+    print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
+    sys.exit(128 + code)
+
+
+def _run(server: Any, ended: SimpleQueue[int]) -> None:
+    """Answer requests, and let the main thread know if that ends."""
     try:
         server.run()
     finally:
-        refresher.stop()
-        server.close()
-    log.info("ended")
+        ended.put(0)
 
 
 def _check_store(store: str) -> None:
-    """Raise ValueError if a store cannot be used; one that is not there yet is waited for."""
-    if "://" in store or Path(store).exists():
-        with History(store):
+    """Raise ValueError if a store cannot be used; one that is missing or locked is waited for."""
+    if "://" in store or os.path.lexists(store):
+        is_empty = os.path.isfile(store) and os.path.getsize(store) == 0
+        try:
+            if not is_empty:
+                with History(store, wait_s=LOOK_S, must_exist=True) as history:
+                    history.check()
+                return
+        except BusyError as error:
+            log.warning("%s; the pages wait for it", error)
             return
     folder = Path(store).absolute().parent
     if not folder.is_dir():
         raise ValueError(f"{store}: there is no folder {folder}")
-    log.warning("%s: there is no such store yet; the pages wait for it", store)
+    log.warning("%s: no trip is kept there yet; the pages wait for the first", store)
 
 
 def _check_address(config: DictConfig) -> None:
@@ -116,5 +146,11 @@ def _check_address(config: DictConfig) -> None:
 
 
 def main() -> None:
-    """Run the program."""
-    program.run(compose)
+    """Run the program; until it listens, a signal ends it at once: nothing can be half done."""
+    before = {number: signal.getsignal(number) for number in start.SIGNALS}
+    start.end_at_once()
+    try:
+        program.run(compose, unwinds=False)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

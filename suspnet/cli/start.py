@@ -1,4 +1,4 @@
-"""Starts of the programs: a signal that comes while they are imported is told in one line, too."""
+"""Starts of the programs: a signal that comes while they are imported ends them in one line."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import os
 import signal
 import sys
 
+VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+"""What the line of a program says that ends by a signal."""
+SIGNALS = tuple(VERBS)
+
 
 def start(name: str) -> None:
     """Import a program of this package, which takes seconds, and run it."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    end_at_once()
     main = importlib.import_module(f"suspnet.cli.{name}").main
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -23,10 +26,15 @@ def start(name: str) -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # the end of Python prints nothing of it
 
 
+def end_at_once() -> None:
+    """Let a signal end the process at once from here on: nothing can be left half done."""
+    for number in SIGNALS:
+        signal.signal(number, _end)
+
+
 def _end(number: int, frame: object) -> None:
-    """End the process at once: nothing has begun that could be left half done."""
-    verb = "interrupted" if number == signal.SIGINT else "terminated"
-    os.write(sys.stderr.fileno(), f"{verb}: nothing had begun\n".encode())
+    """End the process at once."""
+    os.write(sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode())
     os._exit(128 + number)
 
 

@@ -31,6 +31,8 @@ SHOWN_S = 5.0
 """Time after which a refresh that is not done shows what it has, [s]."""
 READ_AT_ONCE = 100
 """Number of suspensions that are read in one transaction."""
+LOOK_S = 1.0
+"""Longest time that a look at the store waits for other programs, [s]."""
 AT_ONCE = 50
 """Number of suspensions whose alarms are found before the time is looked at."""
 
@@ -125,6 +127,9 @@ class Board:
         self._plan: Plan | None = None
         self._day = settings.day()
         self._is_due = True
+        self._file: tuple[int, int] | None = None
+        self._is_doubted = False
+        self._not_kept = ""
         self._shown_at = 0.0
         self._lock = threading.Lock()
 
@@ -147,11 +152,10 @@ class Board:
         with self._lock:
             before = self._view
             try:
-                if "://" not in self.store and not Path(self.store).is_file():
-                    raise HistoryError(f"{self.store}: there is no such store")
-                with History(self.store) as history:
+                with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
                     self._refresh(history)
             except HistoryError as error:
+                self._is_doubted = True  # it may be another store when it can be read again
                 if str(error) != self._view.trouble:
                     log.warning("%s", error)
                     version = self._view.version + 1
@@ -159,13 +163,19 @@ class Board:
             return self._view is not before
 
     def _refresh(self, history: History) -> None:
-        """Make the view anew, if anything changed."""
-        revisions, day = history.revisions(), self.settings.day()
+        """Make the view again, if anything changed."""
+        revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
-        if revisions != self._revisions:
-            self._read(history, revisions)
-        elif not self._is_due and not self._view.trouble:
-            return
+        bad = {one.key for one in self._view.bad_rows}  # they may have been mended
+        is_other = self._is_doubted or file != self._file
+        changed = [
+            key
+            for key, one in revisions.items()
+            if is_other or key in bad or self._revisions.get(key) != one
+        ]
+        if changed or self._revisions.keys() - revisions.keys():
+            self._read(history, revisions, changed)
+        self._file, self._is_doubted = file, False
         if self._is_due:
             while not self._fleet.predict(SHOWN_S):
                 self._show(history, is_complete=False)
@@ -173,13 +183,17 @@ class Board:
             self._show(history, is_complete=True)
             self._day, self._is_due = day, False
             self._early.clear()
-            self._keep(history)
-        elif self._view.trouble or history.all_acknowledgements() != self._view.acknowledged:
+        elif (
+            self._view.trouble
+            or history.all_acknowledgements() != self._view.acknowledged
+            or {*history.bad_rows} != {*self._view.bad_rows}
+        ):
             self._show(history, is_complete=True)
+        if self._unkept:
+            self._keep(history)
 
-    def _read(self, history: History, revisions: dict[Key, int]) -> None:
+    def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         """Read the suspensions that changed, and find their alarms."""
-        changed = [key for key, one in revisions.items() if self._revisions.get(key) != one]
         changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
         series = [  # in parts: an SQLite file cannot be written while it is read
             one
@@ -192,13 +206,14 @@ class Board:
             except ValueError as error:  # of a vehicle that the settings do not name
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
         new = [one for one in series if (one.vehicle, one.place) not in self._revisions]
-        if new:
+        if new or self._view.bad_rows:
             alarms = history.all_alarms()
             states = [State(one, Watched(alarms.get((one.vehicle, one.place), []))) for one in new]
             self._early |= {state.key: state for state in states}
         if len(new) > AT_ONCE:
             self._show(history, is_complete=False)
-        gone = self._revisions.keys() - revisions.keys()
+        gone = self._fleet.keys() - revisions.keys()
+        gone |= set(changed) - {(one.vehicle, one.place) for one in series}
         self._is_due |= bool(gone)
         self._found(self._fleet.update([], gone))
         self._unkept -= gone
@@ -219,13 +234,15 @@ class Board:
         states = self._fleet.states()
         known = {state.key for state in states}
         early = [state for key, state in self._early.items() if key not in known]
+        acknowledged = history.all_acknowledgements()
         self._view = fleet_view(
             sorted([*states, *early], key=worst_first),
             dict(self._limits),
-            history.all_acknowledgements(),
+            acknowledged,
             self._plan,
             version=self._view.version + 1,
             is_complete=is_complete,
+            bad_rows=list(dict.fromkeys(history.bad_rows)),
         )
         self._shown_at = time.monotonic()
 
@@ -235,8 +252,22 @@ class Board:
         other = {key: alarms for key, alarms in found.items() if self._kept.get(key) != alarms}
         try:
             history.keep_all_alarms(other, [Cause.SISTER])
-        except HistoryError as error:  # perhaps it may only be read; the view is right anyway
-            log.warning("alarms of sisters are not kept: %s", error)
+        except HistoryError as error:  # it may be locked or read-only: try at the next look
+            if str(error) != self._not_kept:
+                log.warning("alarms of sisters are not kept: %s", error)
+            self._not_kept = str(error)
             return
         self._kept |= other
         self._unkept.clear()
+        self._not_kept = ""
+
+
+def file_number(store: str) -> tuple[int, int] | None:
+    """Return what changes if a file is replaced by another; None for a server."""
+    if "://" in store:
+        return None
+    try:
+        status = Path(store).stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino

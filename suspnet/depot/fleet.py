@@ -74,6 +74,10 @@ class Fleet:
         """Return the limits of a vehicle."""
         return self.limits.get(vehicle, DEFAULT_LIMITS)
 
+    def keys(self) -> set[Key]:
+        """Return vehicle and place of each suspension."""
+        return set(self._own)
+
     def update(self, series: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
         """Take suspensions as they are now, and find the alarms of those that are not as before.
 

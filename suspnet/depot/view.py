@@ -12,6 +12,7 @@ from typing import Any
 from suspnet.depot.overview import overview_rows
 from suspnet.depot.sisters import Key, of_same_car
 from suspnet.depot.state import State
+from suspnet.history.rows import BadRow
 from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.limits import Limits
 from suspnet.maintenance.schedule import Plan
@@ -47,6 +48,8 @@ class FleetView:
         before, or not worked out yet.
     trouble : str
         Why the store could not be read when this was to be made anew; empty if it could.
+    bad_rows : tuple of BadRow
+        Rows of the store that cannot be read and are left out.
     """
 
     version: int = 0
@@ -60,6 +63,7 @@ class FleetView:
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
     is_complete: bool = False
     trouble: str = ""
+    bad_rows: tuple[BadRow, ...] = ()
 
 
 def fleet_view(
@@ -70,6 +74,7 @@ def fleet_view(
     *,
     version: int = 1,
     is_complete: bool = True,
+    bad_rows: Sequence[BadRow] = (),
 ) -> FleetView:
     """Return the view of a fleet.
 
@@ -77,7 +82,7 @@ def fleet_view(
     ----------
     states : sequence of State
         The most severe first.
-    limits, acknowledged, plan, version, is_complete
+    limits, acknowledged, plan, version, is_complete, bad_rows
         As in ``FleetView``.
     """
     places = {id(state.series): i for i, state in enumerate(states)}
@@ -92,6 +97,7 @@ def fleet_view(
         limits=limits,
         acknowledged=acknowledged,
         is_complete=is_complete,
+        bad_rows=tuple(bad_rows),
     )
 
 

@@ -24,6 +24,10 @@ NAMES = {"frequencies_hz", "real", "imaginary", "coherences", "deviations"}
 """Arrays of a trip as they are kept."""
 
 
+ROW = (str, int | float | None, str, bytes | memoryview, str)
+"""Types of a row: name, mileage and start of a trip, its arrays and their hash."""
+
+
 @dataclass(frozen=True, eq=False)
 class TripResponses:
     """Transfer functions of one trip, as the store keeps them.
@@ -119,11 +123,16 @@ def read_responses(
     HistoryError
         If what is kept was altered.
     """
-    columns = trips.c.trip, trips.c.mileage_km, trips.c.start, curves.c.arrays, curves.c.sha256
+    # NullType: whatever is there comes as it is, to be refused by name
+    arrays = sql.type_coerce(curves.c.arrays, sql.types.NullType())
+    columns = trips.c.trip, trips.c.mileage_km, trips.c.start, arrays, curves.c.sha256
     chosen = (
         sql.select(*columns).join_from(curves, trips, _same_trip()).join(suspensions).where(where)
     )
     rows = connection.execute(chosen).all()
+    for row in rows:
+        if not all(isinstance(one, kind) for one, kind in zip(row, ROW, strict=True)):
+            raise HistoryError(f"{name}: a row of the curves or of their trips is damaged")
     rows = sorted(rows, key=lambda row: order(or_nan(row[1]), row[2], row[0]))
     return [_responses(*row, name=name) for row in rows]
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import logging
+import math
+import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,12 +13,24 @@ from typing import Any
 import sqlalchemy as sql
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, Connection, Engine, make_url
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from suspnet.history.schema import SCHEMA, metadata, versions
+from suspnet.sqlite_file import check_own
 
-WAIT_S = 60
+log = logging.getLogger(__name__)
+WAIT_S = 60.0
 """Time that a writer waits for another one, [s]."""
+CONNECT_S = 5
+"""Time that a server has to accept a connection, [s]."""
+APPLICATION_ID = 0x73757368
+"""Number in the header of an SQLite store, by which it is recognised."""
+DAMAGED = (
+    "{name}: the store is damaged ({words}); put a copy in its place, or evaluate the trips again "
+    "into a new one"
+)
+MARKER = f"SELECT 1 FROM {versions.name}"
+"""Query that returns a row of a store."""
 READS = "suspnet_reads"
 """Option of a connection that SQLite begins without the lock of a writer."""
 LOCK = 0x73757370
@@ -23,6 +39,10 @@ LOCK = 0x73757370
 
 class HistoryError(ValueError):
     """The store cannot be used: another file, another version, a server that does not answer."""
+
+
+class BusyError(HistoryError):
+    """Another program holds the store locked for longer than is waited for."""
 
 
 def database_url(place: str | Path) -> URL:
@@ -50,37 +70,69 @@ def database_url(place: str | Path) -> URL:
     return url
 
 
-def connect(url: URL) -> Engine:
-    """Return the engine of a store; SQLite waits for other writers from the first statement on.
+def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> Engine:
+    """Return the engine of a store; a file of somebody else is refused before it is opened.
+
+    Parameters
+    ----------
+    url : URL
+    wait_s : float, [s]
+        Longest time that a statement waits for other programs.
+    must_exist : bool
+        Whether a file that is missing is refused.
 
     Raises
     ------
     HistoryError
-        If a driver or a folder is missing.
+        If a driver, a folder or a file is missing, or the file is no store.
     """
     if url.get_backend_name() == "postgresql":
-        try:
-            return sql.create_engine(url, pool_size=1)
-        except (ImportError, NoSuchModuleError):
-            raise HistoryError(
-                'PostgreSQL needs its driver: pip install "suspnet[postgres]"'
-            ) from None
+        return _connect_server(url, wait_s)
     if not url.database or url.database == ":memory:":
         raise HistoryError("a store needs the path of a file")
-    folder = Path(url.database).absolute().parent
-    if not folder.is_dir():
-        raise HistoryError(f"{url.database}: there is no folder {folder}")
-    engine = sql.create_engine(url, connect_args={"timeout": WAIT_S})
+    if url.query:
+        raise HistoryError(f"{url.database}: give the path of the store without options")
+    path = Path(url.database).absolute()
+    if not path.parent.is_dir():
+        raise HistoryError(f"{url.database}: there is no folder {path.parent}")
+    if must_exist and not path.exists():
+        raise HistoryError(f"{url.database}: there is no such store")
+    try:
+        check_own(Path(url.database), APPLICATION_ID, MARKER, "store of suspnet")
+    except ValueError as error:
+        raise HistoryError(str(error)) from None
+    address = f"{path.as_uri()}?mode={'rw' if must_exist else 'rwc'}"
+    engine = sql.create_engine(
+        "sqlite://",
+        creator=lambda: sqlite3.connect(address, timeout=wait_s, uri=True, check_same_thread=False),
+        poolclass=sql.QueuePool,
+    )
 
     @sql.event.listens_for(engine, "connect")
     def _connected(connection: Any, _: Any) -> None:
         connection.isolation_level = None  # transactions are begun below, not by the driver
+        # a damaged letter must not hide all other rows
+        connection.text_factory = functools.partial(str, encoding="utf-8", errors="replace")
         connection.execute("PRAGMA foreign_keys = ON")
 
     @sql.event.listens_for(engine, "begin")
     def _begun(connection: Connection) -> None:
         reads = connection.get_execution_options().get(READS)
         connection.exec_driver_sql("BEGIN" if reads else "BEGIN IMMEDIATE")
+
+    return engine
+
+
+def _connect_server(url: URL, wait_s: float) -> Engine:
+    """Return the engine of a store on a server."""
+    try:
+        engine = sql.create_engine(url, pool_size=1, connect_args={"connect_timeout": CONNECT_S})
+    except (ImportError, NoSuchModuleError):
+        raise HistoryError('PostgreSQL needs its driver: pip install "suspnet[postgres]"') from None
+
+    @sql.event.listens_for(engine, "begin")
+    def _begun(connection: Connection) -> None:
+        connection.exec_driver_sql(f"SET LOCAL lock_timeout = {math.ceil(1000 * wait_s)}")
 
     return engine
 
@@ -95,8 +147,30 @@ def reading(engine: Engine) -> Engine:
     return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
 
 
+def is_prepared(connection: Connection, name: str) -> bool:
+    """Return whether the tables are there.
+
+    Raises
+    ------
+    HistoryError
+        If they are of another version, or not ours; it begins with the `name`.
+    """
+    there = set(sql.inspect(connection).get_table_names())
+    if versions.name not in there:
+        if there & set(metadata.tables):
+            raise HistoryError(f"{name}: this is no store of suspnet, but has tables like it")
+        return False
+    version = connection.execute(sql.select(versions.c.schema)).scalar()
+    if version != SCHEMA:
+        raise HistoryError(
+            f"{name}: a store of version {version}, this suspnet reads version {SCHEMA}; use "
+            "the suspnet that wrote it, or begin a new store and evaluate the trips again"
+        )
+    return True
+
+
 def prepare(connection: Connection, name: str) -> None:
-    """Make the tables where there are none.
+    """Make the tables unless another program has just done so.
 
     Raises
     ------
@@ -105,19 +179,37 @@ def prepare(connection: Connection, name: str) -> None:
     """
     if connection.dialect.name == "postgresql":  # two programs may be the first at once
         connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-    there = set(sql.inspect(connection).get_table_names())
-    if versions.name not in there:
-        if there & set(metadata.tables):
-            raise HistoryError(f"{name}: this is no store of suspnet, but has tables like it")
-        metadata.create_all(connection)
-        connection.execute(versions.insert().values(schema=SCHEMA))
+    if is_prepared(connection, name):
         return
-    version = connection.execute(sql.select(versions.c.schema)).scalar()
-    if version != SCHEMA:
-        raise HistoryError(
-            f"{name}: a store of version {version}, this suspnet reads version {SCHEMA}; use "
-            "the suspnet that wrote it, or begin a new store and evaluate the trips again"
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+    elif others := sql.inspect(connection).get_table_names():
+        log.warning("%s: new tables of a store, next to %d tables of others", name, len(others))
+    metadata.create_all(connection)
+    connection.execute(versions.insert().values(schema=SCHEMA))
+
+
+def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:
+    """Return an error of the database as one line that begins with the store's name."""
+    words = " ".join(str(getattr(error, "orig", None) or error).split("\n")[0].split())
+    cause = error.orig if isinstance(error, DBAPIError) else None
+    code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or "lock timeout" in words:
+        return BusyError(
+            f"{name}: another program holds the store locked ({words}); it can be used again once "
+            "that one has ended"
         )
+    is_damaged = code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+    if is_damaged or isinstance(error, UnicodeDecodeError):
+        return HistoryError(DAMAGED.format(name=name, words=words))
+    return HistoryError(f"{name}: the store cannot be used ({words})")
+
+
+def check_file(connection: Connection, name: str) -> None:
+    """Raise HistoryError, which begins with the `name`, if an SQLite file is damaged."""
+    words = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
+    if words != "ok":
+        raise HistoryError(DAMAGED.format(name=name, words=" ".join(str(words).split())))
 
 
 def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""What is kept of a suspension beside its trips: maintenance, alarms, acknowledgements."""
+"""What is kept of a suspension: its trips, maintenance, alarms, acknowledgements."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from sqlalchemy.engine import Connection
 
 from suspnet.history.database import upsert
 from suspnet.history.events import Event
-from suspnet.history.rows import key_of, or_null
-from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions
-from suspnet.history.suspensions import Key, is_one_of
+from suspnet.history.records import TripResult
+from suspnet.history.rows import BadRow, Key, bad_row, check_types, key_of, or_null, result_of
+from suspnet.history.schema import PLACE, acknowledgements, alarms, events, suspensions, trips
+from suspnet.history.suspensions import is_of, is_one_of
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.recordings.manifest import Place
 
 Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
 TABLES: dict[type, sql.Table] = {
@@ -26,10 +28,31 @@ TABLES: dict[type, sql.Table] = {
 """Table of each kind."""
 
 
+def read_trips(
+    connection: Connection, vehicle: str, place: Place, bad: list[BadRow]
+) -> list[TripResult]:
+    """Return the trips of a suspension, by mileage; those that cannot be read go to `bad`."""
+    columns = [one for one in trips.columns if one.name != "key"]
+    chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+    found = []
+    for row in connection.execute(chosen).mappings():
+        try:
+            found.append(result_of(vehicle, place, row))
+        except ValueError as error:
+            bad.append(bad_row(trips, row, error, (vehicle, place)))
+    return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+
+
 def read_kept(
-    connection: Connection, kind: type[Kept], where: sql.ColumnElement[bool] | None = None
+    connection: Connection,
+    kind: type[Kept],
+    bad: list[BadRow],
+    where: sql.ColumnElement[bool] | None = None,
 ) -> dict[Key, list[Kept]]:
-    """Return what is kept of each suspension, or of those chosen, in order of the table's key."""
+    """Return what is kept of each suspension, or of those chosen, in order of the table's key.
+
+    Rows that cannot be read are left out, and added to `bad`.
+    """
     table, names = TABLES[kind], [one.name for one in fields(kind)]
     places = (suspensions.c[name] for name in ("vehicle", *PLACE))
     chosen = (
@@ -40,10 +63,18 @@ def read_kept(
     )
     found: dict[Key, list[Kept]] = {}
     for row in connection.execute(chosen).mappings():
-        values: dict[str, Any] = {
-            name: math.nan if row[name] is None else row[name] for name in names
-        }
-        found.setdefault(key_of(row), []).append(kind(**values))
+        try:
+            key = key_of(row)
+        except ValueError:  # a bad row of the suspensions, not of these
+            continue
+        try:
+            check_types(table, row)
+            values: dict[str, Any] = {
+                name: math.nan if row[name] is None else row[name] for name in names
+            }
+            found.setdefault(key, []).append(kind(**values))
+        except ValueError as error:
+            bad.append(bad_row(table, row, error, key))
     return found
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import sqlalchemy as sql
@@ -14,15 +15,24 @@ from sqlalchemy.engine import Connection
 from suspnet.dynamics import PARAMETERS
 from suspnet.history.events import Event
 from suspnet.history.kept import read_kept
+from suspnet.history.rows import BadRow, Key, bad_row, check_types
 from suspnet.history.schema import VALUES, trips
-from suspnet.history.suspensions import Key, is_one_of, known_suspensions
-from suspnet.recordings.manifest import Place
+from suspnet.history.suspensions import is_one_of, known_suspensions
+from suspnet.recordings.manifest import HIGHEST_KM, Place
 from suspnet.types import BoolArray, FloatArray
 
 ROWS = 20_000
 """Rows that are held as Python's objects at once."""
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 TEXTS = ("trip", "start")
+VALUE_COLUMNS = [
+    VALUES[key].format(name) for key in ("estimates", "half_widths") for name in PARAMETERS
+]
+N_NUMBERS = 2 + len(NUMBERS) + len(VALUE_COLUMNS)
+"""Number of columns of numbers: suspension, whether flagged, ``NUMBERS``, and these values."""
+NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(PARAMETERS) :]}
+Block = tuple[FloatArray, NDArray[np.str_], NDArray[np.datetime64]]
+"""Columns of some trips: numbers of shape (n_trips, N_NUMBERS), names, starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,19 +108,26 @@ class Series:
         return np.array_equal(self.trip, other.trip)
 
 
-def read_series(connection: Connection, keys: Collection[Key] | None = None) -> list[Series]:
-    """Return all trips of each suspension, or of those named, sorted by vehicle and place."""
-    names = known_suspensions(connection)
+def read_series(
+    connection: Connection, bad: list[BadRow], keys: Collection[Key] | None = None
+) -> list[Series]:
+    """Return all trips of each suspension, or of those named, sorted by vehicle and place.
+
+    Rows that cannot be read are left out, and added to `bad`.
+    """
+    names = {one: key for one, (key, _) in known_suspensions(connection).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
-    events = read_kept(connection, Event)
-    numbers, texts = _columns(connection, chosen)
+    events = read_kept(connection, Event, bad)
+    numbers, texts, starts = _columns(connection, chosen, names, bad)
     owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
-    order = np.lexsort((texts[0], km, owner))  # NaN last
-    numbers, texts = numbers[order], [one[order] for one in texts]
+    order = np.lexsort((texts, km, owner))  # NaN last
+    numbers, texts, starts = numbers[order], texts[order], starts[order]
     ids, begins = np.unique(owner[order], return_index=True)
     parts = np.split(np.arange(len(order)), begins[1:]) if len(ids) else []
     found = []
     for one, part in zip(ids.tolist(), parts, strict=True):
+        if one not in names:
+            continue  # its suspension is a bad row, or has just been added
         vehicle, place = names[one]
         columns = iter(numbers[part].T[1:].copy())
         flagged = next(columns) > 0
@@ -120,8 +137,8 @@ def read_series(connection: Connection, keys: Collection[Key] | None = None) -> 
             Series(
                 vehicle,
                 place,
-                texts[0][part],
-                np.array([_time(text) for text in texts[1][part]], dtype="datetime64[s]"),
+                texts[part],
+                starts[part],
                 flagged,
                 estimates=values[0],
                 half_widths=values[1],
@@ -133,34 +150,69 @@ def read_series(connection: Connection, keys: Collection[Key] | None = None) -> 
 
 
 def _columns(
-    connection: Connection, chosen: list[int] | None
-) -> tuple[FloatArray, list[NDArray[np.str_]]]:
-    """Return the numbers of all trips, or of some suspensions', a row a trip, and their texts.
-
-    The numbers are: that of the suspension, whether the trip is flagged, ``NUMBERS``, estimates,
-    half widths.
-    """
-    values = [
-        VALUES[key].format(name) for key in ("estimates", "half_widths") for name in PARAMETERS
-    ]
+    connection: Connection, chosen: list[int] | None, names: Mapping[int, Key], bad: list[BadRow]
+) -> Block:
+    """Return the columns of all trips, or of some suspensions'."""
+    columns = [trips.c[name] for name in (*NUMBERS, *VALUE_COLUMNS)]
     flagged = sql.case((trips.c.flags == "", 0), else_=1)
-    numbers = [trips.c.suspension_id, flagged, *(trips.c[name] for name in (*NUMBERS, *values))]
-    query = sql.select(*numbers, *(trips.c[name] for name in TEXTS))
+    texts = [trips.c[name] for name in TEXTS]
+    query = sql.select(trips.c.suspension_id, flagged, *columns, *texts, trips.c.id)
     if chosen is not None:
         query = query.where(is_one_of(trips.c.suspension_id, chosen))
-    blocks = [np.zeros((0, len(numbers)))]
-    texts = [[np.zeros(0, dtype=str)] for _ in TEXTS]
+    blocks = [_block([])]
     for rows in connection.execute(query, execution_options={"yield_per": ROWS}).partitions():
-        columns = list(zip(*rows, strict=True))
-        blocks.append(np.array(columns[: len(numbers)], dtype=float).T)
-        for kept, column in zip(texts, columns[len(numbers) :], strict=True):
-            kept.append(np.array(column, dtype=str))
-    return np.concatenate(blocks), [np.concatenate(one) for one in texts]
+        blocks += _readable(rows, names, bad)
+    numbers, trip, start = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    return numbers, trip, start
+
+
+def _readable(rows: Sequence[Any], names: Mapping[int, Key], bad: list[BadRow]) -> list[Block]:
+    """Return the columns of the rows that can be read; the others are found by halving."""
+    try:
+        return [_block(rows)]
+    except (TypeError, ValueError, OverflowError) as error:
+        why: Exception = error
+    if len(rows) > 1:
+        half = len(rows) // 2
+        return _readable(rows[:half], names, bad) + _readable(rows[half:], names, bad)
+    (row,) = rows
+    try:
+        check_types(trips, row._mapping)  # says which column it is
+    except ValueError as error:
+        why = error
+    bad.append(bad_row(trips, row._mapping, why, names.get(row[0])))
+    return []
+
+
+def _block(rows: Sequence[Any]) -> Block:
+    """Return the columns of rows.
+
+    Raises
+    ------
+    TypeError, ValueError, OverflowError
+        If a value of one of them cannot be used.
+    """
+    columns = list(zip(*rows, strict=True)) or [()] * (N_NUMBERS + len(TEXTS))
+    texts = columns[N_NUMBERS : N_NUMBERS + len(TEXTS)]
+    numbers = np.array(columns[:N_NUMBERS], dtype=float).T
+    for name, column in zip((*NUMBERS, *VALUE_COLUMNS), numbers.T[2:], strict=True):
+        least = 0.0 if name in NOT_NEGATIVE else -np.inf
+        most = HIGHEST_KM if name == "mileage_km" else np.inf
+        wrong = column[(column < least) | (column >= most) | (column == -np.inf)]
+        if len(wrong):
+            raise ValueError(f"`{name}` must not be {wrong[0]:g}")
+    if not all(isinstance(text, str) for several in texts for text in several):
+        raise TypeError("name and start must be text")
+    start = np.array([_time(text) for text in texts[1]], dtype="datetime64[s]")
+    return numbers, np.array(texts[0], dtype=str), start
 
 
 def _time(text: str) -> datetime | None:
     """Return a start without its zone: in UTC, if it has one."""
     if not text:
         return None
-    time = datetime.fromisoformat(text)
-    return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+    try:
+        time = datetime.fromisoformat(text)
+        return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+    except (ValueError, OverflowError):
+        raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None

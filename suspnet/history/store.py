@@ -2,34 +2,42 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.database import (
+    WAIT_S,
     HistoryError,
+    check_file,
     connect,
     database_url,
+    error_of,
+    is_prepared,
     prepare,
     reading,
     upsert,
 )
 from suspnet.history.events import Event
-from suspnet.history.kept import other_alarms, read_kept, replace_alarms, write_kept
+from suspnet.history.kept import (
+    other_alarms,
+    read_kept,
+    read_trips,
+    replace_alarms,
+    write_kept,
+)
 from suspnet.history.records import TripResult
-from suspnet.history.rows import key_of, result_of, row_of
-from suspnet.history.schema import suspensions, trips
+from suspnet.history.rows import BadRow, Key, log_once, row_of
+from suspnet.history.schema import trips
 from suspnet.history.series import Series, read_series
 from suspnet.history.suspensions import (
-    Key,
     add_suspensions,
     is_of,
+    known_suspensions,
     numbers_of,
     places_of,
     raise_revisions,
@@ -41,12 +49,22 @@ from suspnet.recordings.manifest import Place
 class History:
     """Trips of all suspensions, their estimates and alarms, and what people did.
 
-    Several programs may read and write at once. Made anew where there is nothing yet.
+    Several programs may read and write at once. A store that is missing, or an empty file, becomes
+    a new store; any other file is refused unchanged.
 
     Parameters
     ----------
     place : str or Path
         A file (SQLite), or a URL such as "postgresql://user:password@host/database".
+    wait_s : float, [s]
+        Longest time that a transaction waits for other programs.
+    must_exist : bool
+        Whether a store that is missing or empty is refused.
+
+    Attributes
+    ----------
+    bad_rows : list of BadRow
+        Rows that could not be read and were left out, so far.
 
     Raises
     ------
@@ -54,12 +72,20 @@ class History:
         If it is no store of this version, or cannot be reached.
     """
 
-    def __init__(self, place: str | Path) -> None:
+    def __init__(
+        self, place: str | Path, *, wait_s: float = WAIT_S, must_exist: bool = False
+    ) -> None:
+        self.bad_rows: list[BadRow] = []
         self._url = database_url(place)
-        self._engine = connect(self._url)
+        self._engine = connect(self._url, wait_s, must_exist=must_exist)
         try:
-            with self._writing() as connection:
-                prepare(connection, str(self))
+            with self._reading() as connection:
+                is_there = is_prepared(connection, str(self))
+            if not is_there:
+                if must_exist:
+                    raise HistoryError(f"{self}: the store is empty, no trip was ever kept in it")
+                with self._writing() as connection:
+                    prepare(connection, str(self))
         except BaseException:
             self.close()
             raise
@@ -82,10 +108,22 @@ class History:
         """Let go of the file or the server."""
         self._engine.dispose()
 
+    def check(self) -> None:
+        """Look through a whole SQLite file for damage; a server looks after itself.
+
+        Raises
+        ------
+        HistoryError
+            If it is damaged.
+        """
+        if self._url.get_backend_name() == "sqlite":
+            with self._reading() as connection:
+                check_file(connection, str(self))
+
     def places(self) -> list[Key]:
         """Return vehicle and place of each suspension, sorted."""
         with self._reading() as connection:
-            return places_of(connection)
+            return places_of(connection, self.bad_rows)
 
     def revisions(self) -> dict[Key, int]:
         """Return a number of each suspension that grows with each change of what is kept of it.
@@ -94,8 +132,7 @@ class History:
         this is of these revisions or of later ones.
         """
         with self._reading() as connection:
-            rows = connection.execute(sql.select(suspensions)).mappings()
-            return {key_of(row): int(row["revision"]) for row in rows}
+            return dict(known_suspensions(connection, bad=self.bad_rows).values())
 
     def write(self, results: Sequence[TripResult]) -> None:
         """Keep trips, all or none. One that is there already is replaced by what was read last.
@@ -123,11 +160,8 @@ class History:
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension, by mileage; empty if there is none."""
-        chosen = sql.select(trips).join(suspensions).where(is_of(vehicle, place))
         with self._reading() as connection:
-            rows = connection.execute(chosen).mappings().all()
-        found = [result_of(vehicle, place, row) for row in rows]
-        return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+            return read_trips(connection, vehicle, place, self.bad_rows)
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
         """Return the trips of all suspensions as arrays, sorted by vehicle and place.
@@ -140,7 +174,7 @@ class History:
             Of these suspensions alone; those that the store does not know are left out.
         """
         with self._reading() as connection:
-            return read_series(connection, None if keys is None else set(keys))
+            return read_series(connection, self.bad_rows, None if keys is None else set(keys))
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
         """Return the transfer functions that are kept of a suspension, by mileage.
@@ -169,7 +203,8 @@ class History:
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
         with self._reading() as connection:
-            return read_kept(connection, Event, is_of(vehicle, place)).get((vehicle, place), [])
+            found = read_kept(connection, Event, self.bad_rows, is_of(vehicle, place))
+        return found.get((vehicle, place), [])
 
     def keep_alarms(
         self,
@@ -226,12 +261,13 @@ class History:
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, open or not, by the mileage where they begin."""
         with self._reading() as connection:
-            return read_kept(connection, Alarm, is_of(vehicle, place)).get((vehicle, place), [])
+            found = read_kept(connection, Alarm, self.bad_rows, is_of(vehicle, place))
+        return found.get((vehicle, place), [])
 
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
         with self._reading() as connection:
-            return read_kept(connection, Alarm)
+            return read_kept(connection, Alarm, self.bad_rows)
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
         """Keep acknowledgements of alarms, for ever; the same one again replaces its words.
@@ -246,13 +282,13 @@ class History:
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
         """Return the acknowledgements of a suspension's alarms, by mileage and time."""
         with self._reading() as connection:
-            found = read_kept(connection, Acknowledgement, is_of(vehicle, place))
+            found = read_kept(connection, Acknowledgement, self.bad_rows, is_of(vehicle, place))
         return found.get((vehicle, place), [])
 
     def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
         """Return the acknowledgements of each suspension that has any."""
         with self._reading() as connection:
-            return read_kept(connection, Acknowledgement)
+            return read_kept(connection, Acknowledgement, self.bad_rows)
 
     def _keep(
         self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
@@ -263,9 +299,12 @@ class History:
             raise_revisions(connection, ids)
             write_kept(connection, ids[0], kept)
 
-    def _reading(self) -> AbstractContextManager[Connection]:
+    @contextmanager
+    def _reading(self) -> Iterator[Connection]:
         """Give a connection that sees one state of the store, and holds no writer up."""
-        return self._transaction(reading(self._engine))
+        with self._transaction(reading(self._engine)) as connection:
+            yield connection
+        log_once(str(self), self.bad_rows)
 
     def _writing(self) -> AbstractContextManager[Connection]:
         """Give a connection whose changes are kept together at the end, or not at all."""
@@ -273,12 +312,9 @@ class History:
 
     @contextmanager
     def _transaction(self, engine: Engine) -> Iterator[Connection]:
-        """Give a connection, and tell its errors as those of the store."""
+        """Give a connection, and raise its errors as those of the store."""
         try:
             with engine.begin() as connection:
                 yield connection
-        except DBAPIError as error:
-            words = str(error.orig).strip().splitlines()[0]
-            raise HistoryError(f"{self}: the store cannot be used ({words})") from None
-        except SQLAlchemyError as error:
-            raise HistoryError(f"{self}: the store cannot be used ({error})") from None
+        except (SQLAlchemyError, UnicodeDecodeError) as error:  # of damaged names of tables
+            raise error_of(error, str(self)) from None

@@ -9,26 +9,34 @@ import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
 from suspnet.history.database import HistoryError, upsert
-from suspnet.history.rows import key_of
+from suspnet.history.rows import BadRow, Key, bad_row, key_of
 from suspnet.history.schema import suspensions
 from suspnet.recordings.manifest import Place
 
-Key = tuple[str, Place]
-"""Vehicle and place: which suspension it is."""
-
 
 def known_suspensions(
-    connection: Connection, where: sql.ColumnElement[bool] | None = None
-) -> dict[int, Key]:
-    """Return vehicle and place of each suspension, or of those chosen, by its number."""
+    connection: Connection,
+    where: sql.ColumnElement[bool] | None = None,
+    bad: list[BadRow] | None = None,
+) -> dict[int, tuple[Key, int]]:
+    """Return key and revision of each suspension, or of those chosen, by its number.
+
+    Rows that cannot be read are left out, and added to `bad`.
+    """
     chosen = sql.select(suspensions).where(sql.true() if where is None else where)
-    rows = connection.execute(chosen).mappings()
-    return {int(row["id"]): key_of(row) for row in rows}
+    found = {}
+    for row in connection.execute(chosen).mappings():
+        try:
+            found[int(row["id"])] = key_of(row), int(row["revision"])
+        except ValueError as error:
+            if bad is not None:
+                bad.append(bad_row(suspensions, row, error))
+    return found
 
 
-def places_of(connection: Connection) -> list[Key]:
+def places_of(connection: Connection, bad: list[BadRow] | None = None) -> list[Key]:
     """Return vehicle and place of each suspension, sorted."""
-    found = known_suspensions(connection).values()
+    found = [key for key, _ in known_suspensions(connection, bad=bad).values()]
     return sorted(found, key=lambda one: (one[0], str(one[1])))
 
 
@@ -66,7 +74,7 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
     """
     wanted = list(keys)
     where = is_of(*wanted[0]) if len(wanted) == 1 else None  # all, if it is more than one
-    there = {key: one for one, key in known_suspensions(connection, where).items()}
+    there = {key: one for one, (key, _) in known_suspensions(connection, where).items()}
     for vehicle, place in wanted:
         if (vehicle, place) not in there:
             known = "; ".join(f"{other}: {one}" for other, one in places_of(connection))

@@ -16,7 +16,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from suspnet.sqlite_file import check_own
+
 FORMAT = "suspnet-journal-2"
+
+APPLICATION_ID = 0x7375736A
+"""Number in the header of a journal's file, by which it is recognised."""
+
+MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
+"""Query that returns a row of any journal."""
 
 RANGE = 2**40
 """Numbers that the frames of a suspension may have; with four frames a second they last for 8,000
@@ -87,6 +95,10 @@ class Journal:
         self._batch = Batch()
         if not path.absolute().parent.is_dir():
             raise JournalError(f"{path}: there is no folder {path.absolute().parent}")
+        try:
+            check_own(path, APPLICATION_ID, MARKER, "journal of a monitor")
+        except ValueError as error:
+            raise JournalError(str(error)) from None
         self._writing = threading.Lock()
         self._connection = sqlite3.connect(
             path, timeout=1.0, isolation_level=None, check_same_thread=False
@@ -107,11 +119,11 @@ class Journal:
         run(f"PRAGMA page_size = {PAGE_BYTES}")
         run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what goes
         run("PRAGMA locking_mode = EXCLUSIVE")
-        run("PRAGMA journal_mode = WAL")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")
         tables = {name for (name,) in run("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not tables:
+            run(f"PRAGMA application_id = {APPLICATION_ID}")
             run("CREATE TABLE format (name TEXT)")
             run("INSERT INTO format VALUES (?)", (FORMAT,))
             run(
@@ -124,6 +136,7 @@ class Journal:
                 f"{self.path}: this is no journal of a monitor, or of another version"
             )
         run("COMMIT")
+        run("PRAGMA journal_mode = WAL")  # only now that the file is known to be ours
         for number, name in run("SELECT number, name FROM suspensions").fetchall():
             query = "SELECT MAX(id), SUM(LENGTH(frame)) FROM frames WHERE id BETWEEN ? AND ?"
             last, size = run(query, _ids(number)).fetchone()

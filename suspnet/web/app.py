@@ -72,8 +72,9 @@ def _too_old(error: CSRFError) -> Any:
 
 
 def _away(error: HistoryError) -> Any:
-    """Say that the store cannot be used; what was to be kept is not kept."""
-    return _message("The store cannot be used", f"Nothing was kept: {error}."), 503
+    """Say that the store cannot be used; what was to be saved is not saved."""
+    lost = "Nothing was kept: " if request.method == "POST" else ""
+    return _message("The store cannot be used", f"{lost}{error}."), 503
 
 
 def _told(error: HTTPException) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +40,8 @@ MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are asked for."""
 MOST_JOBS = 10
 """Largest number of jobs on the page of the fleet; the page of the plan has all."""
+READ_S, WRITE_S = 0.5, 2.0
+"""Longest time that a page waits for other programs to read from the store and to write to it."""
 REFRESHER = "suspnet_refresher"
 """Key of the thread that holds the state of the fleet, among an application's extensions."""
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
@@ -56,7 +57,7 @@ def fleet() -> ResponseReturnValue:
     alarms, jobs = fleet_page.raised(view, choice), fleet_page.jobs_of(view, choice, _address)
     all_rows = request.args.get("rows") == "all"
     most = None if all_rows else MOST_ROWS
-    return _page(
+    page = _page(
         "fleet_page.html",
         _fleet_version(view),
         finding=finding([view.rows[i] for i in places]),
@@ -73,6 +74,7 @@ def fleet() -> ResponseReturnValue:
         jobs=jobs[:MOST_JOBS],
         n_jobs=len(jobs),
     )
+    return page, 503 if view.trouble and not view.states else 200
 
 
 @pages.get("/plan")
@@ -117,7 +119,7 @@ def acknowledge(name: str) -> ResponseReturnValue:
     vehicle, place = state.key
     newest = float(np.nanmax(state.series.mileage_km))
     said = form.by.data.strip(), (form.words.data or "").strip()
-    with _opened() as store:
+    with _opened(WRITE_S) as store:
         acknowledge_alarms(store, vehicle, place, chosen, newest, *said)
     session["by"] = said[0]
     _refresher().soon()
@@ -154,13 +156,16 @@ def _suspension_page(name: str, form: Seen) -> str:
     """Return the page of a suspension with a form as it was filled in."""
     view, state = _view(), _state(name)
     request.environ[WITH_PLOTS] = True
+    results, kept, trouble = [], [], ""
+    seen, bad = view.acknowledged.get(state.key, ()), []
     try:
         with _opened() as store:
-            results, kept = store.read(*state.key), store.responses(*state.key)
-            seen, trouble = store.acknowledgements(*state.key), ""
+            bad = store.bad_rows
+            results, seen = store.read(*state.key), store.acknowledgements(*state.key)
+            kept = store.responses(*state.key)  # last: curves may be damaged alone
     except HistoryError as error:
-        results, kept, trouble = [], [], str(error)
-        seen = list(view.acknowledged.get(state.key, ()))
+        trouble = str(error)
+    known = [one for one in view.bad_rows if one.key == state.key]
     shown = suspension_values(view, view.keys[name], results, kept, seen)
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
@@ -170,6 +175,7 @@ def _suspension_page(name: str, form: Seen) -> str:
         name=name,
         form=form,
         trouble=trouble,
+        bad_rows=list(dict.fromkeys([*known, *bad])),
         parameters=OUTPUTS,
         sisters=[fleet_page.rows_of(view, car, _address)] if car else [],
         **shown,
@@ -212,18 +218,15 @@ def _address(name: str) -> str:
     return url_for("pages.suspension", name=name)
 
 
-def _opened() -> History:
+def _opened(wait_s: float = READ_S) -> History:
     """Return the store; unlike ``History`` make none where it has gone.
 
     Raises
     ------
     HistoryError
-        If it cannot be used.
+        If it cannot be used, or is locked for longer than is waited for.
     """
-    place = _refresher().board.store
-    if "://" not in place and not Path(place).is_file():
-        raise HistoryError(f"{place}: the store has gone")
-    return History(place)
+    return History(_refresher().board.store, wait_s=wait_s, must_exist=True)
 
 
 def _fleet_version(view: FleetView) -> str:

@@ -28,6 +28,7 @@ class Refresher:
         self._error = ""
         self._begun: datetime | None = None
         self._looked: datetime | None = None
+        self._read: datetime | None = None
         self._wake, self._end = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="refresher", daemon=True)
 
@@ -58,6 +59,11 @@ class Refresher:
         return f"The store cannot be read: {view.trouble}." if view.trouble else ""
 
     @property
+    def read_at(self) -> datetime:
+        """When the store was last read; what the pages show is of then."""
+        return self._read or self.board.view.at
+
+    @property
     def words(self) -> str:
         """When the store was last read, in words."""
         if self._begun:
@@ -78,11 +84,13 @@ class Refresher:
 
     def _look(self, refresh: Callable[[], bool]) -> None:
         """Work out the state once."""
-        self._begun = datetime.now(UTC)
+        begun = self._begun = datetime.now(UTC)
         try:
             refresh()
             self._error = ""
             self._looked = datetime.now(UTC)
+            if not self.board.view.trouble:
+                self._read = begun
         except Exception as error:
             if not self._error:
                 log.exception("the state of the fleet could not be worked out")

@@ -4,21 +4,40 @@ import os
 import re
 import signal
 import socket
+import subprocess
+import sys
 import time
 import urllib.request
+from pathlib import Path
 
+import forked
+import numpy as np
 import pytest
-from cli_runner import typed
-from forked import started
+from cli_runner import ROOT, typed
+from forked import run_apart, started
 from served_fleet import fill
+from waitress.channel import HTTPChannel
 
 from suspnet.cli import serve
 from suspnet.history import History
+
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+ENDS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     return fill(tmp_path_factory.mktemp("serve") / "fleet.db")
+
+
+def listening(process, output):
+    """Return the address of a program once it says that it listens there."""
+    deadline = time.monotonic() + 60
+    while not (found := re.search(r"http://127\.0\.0\.1:\d+/", output.read_text())):
+        assert process.is_alive()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    return found[0]
 
 
 @pytest.fixture
@@ -61,21 +80,95 @@ def test_missing_package_names_the_extra(refused, path, monkeypatch):
     assert 'plotly is missing: pip install "suspnet[live]"' in refused(f"store={path}")
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), ENDS)
 def test_pages_are_served_until_a_signal(path, tmp_path, number, code):
     with started(serve, f"store={path}", "port=0", cwd=tmp_path) as (process, output, errors):
-        deadline = time.monotonic() + 60
-        while not (found := re.search(r"http://127\.0\.0\.1:\d+/", output.read_text())):
-            assert process.is_alive(), errors.read_text()
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        with urllib.request.urlopen(found[0], timeout=60) as answer:
+        with urllib.request.urlopen(listening(process, output), timeout=60) as answer:
             assert "<h1>Fleet</h1>" in answer.read().decode()
         os.kill(process.pid, number)
         process.join(60)
         printed, wrong = output.read_text(), errors.read_text()
     assert process.exitcode == code
-    assert "Traceback" not in printed + wrong
-    assert ("ended" in printed) == (code == 0)
+    assert "Traceback" not in printed
+    assert wrong == f"{WORDS[number]}: the pages are no longer served\n"
     with History(path) as store:
         assert len(store.places()) == 4
+
+
+def killed_while_reading(store, cwd):
+    """Serve a store; SIGTERM comes while the server reads the first request."""
+    read = HTTPChannel.handle_read
+
+    def handle_read(self):
+        HTTPChannel.handle_read = read
+        os.kill(os.getpid(), signal.SIGTERM)
+        read(self)
+
+    HTTPChannel.handle_read = handle_read
+    forked.as_typed("serve", [f"store={store}", "port=0"], cwd, {})
+
+
+def test_signal_in_the_middle_of_a_request_is_not_lost(path, tmp_path):
+    with run_apart(killed_while_reading, path, tmp_path) as (process, output, errors):
+        address = listening(process, output)
+        with pytest.raises(OSError), urllib.request.urlopen(address, timeout=1) as answer:  # noqa: PT011, PT012
+            answer.read()
+            raise ConnectionError
+        process.join(20)
+        assert process.exitcode == 143
+        assert errors.read_text() == "terminated: the pages are no longer served\n"
+        assert "Traceback" not in output.read_text()
+
+
+def is_caught(process, number):
+    """Return whether a process has a handler of a signal, as Linux says."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(re.search(r"SigCgt:\s*(\w+)", status)[1], 16) >> (number - 1) & 1
+
+
+def ended(path, cwd, number, seconds):
+    """Start the program, send it a signal after some time, and return code and output.
+
+    Ctrl-C in the tenth of a second in which Python itself starts is answered by Python.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-m", "suspnet.serve", f"store={path}", "port=0"],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    try:
+        while number == signal.SIGINT and not is_caught(process, signal.SIGTERM):
+            time.sleep(0.001)
+        time.sleep(seconds)
+        process.send_signal(number)
+        printed, wrong = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    return process.returncode, printed, wrong
+
+
+def check_end(number, code, printed, wrong):
+    """Check that a program ended by a signal with its code and one line.
+
+    Before Python has come to this program, the signal's own action ends it without a word.
+    """
+    assert code in (128 + number, -number)
+    assert "Traceback" not in printed + wrong
+    assert len(wrong.splitlines()) == (code > 0)
+    if wrong:
+        assert wrong.startswith(f"{WORDS[number]}: ")
+
+
+def test_signal_at_the_start_ends_the_program(path, tmp_path):
+    check_end(signal.SIGTERM, *ended(path, tmp_path, signal.SIGTERM, 0.7))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="asks Linux for handlers")
+@pytest.mark.parametrize("number", WORDS)
+def test_signal_at_any_moment_ends_the_program(path, tmp_path, number):
+    for seconds in [*np.linspace(0.0, 3.0, 20), *np.linspace(3.2, 8.0, 20)]:
+        check_end(number, *ended(path, tmp_path, number, seconds))

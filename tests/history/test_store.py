@@ -6,6 +6,8 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+import sqlalchemy
+from empty_stores import empty_store
 from forked import forks
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -243,7 +245,7 @@ def test_a_wrong_event_is_refused(fields, message):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"no database at all, but some text" * 40, "cannot be used .*not a database"),
+        (b"no database at all, but some text" * 40, "is not an SQLite database"),
         (None, "there is no folder"),
     ],
 )
@@ -273,6 +275,22 @@ def test_a_foreign_database_with_tables_of_these_names_is_refused(tmp_path):
     connection.close()
     with pytest.raises(HistoryError, match="no store of suspnet"):
         History(path)
+
+
+def test_new_tables_next_to_those_of_others_on_a_server_are_reported(tmp_path, caplog):
+    place = empty_store("postgresql", tmp_path)
+    url = place.replace("postgresql:", "postgresql+psycopg:", 1)
+    engine = sqlalchemy.create_engine(url)
+    with engine.begin() as connection:
+        connection.exec_driver_sql("CREATE TABLE notes (words TEXT)")
+    for _ in range(2):
+        with History(place) as store:
+            store.write([trip(0, with_curves=False)])
+    with engine.begin() as connection:
+        assert connection.exec_driver_sql("SELECT count(*) FROM notes").scalar() == 0
+    engine.dispose()
+    (line,) = [one.getMessage() for one in caplog.records]
+    assert "new tables of a store, next to 1 tables of others" in line
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ def test_journal_is_of_one_process(tmp_path):
 def test_file_that_is_none_is_refused(tmp_path):
     path = tmp_path / "journal"
     path.write_bytes(b"something else" * 1000)
-    with pytest.raises(JournalError, match="cannot be used"):
+    with pytest.raises(JournalError, match="is not an SQLite database"):
         Journal(path)
 
 

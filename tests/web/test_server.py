@@ -1,0 +1,118 @@
+"""The server answers while connections hang, dribble, or send too much."""
+
+import http.client
+import socket
+import threading
+import time
+import urllib.request
+from contextlib import ExitStack, closing, contextmanager
+
+import pytest
+from served_fleet import fill, served
+
+from suspnet.web.server import MOST_CONNECTIONS
+
+HEAD = b"POST /suspension/x/acknowledge HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000\r\n\r\n"
+SENT = {"idle": b"", "half a head": b"GET / HTTP/1.1\r\nHost: local", "half a body": HEAD + b"a=1"}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    path = fill(tmp_path_factory.mktemp("server") / "fleet.db")
+    with served(path, 3600.0) as (address, refresher):
+        end = time.monotonic() + 60
+        while not refresher.board.view.is_complete:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        yield address
+
+
+def connection(site):
+    host, port = site.removeprefix("http://").split(":")
+    return socket.create_connection((host, int(port)), timeout=10)
+
+
+@contextmanager
+def hanging(site, number, sent, every_s=None):
+    """Hold connections open that never end their request; some send a byte now and then."""
+    with ExitStack() as stack:
+        several = [stack.enter_context(connection(site)) for _ in range(number)]
+        for one in several:
+            one.sendall(sent)
+        is_over = threading.Event()
+
+        def dribble():
+            while not is_over.wait(every_s):
+                for one in several:
+                    try:
+                        one.send(b"a")
+                    except OSError:
+                        pass
+
+        thread = threading.Thread(target=dribble)
+        if every_s:
+            thread.start()
+        try:
+            yield several
+        finally:
+            is_over.set()
+            if every_s:
+                thread.join()
+
+
+def seconds_of_page(site, path="/"):
+    """Return how long a page takes a new client, [s]."""
+    begin = time.monotonic()
+    with urllib.request.urlopen(site + path, timeout=8) as answer:
+        assert answer.status == 200
+        answer.read()
+    return time.monotonic() - begin
+
+
+def answer_to(site, content, wait_s=10):
+    """Send bytes and return all that comes back, with pauses of less than some time."""
+    found = b""
+    with connection(site) as one:
+        one.sendall(content)
+        one.settimeout(wait_s)
+        try:
+            while part := one.recv(65_536):
+                found += part
+        except (ConnectionResetError, TimeoutError):
+            pass
+    return found
+
+
+@pytest.mark.parametrize("sent", SENT)
+def test_pages_come_while_connections_hang(site, sent):
+    with hanging(site, MOST_CONNECTIONS + 20, SENT[sent]):
+        assert seconds_of_page(site) < 5
+        assert seconds_of_page(site, "/state") < 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("every_s", [None, 0.2])
+@pytest.mark.parametrize("sent", SENT)
+def test_pages_come_while_many_connections_hang_or_dribble(site, sent, every_s):
+    with hanging(site, 250, SENT[sent], every_s), hanging(site, 250, SENT[sent], every_s):
+        times = [seconds_of_page(site) for _ in range(20)]
+    assert sorted(times)[10] < 1
+    assert max(times) < 5
+
+
+def test_answered_connection_is_not_closed_for_a_few_others(site):
+    mine = http.client.HTTPConnection(site.removeprefix("http://"), timeout=10)
+    mine.connect()
+    first = mine.sock
+    with closing(mine), hanging(site, 20, b""):
+        for _ in range(3):
+            mine.request("GET", "/state")
+            assert mine.getresponse().read()
+            assert mine.sock is first
+
+
+def test_too_large_requests_are_refused_while_they_come(site):
+    head = b"POST /x HTTP/1.1\r\nHost: localhost\r\nContent-Length: 900000000\r\n\r\n"
+    assert b" 413 " in answer_to(site, head + bytes(1000)).split(b"\r\n")[0]
+    large = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 16_400
+    assert b" 431 " in answer_to(site, large).split(b"\r\n")[0]

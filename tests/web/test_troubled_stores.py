@@ -1,0 +1,302 @@
+"""Pages of a store that is locked, damaged, replaced or gone: at once, in words, and back again."""
+
+import os
+import re
+import sqlite3
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from cli_runner import typed
+from served_fleet import FAILED, HEALTHY, SETTINGS, fill, name_of, trips
+
+from suspnet.cli import serve
+from suspnet.depot.board import Board
+from suspnet.history import History
+from suspnet.web.app import create_app
+from suspnet.web.refresher import Refresher
+
+BASE = {"base_url": "http://127.0.0.1:8050"}
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """The bytes of a store."""
+    path = fill(tmp_path_factory.mktemp("web") / "fleet.db")
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    connection.close()
+    return path.read_bytes()
+
+
+@pytest.fixture
+def path(good, tmp_path):
+    found = tmp_path / "fleet.db"
+    found.write_bytes(good)
+    return found
+
+
+@contextmanager
+def looked(path):
+    """Give the pages of a store and a function that looks at it; no thread runs."""
+    refresher = Refresher(Board(str(path), SETTINGS), 3600.0)
+    refresher._thread.is_alive = lambda: True
+    refresher._look(refresher.board.refresh)
+    client = create_app(refresher).test_client()
+    client.testing = False
+    yield client, lambda: refresher._look(refresher.board.refresh), refresher.board
+
+
+@contextmanager
+def locked(path):
+    """Lock a store as a program does that hangs while it writes."""
+    connection = sqlite3.connect(path, isolation_level=None)
+    connection.execute("BEGIN EXCLUSIVE")
+    try:
+        yield
+    finally:
+        connection.close()
+
+
+def asked(client, address, seconds, method="get", **options):
+    """Return an answer that comes within some time."""
+    begin = time.monotonic()
+    answer = getattr(client, method)(address, **BASE, **options)
+    assert time.monotonic() - begin < seconds
+    return answer
+
+
+def cut(content):
+    return content[: len(content) // 2]
+
+
+def overwritten(content):
+    half = len(content) // 2
+    return content[:half] + b"\xa5" * 40_000 + content[half + 40_000 :]
+
+
+def headless(content):
+    return bytes(100) + content[100:]
+
+
+DAMAGE = {"cut": cut, "overwritten": overwritten, "headless": headless, "empty": lambda _: b""}
+
+
+def test_locked_store_holds_no_page_up_and_is_shown_again(path):
+    with looked(path) as (client, look, board):
+        address = f"/suspension/{name_of(board.view, FAILED)}"
+        token = re.search(r'csrf_token" value="([^"]+)', client.get(address, **BASE).text)[1]
+        form = {"csrf_token": token, "parameter": "k_s", "cause": "limit", "severity": "act"}
+        with locked(path):
+            begin = time.monotonic()
+            look()
+            assert time.monotonic() - begin < 4
+            page = asked(client, "/", 2).text
+            assert "another program holds the store locked" in page
+            assert re.search(r"What is shown here is of \d\d:\d\d:\d\d", page)
+            assert "4 suspensions" in page
+            assert "responses are not shown" in asked(client, address, 4).text
+            sent = asked(client, f"{address}/acknowledge", 6, "post", data=form | {"by": "Kim"})
+            assert sent.status_code == 503
+            assert "Nothing was kept" in sent.text
+            asked(client, f"{address}/trend.json", 2)
+            assert asked(client, f"{address}/responses.json", 4).status_code == 503
+        look()
+        assert "locked" not in client.get("/", **BASE).text
+        assert "trip_029" in client.get(address, **BASE).text
+
+
+def test_start_waits_for_no_lock(path):
+    with locked(path):
+        begin = time.monotonic()
+        serve._check_store(str(path))
+        assert time.monotonic() - begin < 4
+
+
+def test_bad_row_is_shown_on_the_pages(path):
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE trips SET start = 'yesterday' WHERE id = 1")
+        connection.execute("UPDATE trips SET coherence_p = '<b>good' WHERE id = 2")
+    connection.close()
+    with looked(path) as (client, _, board):
+        page = client.get("/", **BASE).text
+        assert "1 row of the store could not be read and is left out" in page
+        assert "trips, row id=1 of am96: train 12, car 3" in page
+        assert "&#39;yesterday&#39;" in page
+        page = client.get(f"/suspension/{name_of(board.view, FAILED)}", **BASE).text
+        assert "2 rows of the store could not be read and are left out" in page
+        assert "&lt;b&gt;good" in page
+        other = client.get(f"/suspension/{name_of(board.view, HEALTHY)}", **BASE).text
+        assert "could not be read" not in other
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_store_leaves_the_last_view_and_a_good_one_is_read(path, good, damage):
+    with looked(path) as (client, look, board):
+        address = f"/suspension/{name_of(board.view, FAILED)}"
+        path.write_bytes(DAMAGE[damage](good))
+        look()
+        page = client.get("/", **BASE)
+        assert page.status_code == 200
+        assert "4 suspensions" in page.text
+        for one in (address, f"{address}/responses.json", "/plan", "/state"):
+            assert client.get(one, **BASE).status_code in (200, 503)
+        path.write_bytes(good)
+        look()
+        assert board.view.trouble == ""
+        assert "The store cannot be read" not in client.get("/", **BASE).text
+        assert "trip_029" in client.get(address, **BASE).text
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_store_that_was_never_read_is_one_page(path, good, damage):
+    path.write_bytes(DAMAGE[damage](good))
+    with looked(path) as (client, look, _):
+        page = client.get("/", **BASE)
+        assert page.status_code == 503
+        assert "fleet.db: " in page.text
+        assert "Traceback" not in page.text
+        path.write_bytes(good)
+        look()
+        assert "4 suspensions" in client.get("/", **BASE).text
+
+
+@pytest.mark.parametrize("damage", ["cut", "overwritten", "headless"])
+def test_damaged_store_is_refused_at_the_start_in_one_line(path, good, damage, tmp_path):
+    path.write_bytes(DAMAGE[damage](good))
+    ended = typed(serve, f"store={path}", cwd=tmp_path)
+    (line,) = ended.stderr.splitlines()
+    assert ended.returncode == 1
+    assert "fleet.db: " in line
+    assert "put a copy in its place" in line or "head is damaged" in line
+
+
+def test_other_store_in_the_place_of_the_first_is_read(path, tmp_path):
+    with looked(path) as (client, look, board):
+        other = tmp_path / "other.db"
+        with History(other) as store:
+            for seed, place in enumerate((FAILED, HEALTHY)):  # the same revisions
+                store.write(trips(place, 30 + seed, n_trips=10))
+        os.replace(other, path)
+        look()
+        assert {len(one.series.trip) for one in board.view.states} == {10}
+        path.unlink()
+        path.mkdir()
+        look()
+        assert "this is a folder" in client.get("/", **BASE).text
+        path.rmdir()
+        look()
+        assert "there is no such store" in client.get("/", **BASE).text
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() == 0, reason="root may read all")
+def test_store_that_may_not_be_read_is_named(path):
+    with looked(path) as (client, look, _):
+        path.chmod(0)
+        look()
+        assert "Permission denied" in client.get("/", **BASE).text
+        path.chmod(0o600)
+        look()
+        assert "Permission denied" not in client.get("/", **BASE).text
+
+
+def corrupted(good, seed):
+    """Return a store with bytes, runs of bytes or values changed at random."""
+    rng = np.random.default_rng(seed)
+    content = bytearray(good)
+    for _ in range(int(rng.integers(1, 60))):
+        begin = int(rng.integers(0, len(content)))
+        length = int(rng.choice([1, 1, 4, 100, 4096]))
+        part = rng.integers(0, 256, length).astype(np.uint8).tobytes()
+        content[begin : begin + length] = part[: len(content) - begin]
+    if rng.random() < 0.2:
+        del content[int(rng.integers(0, len(content))) :]
+    return bytes(content)
+
+
+VALUES = (
+    *("NULL", "0", "-1", "1e300", "9e999", "-9e999", "9223372036854775807", "'x'", "''"),
+    *("x'00ff'", "CAST(x'fffe' AS TEXT)", "'2199-01-01'", "'0001-01-01T00:00:00+23:00'"),
+    *("'<script>'", "char(0)", "'1970-01-01T00:00Z'", "zeroblob(100000)", "'notice'"),
+)
+
+
+def altered(path, seed):
+    """Change values of random rows and columns of a store."""
+    rng = np.random.default_rng(seed)
+    with sqlite3.connect(path) as connection:
+        run = connection.execute
+        names = [name for (name,) in run("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        for _ in range(int(rng.integers(1, 12))):
+            table = str(rng.choice(names))
+            columns = [row[1] for row in run(f"PRAGMA table_info({table})")]
+            column, value = str(rng.choice(columns)), str(rng.choice(VALUES))
+            rows = "1" if rng.random() < 0.2 else "rowid = 1 + abs(random()) % 40"
+            try:
+                run(f'UPDATE OR REPLACE {table} SET "{column}" = {value} WHERE {rows}')
+            except sqlite3.Error:
+                continue
+    connection.close()
+
+
+def read_all_pages(path, counts, before=None):
+    """Ask for every page of a store; count the answers by their code."""
+    with looked(path) as (client, look, board):
+        if before is not None:
+            before()
+            look()
+        assert "Traceback" not in client.get("/", **BASE).text
+        addresses = ["/", "/?rows=all", "/plan", "/plan/calendar.svg", "/state"]
+        for name in list(board.view.keys)[:6]:
+            addresses += [f"/suspension/{name}{end}" for end in ("", "/trend.json")]
+            addresses += [f"/suspension/{name}/responses.json", f"/state?of={name}"]
+        for address in addresses:
+            begin = time.monotonic()
+            answer = client.get(address, **BASE)
+            counts[answer.status_code] = counts.get(answer.status_code, 0) + 1
+            assert answer.status_code in (200, 404, 503), (address, answer.text)
+            assert time.monotonic() - begin < 20
+        page = client.get("/", **BASE).text
+        assert "could not be worked out" not in page, re.search(r"could not be worked[^<]*", page)[
+            0
+        ]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of absurd numbers
+@pytest.mark.parametrize("kind", ["bytes", "values"])
+def test_corrupted_stores_give_no_error_of_the_program(path, good, kind):
+    fuzz(path, good, kind, range(4), 60)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("kind", ["bytes", "values"])
+def test_many_corrupted_stores_give_no_error_of_the_program(path, good, kind):
+    fuzz(path, good, kind, range(100, 10_000), 100)
+
+
+def fuzz(path, good, kind, seeds, seconds):
+    """Show stores that are corrupted from the start, or while they are shown."""
+    counts, begin, n_stores = {}, time.monotonic(), 0
+    for seed in seeds:
+        if time.monotonic() - begin > seconds:
+            break
+        path.write_bytes(good)
+
+        def corrupt(seed=seed):
+            if kind == "bytes":
+                path.write_bytes(corrupted(good, seed))
+            else:
+                altered(path, seed)
+
+        try:
+            if seed % 2:
+                corrupt()
+                read_all_pages(path, counts)
+            else:
+                read_all_pages(path, counts, corrupt)
+        except Exception as error:
+            raise AssertionError(f"seed {seed}") from error
+        n_stores += 1
+    print(f"{kind}: {n_stores} stores, answers {counts}")
