@@ -18,11 +18,12 @@ from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.commissioning.page import training_notes, write_outcome
 from suspnet.commissioning.run import check_generator, commission_folder
 from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import SpeedRange
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.model.from_recording import TripSettings
 from suspnet.problem import Problem
 from suspnet.runs.scores import Metrics
-from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
+from suspnet.runs.speeds import speed_ranges, train_ranges
 from suspnet.runs.train import train
 from suspnet.uncertainty.physics import Residual
 

@@ -163,10 +163,10 @@ def _bins(
     """Return the bins with an estimate, and the reasons of those without."""
     bins: list[SpeedBin] = []
     reasons = []
-    speeds = [model.generator.speed_m_per_s for model, _ in pairs]
+    models = [model for model, _ in pairs]
     for model, segments in pairs:
         try:
-            bins += speed_bins(model, recording, segments, settings, speeds)
+            bins += speed_bins(model, recording, segments, settings, models)
         except NoEstimateError as reason:
             reasons.append(str(reason))
     return bins, reasons
