@@ -130,3 +130,14 @@ def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
     if reads.holds(low) and reads.holds(high):
         return one
     return [float(math.floor(low)) or low, float(math.ceil(high))]
+
+
+def setting_words(setting: float | Sequence[float]) -> str:
+    """Return a setting of speeds as on the command line.
+
+    >>> setting_words(70.0), setting_words([60.0, 79.0])
+    ('speed_m_per_s=70', 'speed_m_per_s=[60,79]')
+    """
+    if isinstance(setting, float | int):
+        return f"speed_m_per_s={setting:g}"
+    return f"speed_m_per_s=[{','.join(f'{one:g}' for one in setting)}]"

@@ -13,7 +13,7 @@ from tabulate import tabulate
 from suspnet._version import __version__
 from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.data.estimates import SPEED_HALF_WIDTH
-from suspnet.data.speeds import covering
+from suspnet.data.speeds import covering, setting_words
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, TripCheck
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.templates import render
@@ -59,11 +59,12 @@ class Suspension:
         words = [f"{len(ready)} of {len(self.checks)} trips ready"]
         speeds = [part.speed_m_per_s for check in ready for part in check.parts]
         if speeds:
+            setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
             kilometres = [check.mileage_km for check in ready]
             words[0] += (
                 f", {_span(min(kilometres), max(kilometres), '{:.0f}')} km, at "
                 f"{_span(min(speeds), max(speeds), '{:.1f}')} m/s: "
-                f"{ready[0].read_by or f'train with {_speed_setting(speeds)}'}"
+                f"{ready[0].read_by or f'train with {setting}'}"
             )
         if len(ready) < LEAST_TRIPS:
             words.append(f"commissioning needs {LEAST_TRIPS} ready healthy trips")
@@ -88,14 +89,6 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
 def _span(low: float, high: float, form: str) -> str:
     """Return a range in words, one number if both ends read the same."""
     return " to ".join(dict.fromkeys((form.format(low), form.format(high))))
-
-
-def _speed_setting(speeds: Sequence[float]) -> str:
-    """Return the setting of train.py whose models read such speeds."""
-    setting = covering(speeds, SPEED_HALF_WIDTH)
-    ends = setting if isinstance(setting, list) else [setting]
-    numbers = ",".join(f"{one:g}" for one in ends)
-    return f"speed_m_per_s=[{numbers}]" if len(ends) > 1 else f"speed_m_per_s={numbers}"
 
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:

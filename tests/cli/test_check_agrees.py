@@ -88,18 +88,17 @@ def test_check_and_evaluate_agree_at_the_ends_of_bins(trip, tmp_path, speed, spr
 
 
 def test_check_with_a_run_shows_which_trips_its_models_read(trip, tmp_path):
-    for i, model in enumerate(models_between(LOW, HIGH)):
-        save_model(tmp_path / "run" / str(i), model)
+    save_model(tmp_path / "run", model_at())
     trips = tmp_path / "trips"
     trips.mkdir()
-    run_at(trip, trips, 69.1, 0.0)
+    run_at(trip, trips, 75.0, 0.0)
     run_at(trip, trips, 90.0, 0.0)
     options = ["--run", tmp_path / "run", "-o", tmp_path / "o", "--no-pictures"]
     done = typed(check, trips, *options, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "1 of 2 trips ready" in done.stdout
-    assert "at 69.1 m/s: the models read 61.0 to 78.0 m/s" in done.stdout
-    assert "the trip is run at 90.0 m/s, the models read 61.0 to 78.0 m/s" in done.stdout
+    assert "at 75.0 m/s: the model reads 64.4 to 75.6 m/s" in done.stdout
+    assert "the trip is run at 90.0 m/s, the model reads 64.4 to 75.6 m/s" in done.stdout
     states = [one["state"] for one in json.loads((tmp_path / "o/check.json").read_text())["trips"]]
     assert states == [READY, TOO_LITTLE]
     missing = typed(check, trips, "--run", tmp_path / "none", cwd=tmp_path)
