@@ -139,6 +139,8 @@ def _estimated(
         faults="; ".join(str(fault) for fault in recording.faults),
         read_as=recording.words,
     )
+    if not result.start and recording.started is not None:
+        result = replace(result, start=recording.started.isoformat())
     welches = [trip_settings(model).welch for model in models]
     segments = {welch: recording_segments(recording, welch) for welch in welches}
     n_total = max(len(found.values) for found in segments.values())
