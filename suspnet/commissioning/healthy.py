@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -128,7 +128,7 @@ def read_healthy(
                 f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             )
             continue
-        kept.append(manifest)
+        kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
         paired.add(recording.paired)
     if len(kept) < LEAST_TRIPS:

@@ -150,7 +150,8 @@ def _inspected(
     segments = recording_segments(recording, estimate.welch)
     any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
     trips = settings.trips
-    result, looked_at = _with_parts(result, recording, segments, estimate, trips, any_speed)
+    result, checked = _with_parts(result, recording, segments, estimate, trips, any_speed)
+    looked_at = checked[0]
     if settings.models:
         result = _read(result, recording, settings)
     spectra = segments.average(looked_at) if bool(looked_at.any()) else None
@@ -162,7 +163,7 @@ def _inspected(
         result = replace(result, picture=picture)
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
-    return _with_plausibility(result, recording, segments, looked_at, vehicle)
+    return _with_plausibility(result, recording, segments, checked, vehicle)
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
@@ -189,13 +190,16 @@ def _with_parts(
     estimate: EstimateSettings,
     settings: TripSettings,
     any_speed: bool,
-) -> tuple[TripCheck, Tensor]:
-    """Return a check with the steady parts of a recording, and the segments of the longest."""
+) -> tuple[TripCheck, list[Tensor]]:
+    """Return a check with the steady parts of a recording, and their segments, the longest first.
+
+    Without any these are all segments, or the longest group.
+    """
     n_segments = len(segments.values)
     looked_at = torch.ones(n_segments, dtype=torch.bool)
     if not n_segments:
         words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
-        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), looked_at
+        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), [looked_at]
     speeds = segment_speeds(recording, segments)
     band = in_band(segments, estimate.frequencies_hz())
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
@@ -216,7 +220,7 @@ def _with_parts(
         steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
         remarks=(*result.remarks, *([words] if words else [])),
     )
-    return result, found[0][0].chosen if found else looked_at
+    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
 
 
 def _vehicle(
@@ -276,25 +280,26 @@ def _with_plausibility(
     result: TripCheck,
     recording: Recording,
     segments: SegmentSpectra,
-    chosen: Tensor,
+    checked: Sequence[Tensor],
     vehicle: Vehicle,
 ) -> TripCheck:
-    """Return a check with what is implausible of the channels of a known vehicle."""
-    speed = float(segment_speeds(recording, segments)[chosen].mean())
-    generator = best_generator(vehicle, speed_m_per_s=speed)
+    """Return a check with what is implausible of the channels, in each of some groups."""
     doubts: list[str] = []
 
-    def check_order() -> None:
+    def check_order(chosen: Tensor) -> None:
+        speed = float(segment_speeds(recording, segments)[chosen].mean())
+        generator = best_generator(vehicle, speed_m_per_s=speed)
         spectra = segments.average(chosen)
         frequencies_hz, single = segments.frequencies_hz, not all(recording.paired)
         doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
 
-    def check_sides() -> None:
+    def check_sides(chosen: Tensor) -> None:
         differences = difference_segments(recording, segments.welch)
         check_pairs(segments, differences, chosen, recording.paired, vehicle)
 
+    parts = [check_order, *([check_sides] if any(recording.paired) else [])]
     try:
-        all_of([check_order, *([check_sides] if any(recording.paired) else [])])
+        all_of(partial(part, chosen) for part in parts for chosen in checked)
     except TripError as error:
         return _with_problems(result, error.problems)
-    return replace(result, remarks=result.remarks + tuple(filter(None, doubts)))
+    return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))

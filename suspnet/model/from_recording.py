@@ -181,7 +181,8 @@ def _speed_bin(
     band = in_band(segments, trained.frequencies_hz())
     found = group_spectra(band, group, settings.min_coherence, trained)
     chosen, doubts = found.chosen, ""
-    if settings.check_channels and bool(found.candidates.any()):
+    n_candidates = int(found.candidates.sum())
+    if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
         looked_at = chosen if found.spectra is not None else found.candidates
         if any(recording.paired):
             differences = difference_segments(recording, segments.welch)
