@@ -18,8 +18,9 @@ def write_parquet(path: Path, columns: Mapping, **_) -> None:
     pq.write_table(pa.table(dict(columns)), path, row_group_size=7)
 
 
-def write_csv(path: Path, columns: Mapping, **_) -> None:
+def write_csv(path: Path, columns: Mapping, **said) -> None:
     with path.open("w", newline="") as stream:
+        stream.writelines(said.get("above", ()))
         rows = csv.writer(stream)
         rows.writerow(columns)
         rows.writerows(zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True))
@@ -81,7 +82,8 @@ def write_uff(path: Path, columns: Mapping, **said) -> None:
             binary=1, func_type=1, id1=name, rsp_node=1, rsp_dir=3, ref_node=1, ref_dir=3,
             data=values, x=at, num_pts=len(values), abscissa_spacing=1, abscissa_min=0.0,
             abscissa_inc=1 / said.get("rate_hz", 1.0), ordinate_spec_data_type=12,
-            ordinate_axis_units_lab=said.get("unit", ""), return_full_dict=True,
+            ordinate_axis_units_lab=said.get("unit", ""), id3=said.get("date", ""),
+            return_full_dict=True,
         )  # fmt: skip
         empty = {key: 0 for key, value in record.items() if value is None and key[-4:] != "_lab"}
         texts = {
@@ -95,6 +97,10 @@ def write_uff(path: Path, columns: Mapping, **said) -> None:
 def write_wav(path: Path, columns: Mapping, **said) -> None:
     values = np.stack([np.asarray(v).astype(np.float64) for v in columns.values()], axis=1)
     wavfile.write(path, round(said.get("rate_hz", 1.0)), values)
+    if "date" in said:  # a broadcast WAV file: description, originator, reference, date and time
+        chunk = bytes(320) + said["date"].encode() + bytes(264)
+        content = path.read_bytes() + b"bext" + len(chunk).to_bytes(4, "little") + chunk
+        path.write_bytes(content[:4] + (len(content) - 8).to_bytes(4, "little") + content[8:])
 
 
 WRITERS = {

@@ -25,6 +25,7 @@ TELLING = (
     "suspnet/model/from_spectra.py",
     "suspnet/model/sides.py",
     "suspnet/model/speed_bin.py",
+    "suspnet/model/speed_groups.py",
     "suspnet/trips/places.py",
     "suspnet/trips/trip.py",
     "suspnet/uncertainty/ood.py",

@@ -1,4 +1,4 @@
-"""Check manifests and recordings without a model: suspnet-check DIR ..."""
+"""Check manifests and recordings, with a model or without: suspnet-check DIR ..."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ from tqdm import tqdm
 from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.cli.configs import read_vehicles
+from suspnet.cli.named_runs import named_runs
 from suspnet.data.parallel import quiet
 from suspnet.inspection.check import CheckSettings, check_trip
 from suspnet.inspection.manifests import Opened, find_trips
 from suspnet.inspection.records import PROBLEM, TripCheck
 from suspnet.inspection.summary import summary, with_shared_data, write_checks
+from suspnet.model.checkpoint import load_model
 from suspnet.storage import new_folder
 from suspnet.workers import LostWorkerError, each
 
 DESCRIPTION = """\
-Read manifests and recordings without a model. Tell everything that is wrong with all of them at
-once, and what an estimate would have to work with: usable share, steady speeds, independent
+Read manifests and recordings, with a model or without. Show everything that is wrong with all of
+them at once, and what an estimate would have to work with: usable share, steady speeds, independent
 averages, coherence in the vehicle's band, pairs of sensors; for a known vehicle also whether units,
-signs and the order of the channels are plausible.
+signs and the order of the channels are plausible. A trip is ready if a model of its speed would
+read it; with --run if the models of that run do.
 
 The output folder gets check.html, check.json and a picture of each trip that could be read: its
 channels and speed, their spectra, and the coherence. Trips are not changed."""
@@ -35,7 +38,8 @@ EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
   suspnet-check trips/car7                  all manifests of a folder, or of its subfolders
-  suspnet-check trip_001.yaml trip_002.yaml --no-pictures"""
+  suspnet-check trip_001.yaml trip_002.yaml --no-pictures
+  suspnet-check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
 
 
 def parser() -> ArgumentParser:
@@ -80,6 +84,14 @@ def parser() -> ArgumentParser:
         help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py [path; none if not "
         "given]",
     )
+    found.add_argument(
+        "--run",
+        type=Path,
+        action="append",
+        metavar="DIR",
+        help="folder of a training whose models must read the trips, as of evaluate.py; may be "
+        "given several times [path; none if not given]",
+    )
     return found
 
 
@@ -91,9 +103,11 @@ def check(arguments: Namespace) -> int:
         if not (arguments.config_dir / "vehicle").is_dir():
             raise ValueError(f"--config-dir={arguments.config_dir} holds no folder `vehicle`")
         vehicles |= read_vehicles(arguments.config_dir)
-    output = _folder(arguments.output)
     known = {vehicle.name: vehicle for vehicle in vehicles.values()}
-    settings = CheckSettings(known, pictures=None if arguments.no_pictures else output)
+    models = [load_model(run) for run in named_runs(arguments.run or [])]
+    output = _folder(arguments.output)
+    pictures = None if arguments.no_pictures else output
+    settings = CheckSettings(known, pictures=pictures, models=models)
     paths, elsewhere = find_trips(arguments.trips)
     checks = with_shared_data(_checked(paths, settings, arguments.workers))
     page = write_checks(checks, elsewhere, output)

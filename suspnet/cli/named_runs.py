@@ -12,5 +12,5 @@ from suspnet.runs.evaluate import find_runs
 
 def named_runs(named: Any) -> list[Path]:
     """Return the folders with a model of one run, or of a list of runs."""
-    several = named if isinstance(named, ListConfig) else [named]
+    several = named if isinstance(named, ListConfig | list) else [named]
     return list(dict.fromkeys(run for one in several for run in find_runs(Path(one))))

@@ -24,9 +24,10 @@ MAX_CHARACTERS = 100
 
 
 def register() -> None:
-    """Make the names known to the configuration, as ${changed:...} and ${swept_by:}."""
+    """Make ${changed:...}, ${swept_by:} and ${unless_healthy:...} known to the configuration."""
     OmegaConf.register_new_resolver("changed", _changed, replace=True)
     OmegaConf.register_new_resolver("swept_by", _swept_by, replace=True)
+    OmegaConf.register_new_resolver("unless_healthy", _unless_healthy, replace=True)
 
 
 def swept() -> list[str]:
@@ -94,6 +95,11 @@ def _swept_by(_root_: DictConfig) -> str:
             words.append(_word(key, "" if varies else value, key in config.runtime.choices))
         cache["name"] = _joined(words)
     return str(cache["name"])
+
+
+def _unless_healthy(usual: float, _root_: DictConfig) -> float | None:
+    """Return a usual value, or None where a folder of healthy trips shows a better one."""
+    return None if OmegaConf.select(_root_, "healthy") is not None else usual
 
 
 def _split(override: str) -> tuple[str, str]:

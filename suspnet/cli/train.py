@@ -18,11 +18,12 @@ from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.commissioning.page import training_notes, write_outcome
 from suspnet.commissioning.run import check_generator, commission_folder
 from suspnet.data.estimates import EstimateSettings
+from suspnet.data.speeds import SpeedRange, covering, setting_words
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.model.from_recording import TripSettings
 from suspnet.problem import Problem
 from suspnet.runs.scores import Metrics
-from suspnet.runs.speeds import SpeedRange, speed_ranges, train_ranges
+from suspnet.runs.speeds import speed_ranges, train_ranges
 from suspnet.runs.train import train
 from suspnet.uncertainty.physics import Residual
 
@@ -31,6 +32,9 @@ NO_SPEED = (
     "a range of speeds is for models that read trips and depend on the speed: experiment=trips "
     "with a vehicle of known geometry; give one speed_m_per_s"
 )
+NO_HEALTHY = "speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
+FIRST_M_PER_S = 70.0
+"""Speed of the line until the healthy trips have shown theirs; only leakage depends on it."""
 
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="train")
@@ -51,8 +55,7 @@ def compose(config: DictConfig) -> None:
         return
     groups = several_suspensions(config)
     if groups:
-        several = isinstance(config.speed_m_per_s, ListConfig)
-        one = _bound(config, _ranges(config)[0]) if several else config
+        one = _at_a_speed(config)
         _check_healthy(one)
         check_generator(program.build(one, "generator"))
         train_fleet(config, folder, groups, _run)
@@ -81,11 +84,19 @@ def _run(
     draw : bool
         Whether figures of the vehicle are among the run's.
     """
-    if not isinstance(config.speed_m_per_s, ListConfig):
-        _train(config, folder, _commissioned(config, folder, paths), varied, draw)
+    healthy = _commissioned(_at_a_speed(config), folder, paths)
+    speeds = config.speed_m_per_s
+    if speeds is None:
+        if healthy is None:
+            raise ValueError(NO_HEALTHY)
+        speeds = covering(healthy.speeds_m_per_s, config.data.speed_half_width)
+        log.info("healthy trips at %s: %s", _span(healthy.speeds_m_per_s), setting_words(speeds))
+    if not isinstance(speeds, ListConfig | list):
+        found = config.copy()
+        found.speed_m_per_s = speeds
+        _train(found, folder, healthy, varied, draw, config)
         return
-    ranges = _ranges(config)
-    healthy = _commissioned(_bound(config, ranges[0]), folder, paths)
+    ranges = _ranges(config, speeds)
     program.save_config(config, folder)
     train_ranges(
         ranges,
@@ -94,11 +105,27 @@ def _run(
     )
 
 
-def _ranges(config: DictConfig) -> list[SpeedRange]:
-    """Return the ranges of speeds that a configuration asks for, each of one model."""
+def _span(speeds: Sequence[float]) -> str:
+    """Return the lowest and the highest of some speeds."""
+    return f"{min(speeds):.1f} to {max(speeds):.1f} m/s"
+
+
+def _at_a_speed(config: DictConfig) -> DictConfig:
+    """Return a configuration with one of its speeds, before healthy trips have shown theirs."""
+    if isinstance(config.speed_m_per_s, ListConfig):
+        return _bound(config, _ranges(config, config.speed_m_per_s)[0])
+    if config.speed_m_per_s is not None:
+        return config
+    found = config.copy()
+    found.speed_m_per_s = FIRST_M_PER_S
+    return found
+
+
+def _ranges(config: DictConfig, speeds: Sequence[float]) -> list[SpeedRange]:
+    """Return the ranges of speeds that are asked for, each of one model."""
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED)
-    ranges = speed_ranges(list(config.speed_m_per_s), config.data.speed_half_width)
+    ranges = speed_ranges(list(speeds), config.data.speed_half_width)
     if program.build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
     return ranges
@@ -119,6 +146,7 @@ class _Healthy:
     generator: VerticalVehicle
     notes: dict[str, Any]
     residual: Residual
+    speeds_m_per_s: tuple[float, ...]
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
@@ -147,7 +175,8 @@ def _commissioned(
         progress=config.progress,
     )
     write_outcome(folder, found, outcome)
-    return _Healthy(outcome.generator, training_notes(found, outcome), outcome.residual)
+    speeds = tuple(group.speed_m_per_s for group in found.groups)
+    return _Healthy(outcome.generator, training_notes(found, outcome), outcome.residual, speeds)
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
@@ -164,8 +193,9 @@ def _train(
     healthy: _Healthy | None,
     varied: Mapping[str, Any] | None,
     draw: bool,
+    given: DictConfig | None = None,
 ) -> Metrics:
-    """Train what a configuration names and fill a folder."""
+    """Train what a configuration names and fill a folder; config.yaml is as `given`, if it is."""
     problem = Problem(
         generator=_generator(config, healthy),
         task=program.build(config, "protocol").task(config.group),
@@ -176,7 +206,7 @@ def _train(
     )
     model = program.build(config, "model")
     search = program.build(config, "search") if config.get("search") else None
-    resolved = program.save_config(config, folder)
+    resolved = program.save_config(given or config, folder)
     return train(
         problem,
         model,

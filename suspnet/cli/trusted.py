@@ -100,7 +100,7 @@ SLURM_WORDS = (
     *("mem_per_gpu", "mem_per_cpu", "account"),
 )
 """Settings of the Slurm launcher that are words; they become lines of a shell script."""
-RESOLVERS = ("changed", "described", "hydra", "now", "swept_by")
+RESOLVERS = ("changed", "described", "hydra", "now", "swept_by", "unless_healthy")
 """Resolvers of the configurations as shipped; all others can hide what a value will be."""
 LOGGING = {
     "job_logging": ("default", "disabled", "none", "stdout"),

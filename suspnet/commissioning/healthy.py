@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -12,7 +12,9 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.data.parallel import quiet
 from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
+from suspnet.model.from_recording import TripSettings
+from suspnet.model.group_spectra import group_spectra, speed_of
+from suspnet.model.speed_groups import groups_to_read
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import find_manifests, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
@@ -126,7 +128,7 @@ def read_healthy(
                 f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             )
             continue
-        kept.append(manifest)
+        kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
         paired.add(recording.paired)
     if len(kept) < LEAST_TRIPS:
@@ -168,9 +170,9 @@ def _spectra(
         return []
     speeds = segment_speeds(recording, segments)
     band, found = in_band(segments, settings.frequencies_hz()), []
-    for chosen in steady_groups(band, speeds, trips):
-        n_segments = int(chosen.sum())
-        if n_segments and segments.welch.n_averages(n_segments) >= trips.min_averages:
-            at = Speeds.of(*speed_of(speeds[chosen], segments))
-            found.append(HealthySpectra(trip, name, at, band.average(chosen)))
+    for group in groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s):
+        one = group_spectra(band, group, trips.min_coherence, settings)
+        if one.spectra is not None and one.n_averages >= trips.min_averages:
+            at = Speeds.of(*speed_of(speeds[one.chosen], segments))
+            found.append(HealthySpectra(trip, name, at, one.spectra))
     return found

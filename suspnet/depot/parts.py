@@ -56,8 +56,10 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
             continue
         km, starts = km[order], starts[order]
         day = today if np.isnat(starts[-1]) else starts[-1].item().date()
-        pace = km_per_day(starts, km, default_km_per_day)
-        found.append(Train(name, float(km[-1]), min(day, today), pace))
+        pace = km_per_day(starts, km, np.nan)
+        is_assumed = bool(np.isnan(pace))
+        pace = default_km_per_day if is_assumed else pace
+        found.append(Train(name, float(km[-1]), min(day, today), pace, is_assumed))
     return found
 
 

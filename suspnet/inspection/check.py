@@ -15,10 +15,14 @@ from torch import Tensor
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import Vehicle, best_generator
 from suspnet.features.transfer_estimate import SegmentSpectra
+from suspnet.history.records import ERROR, OK
 from suspnet.inspection.figures import trip_figure, write_picture
 from suspnet.inspection.manifests import Opened, check_columns
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
-from suspnet.model.from_recording import TripSettings, certainty_of, speed_of, steady_groups
+from suspnet.model import TrainedModel
+from suspnet.model.from_recording import TripSettings
+from suspnet.model.group_spectra import GroupSpectra, group_spectra, speed_of
+from suspnet.model.speed_groups import groups_to_read, readable_words
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
 from suspnet.recordings.manifest_files import parse_manifest, read_content
@@ -30,6 +34,9 @@ from suspnet.recordings.segments import (
     recording_segments,
     segment_speeds,
 )
+from suspnet.trips.commissionings import models_at
+from suspnet.trips.models import models_of
+from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)
 
@@ -48,11 +55,14 @@ class CheckSettings:
     trips : TripSettings
     pictures : Path, optional
         Folder of the pictures; None draws none.
+    models : sequence of TrainedModel
+        A trip is ready if these read it; if there are none, if a model of its speed would.
     """
 
     vehicles: Mapping[str, Vehicle]
     trips: TripSettings = field(default_factory=TripSettings)
     pictures: Path | None = None
+    models: Sequence[TrainedModel] = ()
 
 
 def check_trip(
@@ -138,7 +148,12 @@ def _inspected(
         band_hz=(estimate.low_hz, estimate.high_hz),
     )
     segments = recording_segments(recording, estimate.welch)
-    result, looked_at = _with_parts(result, recording, segments, estimate, settings.trips)
+    any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
+    trips = settings.trips
+    result, checked = _with_parts(result, recording, segments, estimate, trips, any_speed)
+    looked_at = checked[0]
+    if settings.models:
+        result = _read(result, recording, settings)
     spectra = segments.average(looked_at) if bool(looked_at.any()) else None
     if settings.pictures is not None and picture:
         figure = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz)
@@ -146,9 +161,26 @@ def _inspected(
             settings.pictures / picture, figure, f"{result.manifest.stem}: {result.words}"
         )
         result = replace(result, picture=picture)
-    if vehicle is None or spectra is None:
+    if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
-    return _with_plausibility(result, recording, segments, looked_at, vehicle)
+    return _with_plausibility(result, recording, segments, checked, vehicle)
+
+
+def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
+    """Return a check whose state is what the models make of the recording."""
+    manifest = recording.manifest
+    try:
+        models = models_of(settings.models, manifest.place)
+        words = readable_words(models_at(models, manifest.mileage_km))
+    except ValueError as error:
+        return _with_problems(result, [str(error)])
+    found = evaluate_recording(manifest, lambda: recording, models, settings.trips)
+    result = replace(result, read_by=words)
+    if found.status == ERROR:
+        return _with_problems(result, [found.reason])
+    state = READY if found.status == OK else TOO_LITTLE
+    remarks = result.remarks + tuple(filter(None, [found.reason]))
+    return replace(result, state=state, remarks=remarks)
 
 
 def _with_parts(
@@ -157,29 +189,38 @@ def _with_parts(
     segments: SegmentSpectra,
     estimate: EstimateSettings,
     settings: TripSettings,
-) -> tuple[TripCheck, Tensor]:
-    """Return a check with the steady parts of a recording, and the segments of the longest."""
+    any_speed: bool,
+) -> tuple[TripCheck, list[Tensor]]:
+    """Return a check with the steady parts of a recording, and their segments, the longest first.
+
+    Without any these are all segments, or the longest group.
+    """
     n_segments = len(segments.values)
     looked_at = torch.ones(n_segments, dtype=torch.bool)
     if not n_segments:
         words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
-        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), looked_at
+        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), [looked_at]
     speeds = segment_speeds(recording, segments)
     band = in_band(segments, estimate.frequencies_hz())
-    groups = [group for group in steady_groups(band, speeds, settings) if bool(group.any())]
-    found = [(_part(band, speeds, group, estimate), int(group.sum())) for group in groups]
+    tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
+    groups = [
+        group_spectra(band, group, settings.min_coherence, estimate)
+        for group in groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    ]
+    found = [(one, _part(band, speeds, one)) for one in groups if one.spectra is not None]
     kept = [one for one in found if one[0].n_averages >= settings.min_averages]
-    certain = [one for one in kept if one[0].deviation_percent <= 100 * settings.max_deviation]
-    words = _too_little([part for part, _ in found], settings) if not kept else ""
-    words += "; ".join(_too_uncertain(one[0], settings) for one in kept if one not in certain)
+    certain = [one for one in kept if one[0].deviation <= settings.max_deviation]
+    uncertain = [part for one, part in kept if one.deviation > settings.max_deviation]
+    words = _too_little([part for _, part in found], settings) if not kept else ""
+    words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
     result = replace(
         result,
         state=READY if certain else TOO_LITTLE,
-        parts=tuple(part for part, _ in certain),
-        steady_percent=100 * sum(n for _, n in certain) / n_segments,
+        parts=tuple(part for _, part in certain),
+        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
         remarks=(*result.remarks, *([words] if words else [])),
     )
-    return result, groups[0] if groups else looked_at
+    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
 
 
 def _vehicle(
@@ -204,18 +245,14 @@ def _vehicle(
         return None, unknown, [f"vehicle {manifest.vehicle!r}: {error}"]
 
 
-def _part(
-    band: SegmentSpectra, speeds: Tensor, chosen: Tensor, estimate: EstimateSettings
-) -> SteadyPart:
-    """Return what the chosen segments give; G_s counts as far as an estimate uses it."""
-    spectra = band.average(chosen)
-    coherences, deviation = certainty_of(spectra, estimate, band.frequencies_hz)
+def _part(band: SegmentSpectra, speeds: Tensor, group: GroupSpectra) -> SteadyPart:
+    """Return what a group of segments gives; G_s counts as far as an estimate uses it."""
     return SteadyPart(
-        speed_m_per_s=speed_of(speeds[chosen], band)[0],
-        n_averages=spectra.n_averages,
-        coherence_p=coherences[0],
-        coherence_s=coherences[1],
-        deviation_percent=100 * deviation,
+        speed_m_per_s=speed_of(speeds[group.chosen], band)[0],
+        n_averages=group.n_averages,
+        coherence_p=group.coherences[0],
+        coherence_s=group.coherences[1],
+        deviation_percent=100 * group.deviation,
     )
 
 
@@ -243,25 +280,26 @@ def _with_plausibility(
     result: TripCheck,
     recording: Recording,
     segments: SegmentSpectra,
-    chosen: Tensor,
+    checked: Sequence[Tensor],
     vehicle: Vehicle,
 ) -> TripCheck:
-    """Return a check with what is implausible of the channels of a known vehicle."""
-    speed = float(segment_speeds(recording, segments)[chosen].mean())
-    generator = best_generator(vehicle, speed_m_per_s=speed)
+    """Return a check with what is implausible of the channels, in each of some groups."""
     doubts: list[str] = []
 
-    def check_order() -> None:
+    def check_order(chosen: Tensor) -> None:
+        speed = float(segment_speeds(recording, segments)[chosen].mean())
+        generator = best_generator(vehicle, speed_m_per_s=speed)
         spectra = segments.average(chosen)
         frequencies_hz, single = segments.frequencies_hz, not all(recording.paired)
         doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
 
-    def check_sides() -> None:
+    def check_sides(chosen: Tensor) -> None:
         differences = difference_segments(recording, segments.welch)
         check_pairs(segments, differences, chosen, recording.paired, vehicle)
 
+    parts = [check_order, *([check_sides] if any(recording.paired) else [])]
     try:
-        all_of([check_order, *([check_sides] if any(recording.paired) else [])])
+        all_of(partial(part, chosen) for part in parts for chosen in checked)
     except TripError as error:
         return _with_problems(result, error.problems)
-    return replace(result, remarks=result.remarks + tuple(filter(None, doubts)))
+    return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from suspnet.inspection import guess
 from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import SIDES, TIME_UNITS
+from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
 from suspnet.recordings.units import size_of, unit_in_name
 from suspnet.types import FloatArray
 
@@ -40,6 +41,8 @@ class Signal:
         Unit of its times, where only their column's name says it; otherwise empty.
     mean, deviation : float, [unit]
         Of the first samples.
+    zero : Zero
+        When its times begin, as far as the file says it.
     names : tuple of str
         By which its meaning is guessed: its own, without and with the group that it is in, and that
         of a file with no more than two columns.
@@ -53,7 +56,7 @@ class Signal:
     time_unit: str
     mean: float
     deviation: float
-
+    zero: Zero = field(default_factory=Zero)
     names: tuple[str, ...] = ()
 
     @property
@@ -146,8 +149,27 @@ def _signal(
         time_unit=time_unit,
         mean=float(values.mean()) if len(values) else np.nan,
         deviation=float(values.std()) if len(values) else np.nan,
+        zero=_zero(file, opened, column, time, time_unit),
         names=(column.name.rpartition("/")[2], column.name),
     )
+
+
+def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
+    """Return what the times of a column are counted from, as reading will find it."""
+    if not time:
+        return Zero(column.start_ns, is_stated=True, date=header_date(column))
+    times = Times(
+        str(file),
+        Source(str(file), time_unit=time_unit or None),
+        opened.column(time),
+        column.start_ns,
+    )
+    try:
+        for block in _first(file, opened, [time]):
+            times.seconds(block)
+    except TripError:
+        return Zero(date=header_date(column))
+    return replace(times.zero, date=header_date(column))
 
 
 def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:

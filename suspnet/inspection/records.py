@@ -12,8 +12,8 @@ from suspnet.recordings.manifest import Place
 from suspnet.storage import printable
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
-"""States of a trip: it can be estimated; it can be read, but too little of it can be used; it
-cannot be read, or its channels are mixed up."""
+"""States of a trip: the models given read it, or without any a model of its speed would; too little
+of it can be used; it cannot be opened, or its channels are mixed up."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class TripCheck:
         File and column of each sensor.
     picture : str
         Name of the picture; empty if there is none.
+    read_by : str
+        Speeds of the models that decide whether it is ready; empty without models.
     """
 
     manifest: Path
@@ -86,6 +88,7 @@ class TripCheck:
     steady_percent: float = np.nan
     sources: tuple[str, ...] = ()
     picture: str = ""
+    read_by: str = ""
 
     @property
     def name(self) -> str:

@@ -13,6 +13,7 @@ from tabulate import tabulate
 from suspnet._version import __version__
 from suspnet.commissioning.healthy import LEAST_TRIPS
 from suspnet.data.estimates import SPEED_HALF_WIDTH
+from suspnet.data.speeds import covering, setting_words
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE, TripCheck
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips.templates import render
@@ -58,11 +59,12 @@ class Suspension:
         words = [f"{len(ready)} of {len(self.checks)} trips ready"]
         speeds = [part.speed_m_per_s for check in ready for part in check.parts]
         if speeds:
+            setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
             kilometres = [check.mileage_km for check in ready]
             words[0] += (
                 f", {_span(min(kilometres), max(kilometres), '{:.0f}')} km, at "
-                f"{_span(min(speeds), max(speeds), '{:.1f}')} m/s: train with "
-                f"{_speed_setting(min(speeds), max(speeds))}"
+                f"{_span(min(speeds), max(speeds), '{:.1f}')} m/s: "
+                f"{ready[0].read_by or f'train with {setting}'}"
             )
         if len(ready) < LEAST_TRIPS:
             words.append(f"commissioning needs {LEAST_TRIPS} ready healthy trips")
@@ -87,13 +89,6 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
 def _span(low: float, high: float, form: str) -> str:
     """Return a range in words, one number if both ends read the same."""
     return " to ".join(dict.fromkeys((form.format(low), form.format(high))))
-
-
-def _speed_setting(low: float, high: float) -> str:
-    """Return the setting of train.py whose models read such speeds."""
-    if high <= low * (1 + SPEED_HALF_WIDTH) / (1 - SPEED_HALF_WIDTH):
-        return f"speed_m_per_s={(low + high) / 2:.0f}"
-    return f"speed_m_per_s=[{np.floor(low):.0f},{np.ceil(high):.0f}]"
 
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:

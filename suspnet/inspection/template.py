@@ -11,6 +11,7 @@ from pathlib import Path
 
 from suspnet.inspection import guess
 from suspnet.inspection.contents import ACCELERATION, SPEED, Signal
+from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
 from suspnet.recordings.units import size_of
 
@@ -70,7 +71,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         "# train: '12'     # where several trains or cars are watched",
         "# car: '7'",
         f"mileage_km:       # {BLANK}: of the vehicle at this trip",
-        "# start: 2015-08-03T08:00:00",
+        _start(signals),
         "# temperature_c: 20.0  # of the air outside",
         "",
     ]
@@ -86,6 +87,18 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         lines += ["", f"# columns whose names say nothing: {names}{more}"]
     blanks = tuple(dict.fromkeys(writer.blanks))
     return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
+
+
+def _start(signals: Sequence[Signal]) -> str:
+    """Return the line of the start: by the files, or as a comment where they do not say it."""
+    zeros = [one.zero for one in signals]
+    moment, doubt = first_moment(zeros)
+    if moment is None:
+        return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip began'}"
+    if len({zero.ns is None for zero in zeros}) > 1:  # start is then also when the others begin
+        return f"# start: {moment.isoformat()}  # by a part of the files; when do the others begin?"
+    zone = "" if moment.tzinfo is not None else ", in the logger's zone"
+    return f"start: {moment.isoformat()}  # by the files{zone}"
 
 
 class _Writer:

@@ -65,7 +65,9 @@ def make_plan(
     n_quiet = len(parts) - sum(len(visit.jobs) for visit in visits) - len(waiting)
     objective = sum(found[2] for found in planned)
     horizon = today + timedelta(days=settings.horizon_days)
-    return _sorted(Plan(today, horizon, visits, waiting, n_quiet, objective, settings.level))
+    assumed = tuple(one for one in trains if one.is_assumed)
+    whole = Plan(today, horizon, visits, waiting, n_quiet, objective, settings.level, assumed)
+    return _sorted(whole)
 
 
 def join_plans(plans: Sequence[Plan]) -> Plan:
@@ -88,6 +90,7 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
             sum(plan.n_quiet for plan in plans),
             sum(plan.objective for plan in plans),
             first.level,
+            tuple(train for plan in plans for train in plan.assumed),
         )
     )
 

@@ -116,12 +116,15 @@ class Train:
     on : date
         Day of that mileage.
     km_per_day : float
+    is_assumed : bool
+        Its trips do not show how far it runs in a day; `km_per_day` is that of the settings.
     """
 
     name: str
     mileage_km: float
     on: date
     km_per_day: float
+    is_assumed: bool = False
 
     def __post_init__(self) -> None:
         check_number(f"mileage_km of train {self.name}", self.mileage_km)

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.maintenance.plan_inputs import Part
+from suspnet.maintenance.plan_inputs import Part, Train
 
 URGENCIES = ("now", "soon", "later")
 """A visit on the first possible day; one to be decided on within ``SOON_DAYS``; any other."""
 SOON_DAYS = 30
+MOST_NAMED = 3
+"""Largest number of trains that a sentence names."""
 SLACK = 0.1
 """Share of a visit's cost that it may cost more at its latest date than at its best."""
 
@@ -97,6 +99,8 @@ class Plan:
         What the plan minimises, summed over trains: see ``choose_dates`` and ``part_costs``.
     level : float
         Probability of ``Job.passing_days``.
+    assumed : tuple of Train
+        Those whose mileage per day is assumed.
     """
 
     today: date
@@ -106,6 +110,20 @@ class Plan:
     n_quiet: int
     objective: float
     level: float
+    assumed: tuple[Train, ...] = ()
+
+    @property
+    def assumed_words(self) -> str:
+        """Which trains run an assumed mileage per day; empty if all show theirs."""
+        if not self.assumed:
+            return ""
+        names = ", ".join(train.name for train in self.assumed[:MOST_NAMED])
+        more = len(self.assumed) - MOST_NAMED
+        pace = f"{self.assumed[0].km_per_day:g} km a day"
+        return (
+            f"{names}{f' and {more} more' if more > 0 else ''}: {pace} are assumed, as the dates "
+            "of the trips are unknown or too close."
+        )
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one flat row for each job, visits first; days in ISO 8601, empty where none."""
@@ -144,7 +162,8 @@ class Plan:
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
         lines = [
             f"{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
-            f"{self.horizon}, {len(self.waiting)} parts wait, {self.n_quiet} need nothing."
+            f"{self.horizon}, {len(self.waiting)} parts wait, {self.n_quiet} need nothing.",
+            *([self.assumed_words] if self.assumed else []),
         ]
         if self.visits:
             head = ("train", "urgency", "best day", "latest", "at km", "what", "failure before")

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from scipy.signal import get_window
 from torch import Tensor
 
 from suspnet.checks import check_flag, check_number
-from suspnet.data.estimates import EstimateSettings
 from suspnet.data.speeds import Speeds
 from suspnet.dynamics import ResponseGenerator
-from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.features.transfer_estimate import SegmentSpectra
 from suspnet.features.welch import Welch
 from suspnet.model.delays import delay_words
@@ -26,8 +21,17 @@ from suspnet.model.from_spectra import (
     estimate_with_noise,
     trip_settings,
 )
+from suspnet.model.group_spectra import GroupSpectra, group_spectra, speed_of
 from suspnet.model.sides import with_sides
 from suspnet.model.speed_bin import SpeedBin, combined
+from suspnet.model.speed_groups import (
+    group_speed,
+    groups_of,
+    groups_to_read,
+    no_group_words,
+    readable_words,
+    reads_at_any_speed,
+)
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.plausibility import check_channels, check_pairs
 from suspnet.recordings.recording import Recording
@@ -37,8 +41,6 @@ from suspnet.recordings.segments import (
     in_band,
     recording_segments,
     segment_speeds,
-    without_incoherent,
-    without_loud,
 )
 
 
@@ -114,7 +116,7 @@ def speed_bins(
     recording: Recording,
     segments: SegmentSpectra,
     settings: TripSettings,
-    speeds_m_per_s: Sequence[float | None] = (),
+    models: Sequence[FittedMethod] = (),
 ) -> list[SpeedBin]:
     """Return a method's estimate from each group of segments at one of its speeds.
 
@@ -126,176 +128,115 @@ def speed_bins(
     segments : SegmentSpectra
         Of the recording, from `recording_segments`, cut as the method's training curves.
     settings : TripSettings
-    speeds_m_per_s : sequence of float, [m/s]
-        Speeds of all models that read the recording: a segment is for the nearest of them alone.
+    models : sequence of FittedMethod
+        All models that read the recording, with the method itself: a group of segments is for one
+        of them. The method alone if there are none.
+
+    Returns
+    -------
+    list of SpeedBin
+        Empty if all that can be read is for others of the models.
 
     Raises
     ------
     NoEstimateError
         If the recording is sound but nothing can be estimated from it; the message is that of the
-        largest group.
+        largest group, or names the trip's speeds and those of the models.
     TripError
         If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
         meets a model that was trained for a sensor on one side.
     """
     _check_places(recording, method.generator)
+    together = models or [method]
     speeds = segment_speeds(recording, segments)
-    within, words = _readable(speeds, method, settings, speeds_m_per_s)
-    groups = [within]
-    if method.generator.speed_m_per_s is not None:
-        groups = same_speed(speeds, within, settings.speed_tolerance)
+    tolerance, any_speed = settings.speed_tolerance, reads_at_any_speed(method)
+    least = settings.min_speed_m_per_s if any_speed else 0.0
+    groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    if not any(groups_of(one, together, speeds, groups) for one in together):
+        if segments.welch.n_averages(len(speeds)) < settings.min_averages:
+            raise NoEstimateError(_too_short(segments, settings))
+        raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
     bins, reasons = [], []
-    for group in groups or [within]:
+    for group in groups_of(method, together, speeds, groups):
         try:
-            bins.append(_speed_bin(method, recording, group, words, speeds, segments, settings))
+            bins.append(_speed_bin(method, recording, group, together, speeds, segments, settings))
         except NoEstimateError as reason:
             reasons.append(reason)
-    if not bins:
+    if reasons and not bins:
         raise reasons[0]
     return bins
-
-
-def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
-    """Return which segments keep their speed (n_segments, n_samples) within 1 +- tolerance."""
-    return (speeds / speeds.mean(dim=1, keepdim=True) - 1).abs().amax(dim=1) <= tolerance
-
-
-def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]:
-    """Return groups of segments of like speed, the largest first, each bool (n_segments,).
-
-    A group's mean speeds lie within 1 +- tolerance of its middle. The most segments that one such
-    range holds are a group; then the most of the others, until none is left.
-
-    Parameters
-    ----------
-    speeds : tensor of shape (n_segments, n_samples), [m/s]
-    within : bool tensor of shape (n_segments,)
-        Segments that are grouped.
-    tolerance : float, [-]
-    """
-    means, left, groups = speeds.mean(dim=1), within.clone(), []
-    widest = (1 + tolerance) / (1 - tolerance)
-    while bool(left.any()):  # each round takes at least one segment
-        lowest = means[left][:, None]
-        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & left
-        group = inside[int(inside.sum(dim=1).argmax())]
-        groups.append(group)
-        left = left & ~group
-    return groups
-
-
-def steady_groups(band: SegmentSpectra, speeds: Tensor, settings: TripSettings) -> list[Tensor]:
-    """Return what can be used of the segments at each steady speed, the largest group first.
-
-    Parameters
-    ----------
-    band : SegmentSpectra
-        On the bins of an estimate, where loud and incoherent segments are left out.
-    speeds : tensor of shape (n_segments, n_samples), [m/s]
-    settings : TripSettings
-
-    Returns
-    -------
-    list of bool tensors of shape (n_segments,)
-    """
-    steady = steady_segments(speeds, settings.speed_tolerance)
-    steady &= speeds.mean(dim=1) >= settings.min_speed_m_per_s
-    return [
-        without_incoherent(band, without_loud(band, group), settings.min_coherence)[0]
-        for group in same_speed(speeds, steady, settings.speed_tolerance)
-    ]
 
 
 def _speed_bin(
     method: FittedMethod,
     recording: Recording,
-    within: Tensor,
-    words: str,
+    group: Tensor,
+    models: Sequence[FittedMethod],
     speeds: Tensor,
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> SpeedBin:
-    """Return a method's estimate from the segments `within`, which `words` describe."""
+    """Return a method's estimate from a group of segments."""
     trained = trip_settings(method)
     band = in_band(segments, trained.frequencies_hz())
-    candidates = without_loud(band, within)
-    chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
-    doubts = ""
-    if settings.check_channels and bool(candidates.any()):
-        looked_at = chosen if bool(chosen.any()) else candidates
+    found = group_spectra(band, group, settings.min_coherence, trained)
+    chosen, doubts = found.chosen, ""
+    n_candidates = int(found.candidates.sum())
+    if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
+        looked_at = chosen if found.spectra is not None else found.candidates
         if any(recording.paired):
             differences = difference_segments(recording, segments.welch)
             check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
         doubts = _checked(segments, looked_at, method)
-    n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
-    if n_averages < settings.min_averages:
+    if found.spectra is None or found.n_averages < settings.min_averages:
+        raise NoEstimateError(_too_few(found, group, models, speeds, segments, settings))
+    if found.deviation > settings.max_deviation:
         raise NoEstimateError(
-            f"{int(within.sum())} of {len(within)} segments without faults are {words}, "
-            f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, at least "
-            f"{settings.min_averages:g} are needed (half of the trip is run at "
-            f"{float(speeds.mean(dim=1).median()):.1f} m/s or less)"
-            f"{_advice(segments, within, settings)}"
-        )
-    spectra = band.average(chosen)
-    coherences, deviation = certainty_of(spectra, trained, band.frequencies_hz)
-    if deviation > settings.max_deviation:
-        raise NoEstimateError(
-            f"the responses are uncertain by {100 * deviation:.2g} % (coherence "
-            f"{min(coherences):.2f}, {n_averages:.0f} averages), "
+            f"the responses are uncertain by {100 * found.deviation:.2g} % (coherence "
+            f"{min(found.coherences):.2f}, {found.n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     mean, deviation = speed_of(speeds[chosen], segments)
     at = Speeds.of(mean, deviation)
     try:
-        estimate, noise_share = estimate_with_noise(method, spectra, settings.level, at)
+        estimate, noise_share = estimate_with_noise(method, found.spectra, settings.level, at)
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
-    late = delay_words(method, spectra, estimate, at)
+    late = delay_words(method, found.spectra, estimate, at)
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
-    return SpeedBin(method, spectra, band, chosen, mean, estimate, noise_share, doubts)
+    return SpeedBin(method, found.spectra, band, chosen, mean, estimate, noise_share, doubts)
 
 
-def certainty_of(
-    spectra: CrossSpectra, settings: EstimateSettings, frequencies_hz: Tensor
-) -> tuple[list[float], float]:
-    """Return how certain the responses are on the bins that estimates use.
-
-    Parameters
-    ----------
-    spectra : CrossSpectra
-        Of shape (3, n_freq).
-    settings : EstimateSettings
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-
-    Returns
-    -------
-    coherences : list of 2 floats, [-]
-        Means over the bins, of G_p and G_s.
-    deviation : float, [-]
-        Standard deviation of the log-magnitudes: median over the bins, of the less certain one.
-    """
-    beyond = settings.beyond(frequencies_hz)
-    coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
-    deviations = spectra.deviations(settings.method).masked_fill(beyond, math.nan)
-    return coherences.tolist(), float(deviations.nanmedian(dim=1).values.amax())
+def _too_few(
+    found: GroupSpectra,
+    group: Tensor,
+    models: Sequence[FittedMethod],
+    speeds: Tensor,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+) -> str:
+    """Return that a group of segments has too few averages, and what else the trip holds."""
+    if segments.welch.n_averages(len(group)) < settings.min_averages:
+        return _too_short(segments, settings)
+    where = f"steady at {group_speed(speeds, group):.1f} m/s"
+    if reads_at_any_speed(models[0]):
+        where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
+    return (
+        f"{int(group.sum())} of {len(group)} segments without faults are {where}, "
+        f"{found.n_incoherent} of them of low coherence: {found.n_averages:.1f} averages, at least "
+        f"{settings.min_averages:g} are needed (half of the trip is run at "
+        f"{float(speeds.mean(dim=1).median()):.1f} m/s or less, {readable_words(models)})"
+    )
 
 
-def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
-    """Return mean and deviation of the speeds in some segments, as the window weighs them."""
-    weights = torch.as_tensor(get_window(segments.welch.window, speeds.shape[1])) ** 2
-    weights = weights / (weights.sum() * len(speeds))
-    mean = float((speeds * weights).sum())
-    return mean, math.sqrt(max(0.0, float(((speeds - mean) ** 2 * weights).sum())))
-
-
-def _advice(segments: SegmentSpectra, within: Tensor, settings: TripSettings) -> str:
-    """Return what to do where too few segments are at a method's speed."""
-    if segments.welch.n_averages(len(within)) < settings.min_averages:
-        return ": the recording is too short"
-    if not bool(within.any()):
-        return ": is the speed in m/s? If so, train a model for it, speed_m_per_s=..."
-    return ""
+def _too_short(segments: SegmentSpectra, settings: TripSettings) -> str:
+    """Return that all of a recording is too short."""
+    n_segments = len(segments.values)
+    return (
+        f"{n_segments} segments without faults: {segments.welch.n_averages(n_segments):.1f} "
+        f"averages, at least {settings.min_averages:g} are needed: the recording is too short"
+    )
 
 
 def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
@@ -318,29 +259,6 @@ def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> 
     """Return what could not be checked of the channels; TripError if one is wrong."""
     spectra = segments.average(chosen)
     return check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
-
-
-def _readable(
-    speeds: Tensor,
-    method: FittedMethod,
-    settings: TripSettings,
-    speeds_m_per_s: Sequence[float | None],
-) -> tuple[Tensor, str]:
-    """Return which segments a method can read, by their speeds, and the rule in words."""
-    trained = method.generator.speed_m_per_s
-    if trained is None:
-        low = settings.min_speed_m_per_s
-        return (speeds >= low).all(dim=1), f"at {low:g} m/s or faster throughout"
-    half_width = trip_settings(method).speed_half_width
-    low, high = (trained * (1 + sign * half_width) for sign in (-1, 1))
-    means = speeds.mean(dim=1)
-    within = (means >= low * (1 - 1e-9)) & (means <= high * (1 + 1e-9))
-    for other in speeds_m_per_s:
-        if other is not None and other != trained:
-            within &= (means - trained).abs() <= (means - other).abs()
-    steady = steady_segments(speeds, settings.speed_tolerance)
-    percent = 100 * settings.speed_tolerance
-    return within & steady, f"at {low:.1f} to {high:.1f} m/s and steady within {percent:g} %"
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:

@@ -27,8 +27,9 @@ from suspnet.recordings.manifest import CsvDialect
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
+DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
 """Names of fields and attributes, in lower case and without blanks and underscores, that say the
-rate [Hz] and the unit of the data beside them."""
+rate [Hz], the unit and the start of the data beside them."""
 
 NUMERIC = (
     "single",
@@ -63,7 +64,8 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             for name, item in said.items()
             if item.size <= 1 and item.dtype.kind in "iuf" and is_vector(item.shape)
         }
-        notes = {name: _notes(name, arrays[name], said) for name in arrays}
+        whole = {key: one for key, one in _stated(dict(file.attrs)).items() if key == "date"}
+        notes = {name: whole | _notes(name, arrays[name], said) for name in arrays}
         with _opened(path, arrays, notes) as found:
             yield found
 
@@ -200,9 +202,9 @@ def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
         if plain in [name.replace("_", "") for name in RATE_NAMES]:
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.item() < 1e9:
                 found["rate_hz"] = float(array.item())
-        elif plain in UNIT_NAMES and array.size == 1:
+        elif plain in (*UNIT_NAMES, *DATE_NAMES) and array.size == 1:
             text = array.item()
             text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
             if isinstance(text, str) and text.strip():
-                found["unit"] = text.strip()
+                found["unit" if plain in UNIT_NAMES else "date"] = text.strip()
     return found

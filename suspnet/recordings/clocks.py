@@ -6,7 +6,7 @@ other; the others begin at zero of the trip's clock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Column
+from suspnet.recordings.dates import date_problem, read_date
 from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
 from suspnet.recordings.manifest_files import time_zone
 from suspnet.recordings.units import size_of
@@ -41,11 +42,22 @@ class Zero:
         In UTC; otherwise in the zone of the logger, which is not known.
     is_stated : bool
         A header of the file says it, rather than each time stamp.
+    date : datetime or None
+        What a header says that is too coarse to align clocks by.
     """
 
     ns: int | None = None
     is_zoned: bool = True
     is_stated: bool = False
+    date: datetime | None = None
+
+    @property
+    def moment(self) -> datetime | None:
+        """When the times begin; without a zone if that is not known."""
+        if self.ns is None:
+            return self.date
+        found = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=self.ns // SECOND_NS)
+        return found if self.is_zoned else found.replace(tzinfo=None)
 
 
 class Times:
@@ -141,6 +153,34 @@ class Times:
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             raise TripError(f"{self.where}: `time_zone` is for time stamps, its times are numbers")
+
+
+def header_date(column: Column) -> datetime | None:
+    """Return the date and time of day in the header of a file; None if it has none."""
+    return read_date(column.date) if column.date else None
+
+
+def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
+    """Return the first of the moments when sources begin, by time stamps rather than by dates.
+
+    Returns
+    -------
+    moment : datetime or None
+        None if no source is dated, or the date cannot be right.
+    words : str
+        Why a date is left out; otherwise empty.
+    """
+    known = [zero for zero in zeros if zero.moment is not None]
+    exact = [zero for zero in known if zero.ns is not None]
+    zoned = [zero for zero in exact or known if zero.moment and zero.moment.tzinfo is not None]
+    moments = [zero.moment for zero in zoned or exact or known if zero.moment is not None]
+    if not moments:
+        return None, ""
+    first = min(moments)
+    problem = date_problem(first)
+    if problem:
+        return None, f"the date by its files, {first.isoformat(' ')}, is left out: it {problem}"
+    return first, ""
 
 
 def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, float]:

@@ -48,6 +48,8 @@ class Column:
         One column of a matrix; it is read by its name only.
     is_whole_rate : bool
         The format keeps the rate as a whole number.
+    date : str or None
+        When the recording began, by a header that is too coarse to align clocks by; as written.
     full_scale : float or None
         Of integers that stand for a fraction of the range: the largest value.
     """
@@ -62,6 +64,7 @@ class Column:
     is_part: bool = False
     is_whole_rate: bool = False
     full_scale: float | None = None
+    date: str | None = None
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.dates import date_in_lines
 from suspnet.recordings.manifest import DELIMITERS, CsvDialect
 from suspnet.recordings.units import is_unit, unit_in_name
 
@@ -75,6 +76,8 @@ class Found:
     stamps : tuple of str
         Of each column "" for numbers, "local" or "utc" for time stamps without or with a zone.
     has_bom : bool
+    date : str or None
+        When the recording began, by the lines above the names.
     """
 
     encoding: str
@@ -86,6 +89,7 @@ class Found:
     units: tuple[str, ...]
     stamps: tuple[str, ...]
     has_bom: bool
+    date: str | None = None
 
     def __str__(self) -> str:
         """Return what was found in words."""
@@ -183,6 +187,7 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         best.units,
         best.stamps,
         has_bom,
+        date_in_lines(lines[: (best.header_line or best.first_line) - 1]),
     )
 
 

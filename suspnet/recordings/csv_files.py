@@ -29,7 +29,7 @@ def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
     """Open a CSV file; how it is written is found out, as far as it is not given."""
     found = find_dialect(path, given)
     columns = tuple(
-        Column(name, unit=unit or None, is_time=bool(stamp), is_zoned=stamp == "utc")
+        Column(name, unit or None, is_time=bool(stamp), is_zoned=stamp == "utc", date=found.date)
         for name, unit, stamp in zip(found.names, found.units, found.stamps, strict=True)
     )
 

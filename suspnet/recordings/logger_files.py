@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _WAV = Lock()
 """Filters of warnings are of the process; sensors are read in threads."""
 
+BEXT_DATE = slice(320, 338)
+"""Bytes of the chunk `bext` with date and time of day, yyyy-mm-dd and hh:mm:ss."""
 TIME_RESPONSE = 1
 """Function type of a time record in a data set 58 of a universal file."""
 
@@ -184,12 +187,14 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         step_s = float(header.get("abscissa_inc") or 0.0)
         even = header.get("abscissa_spacing") == 1 and step_s > 0
         unit = str(header.get("ordinate_axis_units_lab", "")).strip()
+        date = str(header.get("id3", "")).strip() or None
         columns.append(
             Column(
                 name,
                 unit=None if unit.upper() in ("", "NONE") else unit,
                 rate_hz=1 / step_s if even else None,
                 time=None if even else f"{name}: times",
+                date=date,
             )
         )
         if not even:
@@ -232,10 +237,8 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     if data.dtype.kind in "iu":
         zero = 128.0 if data.dtype.kind == "u" else 0.0
         full_scale = 2.0 ** (8 * data.dtype.itemsize - 1)
-    columns = [
-        Column(name, rate_hz=float(rate_hz), is_whole_rate=True, full_scale=full_scale)
-        for name in names
-    ]
+    about: dict[str, Any] = {"full_scale": full_scale, "date": _bext_date(path)}
+    columns = [Column(n, rate_hz=float(rate_hz), is_whole_rate=True, **about) for n in names]
 
     def read(chosen: Sequence[str]) -> Iterator[Block]:
         places = [names.index(name) for name in chosen]
@@ -245,6 +248,19 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             yield tuple(np.ascontiguousarray(block[:, i]) for i in places)
 
     yield OpenFile(tuple(columns), read)
+
+
+def _bext_date(path: Path) -> str | None:
+    """Return the date of origin in a broadcast WAV file's chunk `bext`; None without one."""
+    with path.open("rb") as stream:
+        stream.seek(12)  # behind RIFF, size and WAVE
+        while len(head := stream.read(8)) == 8:  # ends: each round reads on
+            size = int.from_bytes(head[4:], "little")
+            if head[:4] == b"bext":
+                text = stream.read(min(size, BEXT_DATE.stop))[BEXT_DATE].decode("ascii", "replace")
+                return f"{re.sub('[_:. ]', '-', text[:10])} {text[10:].strip()}"
+            stream.seek(size + size % 2, 1)
+    return None
 
 
 def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

@@ -16,6 +16,7 @@ from zoneinfo import ZoneInfo
 from suspnet.dynamics import PARAMETERS
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import dump_yaml, parse_yaml
+from suspnet.recordings.dates import date_problem
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     BOGIES,
@@ -264,8 +265,8 @@ def _check_places(manifest: TripManifest) -> None:
 def _parse_mileage(top: CheckedMapping) -> float:
     """Return the mileage [km]."""
     mileage = top.number("mileage_km", "a number >= 0", math.nextafter(0.0, -1.0))
-    if mileage >= HIGHEST_KM:
-        raise top.refuse("mileage_km", f"below {HIGHEST_KM:g}")
+    if mileage > HIGHEST_KM:
+        raise top.refuse("mileage_km", f"at most {HIGHEST_KM:.0f} km (is it in metres?)")
     return mileage
 
 
@@ -283,9 +284,15 @@ def _parse_start(top: CheckedMapping) -> datetime:
     """Return the start of a trip from text, or from the datetime of a manifest to be written."""
     value = top.content["start"]
     try:
-        return value if isinstance(value, datetime) else datetime.fromisoformat(value)
+        start = value if isinstance(value, datetime) else datetime.fromisoformat(value)
     except (TypeError, ValueError) as error:
         raise top.refuse("start", "a time like 2015-08-03T08:00:00") from error
+    if problem := date_problem(start):
+        raise TripError(
+            f"{top.path}: `start` {start.isoformat()} {problem}; correct it, or leave it out if it "
+            "is not known"
+        )
+    return start
 
 
 def _parse_speed(top: CheckedMapping) -> float | SpeedSource:

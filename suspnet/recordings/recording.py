@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import partial
 from itertools import chain
 
@@ -18,7 +19,7 @@ import numpy as np
 from suspnet.checks import check_number
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
-from suspnet.recordings.clocks import offsets_s
+from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.drifting import clock_faults
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Resampler, decimate
@@ -65,6 +66,8 @@ class Recording:
         (left - right) / 2 of each pair, in the order of ``CHANNELS``.
     words : str
         How files were read, where that had to be found out, as of CSV files.
+    started : datetime or None
+        When the trip began, by the times and headers of its files; None if they do not say it.
     """
 
     manifest: TripManifest
@@ -78,6 +81,7 @@ class Recording:
     paired: tuple[bool, bool, bool] = (False, False, False)
     differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     words: str = ""
+    started: datetime | None = None
 
 
 @dataclass(frozen=True)
@@ -131,8 +135,9 @@ def load_recording(
     check_number("rate_hz", rate_hz, above=0)
     sensors = manifest.sensors()
     problems: tuple[str, ...] = ()
+    started, doubt = None, ""
     try:
-        track, offsets = _clocks(manifest)
+        track, offsets, (started, doubt) = _clocks(manifest)
     except TripError as error:  # the sensors are read all the same: they may have problems too
         track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
@@ -142,7 +147,8 @@ def load_recording(
         ]
         streams: list[SensorSignal] = all_of([one.result for one in read], problems)
     del read
-    return joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz)
+    found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz)
+    return replace(found, started=started, words="; ".join(filter(None, (found.words, doubt))))
 
 
 def joined(
@@ -201,8 +207,13 @@ def joined(
     )
 
 
-def _clocks(manifest: TripManifest) -> tuple[SpeedTrack | None, dict[str, float]]:
-    """Return the speeds, and what is added to the times of each sensor and of the speed, [s]."""
+def _clocks(
+    manifest: TripManifest,
+) -> tuple[SpeedTrack | None, dict[str, float], tuple[datetime | None, str]]:
+    """Return the speeds, what is added to the times of each sensor and of the speed, and the date.
+
+    The second is in s; the last is of `first_moment`.
+    """
     sensors = manifest.sensors()
     track, *found = all_of(
         [
@@ -211,7 +222,8 @@ def _clocks(manifest: TripManifest) -> tuple[SpeedTrack | None, dict[str, float]
         ]
     )
     zeros = dict(zip(sensors, found, strict=True))
-    return track, offsets_s(manifest, zeros if track is None else zeros | {"speed": track.zero})
+    zeros |= {} if track is None else {"speed": track.zero}
+    return track, offsets_s(manifest, zeros), first_moment(zeros.values())
 
 
 def _combined(

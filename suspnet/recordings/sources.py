@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.recordings.checked_mapping import TripError
-from suspnet.recordings.clocks import Times, Zero
+from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, choose
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import Channel, Source, TripManifest
@@ -56,7 +56,9 @@ class OpenSource:
     @property
     def zero(self) -> Zero:
         """What its times are counted from."""
-        return self.stated if self.times is None else self.times.zero
+        if self.times is None:
+            return self.stated
+        return replace(self.times.zero, date=self.stated.date)
 
     def blocks(self) -> Iterator[tuple[FloatArray, ...]]:
         """Yield times [s], if it has any, and values in its own unit."""
@@ -118,7 +120,7 @@ def open_source(
             size,
             rate_hz,
             times,
-            Zero(column.start_ns, is_stated=True),
+            Zero(column.start_ns, is_stated=True, date=header_date(column)),
             full_scale,
             "; ".join(part for part in (file.words, words) if part),
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,38 +12,11 @@ from typing import Any
 from tabulate import tabulate
 
 from suspnet.checks import check_number
+from suspnet.data.speeds import SpeedRange
 from suspnet.runs.scores import Metrics
 from suspnet.storage import write_json
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class SpeedRange:
-    """Speeds that one model reads.
-
-    Attributes
-    ----------
-    low_m_per_s, high_m_per_s : float, [m/s]
-    """
-
-    low_m_per_s: float
-    high_m_per_s: float
-
-    @property
-    def trained_m_per_s(self) -> float:
-        """Speed of the training curves, the middle."""
-        return (self.low_m_per_s + self.high_m_per_s) / 2
-
-    @property
-    def half_width(self) -> float:
-        """Half width relative to the middle, [-]."""
-        return (self.high_m_per_s - self.low_m_per_s) / (self.high_m_per_s + self.low_m_per_s)
-
-    @property
-    def name(self) -> str:
-        """Name of the folder of its model."""
-        return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s"
 
 
 def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:

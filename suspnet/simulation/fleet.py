@@ -11,7 +11,7 @@ import numpy as np
 from suspnet.checks import check_choice, check_flag, check_number
 from suspnet.dynamics.journey import Journey, service_journey, steady_journey
 from suspnet.dynamics.track import track_spectrum
-from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest import CHANNELS, HIGHEST_KM
 from suspnet.simulation.sensors import Sensor
 from suspnet.types import FloatArray
 
@@ -66,7 +66,11 @@ class Fleet:
         check_number("n_trips", self.n_trips, low=1, most=100_000, whole=True)
         check_number("n_stops", self.n_stops, low=0, most=1000, whole=True)
         check_flag("short_waves", self.short_waves)
-        for name, most in (("last_mileage_km", 1e9), ("minutes", 1e4), ("speed_m_per_s", 200)):
+        for name, most in (
+            ("last_mileage_km", HIGHEST_KM),
+            ("minutes", 1e4),
+            ("speed_m_per_s", 200),
+        ):
             check_number(name, getattr(self, name), above=0, most=most)
         check_choice("journey", self.journey, ("steady", "service"))
         if self.sides is not None:

@@ -39,6 +39,15 @@ from suspnet.workers import LostWorkerError, each
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)
 DAYS_BETWEEN = timedelta(days=10)
+"""Time from one trip to the next."""
+LONGEST = timedelta(days=3650)
+"""Time from the first trip to the last at most, so that no trip of many lies in the future."""
+
+
+def time_between(n_trips: int) -> timedelta:
+    """Return the time from one trip to the next: ten days, or less for many, in ten minutes."""
+    step = timedelta(minutes=10)
+    return min(DAYS_BETWEEN, LONGEST // n_trips // step * step)
 
 
 class SimulatedVehicle(Protocol):
@@ -188,7 +197,7 @@ def _write_trip(
         vehicle=generator.vehicle.name,
         suspension=fleet.suspension,
         mileage_km=mileage_km,
-        start=(aboard.first_start if aboard else FIRST_DAY) + DAYS_BETWEEN * index,
+        start=(aboard.first_start if aboard else FIRST_DAY) + time_between(fleet.n_trips) * index,
         speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
         channels=channels,
         truth=dict(zip(PARAMETERS, ratios.tolist(), strict=True)),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from suspnet.data.speeds import range_words
 from suspnet.model import ModelFileError, TrainedModel
 from suspnet.model.from_spectra import trip_settings
+from suspnet.model.speed_groups import speed_range
 from suspnet.recordings.manifest import Place
 from suspnet.trips.commissionings import eras
 
@@ -55,10 +57,8 @@ def _check_together(models: Sequence[TrainedModel]) -> None:
 
 def speed_words(model: TrainedModel) -> str:
     """Return the speeds that a model reads, in words."""
-    speed, half_width = model.generator.speed_m_per_s, trip_settings(model).speed_half_width
-    if speed is None:
-        return "any"
-    return f"{speed * (1 - half_width):.3g} to {speed * (1 + half_width):.3g} m/s"
+    found = speed_range(model)
+    return "any" if found is None else range_words([found])
 
 
 def place_of(model: TrainedModel) -> Place | None:

@@ -139,6 +139,8 @@ def _estimated(
         faults="; ".join(str(fault) for fault in recording.faults),
         read_as=recording.words,
     )
+    if not result.start and recording.started is not None:
+        result = replace(result, start=recording.started.isoformat())
     welches = [trip_settings(model).welch for model in models]
     segments = {welch: recording_segments(recording, welch) for welch in welches}
     n_total = max(len(found.values) for found in segments.values())
@@ -163,10 +165,10 @@ def _bins(
     """Return the bins with an estimate, and the reasons of those without."""
     bins: list[SpeedBin] = []
     reasons = []
-    speeds = [model.generator.speed_m_per_s for model, _ in pairs]
+    models = [model for model, _ in pairs]
     for model, segments in pairs:
         try:
-            bins += speed_bins(model, recording, segments, settings, speeds)
+            bins += speed_bins(model, recording, segments, settings, models)
         except NoEstimateError as reason:
             reasons.append(str(reason))
     return bins, reasons

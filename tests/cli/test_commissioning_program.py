@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 from cli_runner import SMALL, run_main, run_program
 from commissioned_example import UNCERTAIN, commissioned_example
+from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import train
 from suspnet.commissioning import run
+from suspnet.data.estimates import SPEED_HALF_WIDTH
+from suspnet.data.speeds import SpeedRange, range_words
 from suspnet.model import load_model
+from suspnet.storage import write_json
 
 TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 
@@ -102,3 +106,53 @@ def test_too_few_trips_leave_nothing(speed, folder, tmp_path):
     said = run_program(train, tmp_path / "run", *given)
     assert "2 healthy trips can be used, at least 3 are needed" in said
     assert list((tmp_path / "run").iterdir()) == []
+
+
+@pytest.fixture
+def problems(monkeypatch):
+    """Train and draw nothing; return what would be trained."""
+    asked = []
+
+    def train_nothing(problem, model, folder, **options):
+        asked.append(problem)
+        metrics = {"rms_percent": {}, "scores": {}, "intervals": {}, "seconds": 0.0}
+        write_json(folder / "metrics.json", metrics)
+        return metrics
+
+    monkeypatch.setattr(train, "train", train_nothing)
+    monkeypatch.setattr(train, "write_outcome", lambda *_: None)
+    return asked
+
+
+def test_speeds_of_the_healthy_trips_are_the_default(fitted, problems, folder, tmp_path, caplog):
+    assert run_program(train, tmp_path / "one", *TRIPS, f"healthy={folder}") == 0
+    (problem,) = problems
+    assert problem.generator.speed_m_per_s == problem.settings.speed_m_per_s == 70.0
+    assert problem.settings.speed_half_width == SPEED_HALF_WIDTH
+    assert OmegaConf.load(tmp_path / "one" / "config.yaml").speed_m_per_s is None
+    problems.clear()
+    for path, speed in zip(sorted(folder.glob("*.yaml")), (62.0, 69.1, 77.0), strict=True):
+        changed(path, folder, path.stem, speed=speed)
+    given = [*TRIPS, f"healthy={folder}"]
+    with caplog.at_level(logging.INFO):
+        assert run_program(train, tmp_path / "several", *given) == 0
+        assert "healthy trips at 62.0 to 77.0 m/s: speed_m_per_s=[60,79]" in caplog.text
+        ranges = [
+            SpeedRange.around(one.generator.speed_m_per_s, one.settings.speed_half_width)
+            for one in problems
+        ]
+        assert range_words(ranges) == "60.0 to 79.0 m/s"
+        given.append(f"resume={tmp_path / 'several'}")
+        assert run_program(train, tmp_path / "several", *given) == 0
+        assert "finished before" in caplog.text
+    assert len(problems) == len(ranges) == 2
+
+
+def test_speed_that_is_given_is_taken(fitted, problems, folder, tmp_path):
+    given = [*TRIPS, f"healthy={folder}", "speed_m_per_s=50"]
+    assert run_program(train, tmp_path / "run", *given) == 0
+    assert problems[0].generator.speed_m_per_s == 50.0
+    said = run_program(train, tmp_path / "none", *TRIPS, "speed_m_per_s=null")
+    assert said == (
+        "error: speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
+    )

@@ -16,9 +16,11 @@ from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement, Cause
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.recordings.manifest import Place
+from suspnet.trips.templates import render
 
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"
@@ -75,6 +77,35 @@ def test_parts_and_trains_of_the_plan(states):
     assert train.km_per_day == pytest.approx(2000 / 3)
     unnamed = replace(states[0].series, place=Place("x"))
     assert train_of(replace(states[0], series=unnamed)) == "am96: x"
+
+
+def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
+    today = np.datetime64(TODAY).item()
+    (known,) = trains_of(states, today, 500.0)
+    assert not known.is_assumed
+    plan = make_plan(parts_of(states), [known], PlanSettings(), today)
+    assert (plan.assumed, plan.assumed_words) == ((), "")
+    assert "assumed" not in str(plan)
+    undated = []
+    for state in states:
+        starts = np.full_like(state.series.start, np.datetime64("NaT"))
+        undated.append(replace(state, series=replace(state.series, start=starts)))
+    (train,) = trains_of(undated, today, 500.0)
+    assert (train.is_assumed, train.km_per_day) == (True, 500.0)
+    plan = make_plan(parts_of(undated), [train], PlanSettings(), today)
+    words = "12: 500 km a day are assumed, as the dates of the trips are unknown or too close."
+    assert plan.assumed_words == words
+    assert words in str(join_plans([plan]))
+    about = {
+        "plan": plan,
+        "jobs": [],
+        "rows": [],
+        "parameters": [],
+        "finding": "",
+        "calendar": "",
+        "sisters": [],
+    }
+    assert words in render("fleet.html", "suspnet.depot", **about)
 
 
 def test_study_writes_overview_plan_and_calendar(store, tmp_path):

@@ -18,9 +18,9 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.estimate import Estimate
 from suspnet.model.from_curves import corrected
-from suspnet.model.from_recording import same_speed
 from suspnet.model.from_spectra import estimate_spectra
 from suspnet.model.speed_bin import combined
+from suspnet.model.speed_groups import same_speed
 from suspnet.uncertainty.ood import Flags
 
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]

@@ -189,7 +189,7 @@ pairs = st.builds(
         vehicle=words,
         suspension=words,
         mileage_km=st.floats(0, 1e7),
-        start=st.none() | st.datetimes(),
+        start=st.none() | st.datetimes(datetime(1990, 1, 1), datetime(2025, 1, 1)),
         temperature_c=st.none() | st.floats(-60, 60),
         speed=positive | st.builds(SpeedSource, unit=st.sampled_from(["m/s", "km/h"]), **sources),
         channels=st.fixed_dictionaries(dict.fromkeys(CHANNELS, single | pairs)),

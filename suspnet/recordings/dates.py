@@ -1,0 +1,97 @@
+"""When a trip was recorded: dates in headers of files, and which dates can be right."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+
+EARLIEST_YEAR = 1990
+"""A logger whose clock was never set begins in 1970 or 1980; digital ones are younger than this."""
+AHEAD = timedelta(days=2)
+"""How far ahead of this computer's clock a date may be: zones differ by a day."""
+
+LONGEST_LINE = 200
+"""Number of characters of a line beyond which it is no statement of a date."""
+_NAMED = re.compile(
+    r"\W*(?:(?:start|record|measured|date|datum|(?:mess)?beginn|aufnahme|aufgenommen)[\w /.-]*"
+    r"|time|zeit|uhrzeit)\W*?[:=;,\t]\W*(\d.*)",
+    re.IGNORECASE,
+)
+_FORMATS = ("%d.%m.%Y", "%d-%b-%y", "%d-%b-%Y", "%Y/%m/%d", "%Y:%m:%d")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?")
+
+
+def now() -> datetime:
+    """Return the time by this computer's clock, in UTC."""
+    return datetime.now(UTC)
+
+
+def date_problem(moment: datetime) -> str:
+    """Return why a trip cannot have been recorded then; empty if it can.
+
+    Parameters
+    ----------
+    moment : datetime
+        One without a zone is taken as UTC.
+    """
+    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    if aware.year < EARLIEST_YEAR:
+        return f"is before {EARLIEST_YEAR}: was the logger's clock set?"
+    if aware > now() + AHEAD:
+        return f"is in the future of this computer's clock ({now():%Y-%m-%d})"
+    return ""
+
+
+def read_date(text: str) -> datetime | None:
+    """Return the date and time of day in a header; None if it is none, or could be two.
+
+    Day and month of "03/08/2015" are in the order of the country, which is not known.
+
+    Examples
+    --------
+    >>> read_date("03.08.2015 08:00:05").isoformat()
+    '2015-08-03T08:00:05'
+    >>> read_date("2015-08-03T08:00:00+02:00").isoformat()
+    '2015-08-03T08:00:00+02:00'
+    >>> read_date("03/08/2015") is None
+    True
+    """
+    plain = " ".join(text.split())
+    try:
+        return datetime.fromisoformat(plain)
+    except ValueError:
+        pass
+    day, _, rest = plain.replace(", ", " ").partition(" ")
+    for form in _FORMATS:
+        try:
+            found = datetime.strptime(day, form)
+        except ValueError:
+            continue
+        clock = _CLOCK.search(rest)
+        if clock is None:
+            return found
+        hours, minutes, *seconds = clock[0].replace(",", ".").split(":")
+        second = int(float(seconds[0])) if seconds else 0
+        try:
+            return found.replace(hour=int(hours), minute=int(minutes), second=second)
+        except ValueError:
+            return None
+    return None
+
+
+def date_in_lines(lines: Sequence[str]) -> str | None:
+    """Return the start that lines above a table state, in one line or as date and time of day.
+
+    Examples
+    --------
+    >>> date_in_lines(["Logger 7", "Datum;03.08.2015", "Uhrzeit;08:00:05"])
+    '03.08.2015 08:00:05'
+    """
+    matches = [_NAMED.match(line) for line in lines if len(line) <= LONGEST_LINE]
+    values = [match[1].rstrip(" \t;,\"'") for match in matches if match is not None]
+    clock = next((value for value in values if _CLOCK.fullmatch(value)), "")
+    for value in values:
+        if read_date(value) is not None:
+            return value if _CLOCK.search(value) else f"{value} {clock}".strip()
+    return None

@@ -1,0 +1,129 @@
+"""suspnet-check and evaluate agree on which trips are read, at every speed of a range."""
+
+import itertools
+import json
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli_runner import typed
+from trip_fixtures import changed, model_at, write_trips
+
+from suspnet.cli import check
+from suspnet.cli.configs import read_vehicles
+from suspnet.data.estimates import SPEED_HALF_WIDTH
+from suspnet.data.speeds import SpeedRange, covering
+from suspnet.history.records import NO_ESTIMATE, OK
+from suspnet.inspection.check import CheckSettings, check_trip
+from suspnet.inspection.records import READY, TOO_LITTLE
+from suspnet.model.checkpoint import save_model
+from suspnet.model.from_recording import TripSettings
+from suspnet.runs.speeds import speed_ranges
+from suspnet.trips.trip import evaluate_trip
+
+LOW, HIGH = 61.0, 78.0
+DEAD = (69.05, 69.1, 69.2)
+"""Speeds that neither of two models of bins that meet read once, as each left them to the other."""
+SPREADS = (0.0, 0.004, 0.012)
+
+
+@pytest.fixture(scope="module")
+def trip(tmp_path_factory):
+    """Return the manifest of one healthy trip."""
+    return write_trips(tmp_path_factory.mktemp("trip"), speed=70.0)[0]
+
+
+def models_between(low, high):
+    """Return a model for each bin of a range, as precise as one at 70 m/s for reading at all."""
+    model = model_at()
+    found = []
+    for one in speed_ranges([low, high], SPEED_HALF_WIDTH):
+        speed, half_width = one.trained_m_per_s, one.half_width
+        settings = replace(model.settings, speed_m_per_s=speed, speed_half_width=half_width)
+        generator = replace(model.generator, speed_m_per_s=speed)
+        found.append(replace(model, settings=settings, generator=generator))
+    return found
+
+
+def run_at(trip, folder, speed, spread):
+    """Write a copy of a trip that runs at another speed, a little faster and slower in turn."""
+    seconds = np.arange(301.0)
+    along = speed * (1 + spread * np.sin(2 * np.pi * seconds / 100))
+    name = f"trip_{speed:.3f}_{spread}".replace(".", "_")
+    source = {"column": "v", "time": "t", "rate_hz": None}
+    return changed(trip, folder, name, {"speed": {"t": seconds, "v": along}}, {"speed": source})
+
+
+def read_and_checked(trip, folder, models, speed, spread):
+    """Return a trip as it is read, and as it is checked with the models and without."""
+    path = run_at(trip, folder, speed, spread)
+    vehicles = {vehicle.name: vehicle for vehicle in read_vehicles().values()}
+    result = evaluate_trip(path, models, TripSettings())
+    plain = CheckSettings(vehicles)
+    return result, check_trip(path, replace(plain, models=models)), check_trip(path, plain)
+
+
+@pytest.mark.parametrize(
+    ("speed", "spread"),
+    [*((speed, 0.004) for speed in DEAD), (LOW, 0.0), (HIGH, 0.0), (60.4, 0.004), (78.8, 0.004)],
+)
+def test_check_and_evaluate_agree_at_the_ends_of_bins(trip, tmp_path, speed, spread):
+    models = models_between(LOW, HIGH)
+    result, checked, alone = read_and_checked(trip, tmp_path, models, speed, spread)
+    inside = LOW <= speed <= HIGH
+    assert (result.status == OK) == inside
+    assert checked.state == (READY if inside else TOO_LITTLE)
+    assert checked.read_by == "the models read 61.0 to 78.0 m/s"
+    if inside:
+        assert result.quality.segments_used == 28
+        assert len(result.quality.speed_bins.split(";")) == 1  # all of it by one model
+    else:
+        assert result.reason in checked.remarks
+        assert f"the trip is run at {speed:.1f} m/s, {checked.read_by}" in result.reason
+    assert alone.state == READY
+    (part,) = alone.parts
+    setting = covering([part.speed_m_per_s], SPEED_HALF_WIDTH)
+    assert SpeedRange.around(setting, SPEED_HALF_WIDTH).holds(speed)
+
+
+def test_check_with_a_run_shows_which_trips_its_models_read(trip, tmp_path):
+    save_model(tmp_path / "run", model_at())
+    trips = tmp_path / "trips"
+    trips.mkdir()
+    run_at(trip, trips, 75.0, 0.0)
+    run_at(trip, trips, 90.0, 0.0)
+    options = ["--run", tmp_path / "run", "-o", tmp_path / "o", "--no-pictures"]
+    done = typed(check, trips, *options, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "1 of 2 trips ready" in done.stdout
+    assert "at 75.0 m/s: the model reads 64.4 to 75.6 m/s" in done.stdout
+    assert "the trip is run at 90.0 m/s, the model reads 64.4 to 75.6 m/s" in done.stdout
+    states = [one["state"] for one in json.loads((tmp_path / "o/check.json").read_text())["trips"]]
+    assert states == [READY, TOO_LITTLE]
+    missing = typed(check, trips, "--run", tmp_path / "none", cwd=tmp_path)
+    assert missing.returncode == 1
+    assert "run=" in missing.stderr
+    assert "Traceback" not in missing.stderr
+
+
+@pytest.mark.slow
+def test_check_and_evaluate_agree_at_200_speeds(trip, tmp_path):
+    models, counts = models_between(LOW, HIGH), Counter()
+    speeds = np.linspace(0.97 * LOW, 1.03 * HIGH, 200)
+    for speed, spread in zip(speeds, itertools.cycle(SPREADS), strict=False):
+        at_an_end = min(abs(speed / LOW - 1), abs(speed / HIGH - 1)) < 0.002
+        spread = 0.0 if at_an_end else spread  # the mean of the segments is nearly that of the sine
+        result, checked, alone = read_and_checked(trip, tmp_path, models, float(speed), spread)
+        inside = LOW <= speed <= HIGH
+        assert result.status == (OK if inside else NO_ESTIMATE), (speed, spread, result.reason)
+        assert (checked.state == READY) == (result.status == OK)
+        assert alone.state == READY
+        counts["read by one model" if inside else "read by none"] += 1
+        if inside:
+            assert len(result.quality.speed_bins.split(";")) == 1
+            assert result.quality.segments_used == 28
+    n_agree = sum(counts.values())
+    print(f"check and evaluate agree on {n_agree} of 200 trips: {dict(counts)}")
+    assert n_agree == 200
+    assert min(counts.values()) > 20

@@ -1,0 +1,221 @@
+"""When a trip was recorded: by headers and times of every format, and what cannot be right."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from recording_files import WRITERS
+from scipy.io import savemat
+from trip_fixtures import changed, model_at, signal, small_fleet
+
+from suspnet.inspection.contents import look_into
+from suspnet.inspection.template import template
+from suspnet.model.from_recording import TripSettings
+from suspnet.recordings import dates
+from suspnet.recordings.clocks import Zero, first_moment
+from suspnet.recordings.dates import date_in_lines, date_problem, read_date
+from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
+from suspnet.simulation.writing import DAYS_BETWEEN, time_between
+from suspnet.trips.trip import evaluate_trip
+
+START = datetime(2024, 5, 6, 8, 15, 30)
+FIRST_S = 1714983330
+"""Start in seconds since 1970 in UTC."""
+N = 2000
+
+
+def columns():
+    rng = np.random.default_rng(0)
+    return {name: rng.normal(size=N) for name in ("axle_box", "bogie")}
+
+
+def parquet_of(start, path):
+    pq.write_table(
+        pa.table({"time": start + np.arange(N) * np.timedelta64(4, "ms")} | columns()), path
+    )
+
+
+def write(kind, folder):
+    """Write a file that says when it was recorded, in one of many ways."""
+    path = folder / f"trip.{kind.partition(' ')[0]}"
+    stamps = np.datetime64(START, "ns") + np.arange(N) * np.timedelta64(4, "ms")
+    if kind == "parquet stamps":
+        pq.write_table(pa.table({"time": stamps} | columns()), path)
+    elif kind == "parquet utc":
+        zoned = pa.array(stamps).cast(pa.timestamp("ns", "UTC"))
+        pq.write_table(pa.table({"time": zoned} | columns()), path)
+    elif kind == "parquet numbers":
+        pq.write_table(pa.table({"time": FIRST_S + np.arange(N) * 0.004} | columns()), path)
+    elif kind == "csv stamps":
+        WRITERS[".csv"](path, {"time": np.datetime_as_string(stamps, "ms")} | columns())
+    elif kind == "csv header":
+        above = ["Logger;7\n", "Startzeit: 06.05.2024 08:15:30\n"]
+        WRITERS[".csv"](path, columns(), above=above)
+    elif kind == "csv two lines":
+        WRITERS[".csv"](path, columns(), above=["Date: 2024-05-06\n", "Time: 08:15:30\n"])
+    elif kind == "mat struct":
+        savemat(path, {"log": {"fs": 250.0, "start_time": START.isoformat()} | columns()})
+    elif kind == "h5 attribute":
+        WRITERS[".h5"](path, columns(), rate_hz=250.0, start_time=START.isoformat())
+    elif kind in ("tdms waveform", "mf4 header"):
+        start = np.datetime64(START) if kind.startswith("tdms") else START.replace(tzinfo=UTC)
+        WRITERS[path.suffix](path, columns(), rate_hz=250.0, start=start)
+    elif kind == "uff header":
+        WRITERS[".uff"](path, columns(), rate_hz=250.0, date="06-May-24 08:15:30")
+    else:
+        WRITERS[".wav"](path, columns(), rate_hz=250.0, date="2024-05-0608:15:30")
+    return path
+
+
+ZONED = ("parquet utc", "parquet numbers", "tdms waveform", "mf4 header")
+LOCAL = (
+    *("parquet stamps", "csv stamps", "csv header", "csv two lines", "mat struct"),
+    *("h5 attribute", "uff header", "wav broadcast"),
+)
+
+
+# reference
+
+
+@pytest.mark.parametrize("kind", [*ZONED, *LOCAL])
+def test_start_of_a_manifest_is_that_of_its_files(kind, tmp_path):
+    path = write(kind, tmp_path)
+    signals, _ = look_into(path)
+    text = template(signals, tmp_path / "trip.yaml").text
+    zone = "+00:00" if kind in ZONED else ""
+    assert f"\nstart: 2024-05-06T08:15:30{zone}  # by the files" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2015-08-03", datetime(2015, 8, 3)),
+        ("2015-08-03 08:00:05,25", datetime(2015, 8, 3, 8, 0, 5, 250000)),
+        ("3.8.2015, 08:00", datetime(2015, 8, 3, 8)),
+        ("23-Jul-98 14:33:11", datetime(1998, 7, 23, 14, 33, 11)),
+        ("2015/08/03 7:05", datetime(2015, 8, 3, 7, 5)),
+        ("03/08/2015", None),
+        ("3.8.2015 25:00", None),
+        ("NONE", None),
+        ("", None),
+    ],
+)
+def test_dates_of_headers_are_read(text, expected):
+    assert read_date(text) == expected
+
+
+def test_lines_without_a_date_have_none():
+    lines = [
+        "Rate: 250",
+        "Start channel: 3",
+        "Datum: gestern",
+        "Time: 08:15:00",
+        "Date: " + "1" * 400,
+    ]
+    assert date_in_lines(lines) is None
+
+
+# trips whose manifest has no start
+
+
+@pytest.fixture(scope="module")
+def trip(tmp_path_factory):
+    return small_fleet(tmp_path_factory)[0]
+
+
+def stamped(trip, folder, start, **changes):
+    """Write a copy of a trip whose axle box, bogie and body have time stamps, and no `start`."""
+    signals, channels = {}, {}
+    for name, rate_hz in zip(("axle_box", "bogie", "body"), (400, 250, 250), strict=True):
+        values = signal(trip, name)
+        times = np.datetime64(start, "ns") + np.arange(len(values)) * np.timedelta64(
+            10**9 // rate_hz, "ns"
+        )
+        signals[name] = {"time": times, "a": values}
+        channels[name] = {"time": "time", "column": "a", "rate_hz": None}
+    return changed(trip, folder, "stamped", signals, channels, start=None, speed=70.0, **changes)
+
+
+def test_trip_without_a_start_has_that_of_its_time_stamps(trip, tmp_path):
+    path = stamped(trip, tmp_path, START)
+    recording = load_recording(read_manifest(path))
+    assert recording.started == START
+    result = evaluate_trip(path, [model_at()], TripSettings())
+    assert (result.status, result.start) == ("ok", "2024-05-06T08:15:30")
+
+
+def test_start_of_a_manifest_comes_first(trip):
+    result = evaluate_trip(trip, [model_at()], TripSettings())
+    assert result.start == "2015-08-03T06:00:00+00:00"
+    assert load_recording(read_manifest(trip)).started is None
+
+
+# what cannot be right
+
+
+@pytest.mark.parametrize("start", [datetime(1970, 1, 1), datetime(2199, 1, 1)])
+def test_date_of_files_that_cannot_be_right_is_left_out_with_a_note(trip, tmp_path, start):
+    recording = load_recording(read_manifest(stamped(trip, tmp_path, start)))
+    assert recording.started is None
+    assert f"the date by its files, {start.isoformat(' ')}, is left out" in recording.words
+    parquet_of(np.datetime64(start, "ns"), tmp_path / "trip.parquet")
+    text = template(look_into(tmp_path / "trip.parquet")[0], tmp_path / "x.yaml").text
+    assert f"\n# start: 2015-08-03T08:00:00  # the date by its files, {start}" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mileage_km": 51_333_333.0}, r"`mileage_km` must be at most 20000000 km \(is it in met"),
+        (
+            {"start": "1970-01-01T00:00:00"},
+            "`start` 1970-01-01T00:00:00 is before 1990: was the log",
+        ),
+        ({"start": "2199-01-01T00:00:00"}, "`start` 2199-01-01T00:00:00 is in the future of this"),
+    ],
+)
+def test_manifest_that_cannot_be_right_is_refused_in_one_line(trip, tmp_path, changes, message):
+    path = changed(trip, tmp_path, **changes)
+    with pytest.raises(TripError, match=message) as caught:
+        read_manifest(path)
+    assert str(caught.value).startswith(f"{path}: `")
+    assert "\n" not in str(caught.value)
+
+
+def test_today_is_the_clock_of_this_computer(monkeypatch):
+    monkeypatch.setattr(dates, "now", lambda: datetime(2020, 1, 10, tzinfo=UTC))
+    assert date_problem(datetime(2020, 1, 12)) == ""
+    assert "in the future of this computer's clock (2020-01-10)" in date_problem(
+        datetime(2020, 1, 13)
+    )
+    assert date_problem(datetime(1990, 1, 1)) == ""
+    assert date_problem(datetime(2020, 1, 12, 1, tzinfo=UTC) - timedelta(hours=2)) == ""
+
+
+def test_exact_times_come_before_dates_and_known_zones_before_others():
+    exact, coarse = Zero(10**9 * FIRST_S), Zero(date=datetime(2001, 1, 1))
+    local = Zero(10**9 * (FIRST_S - 100), is_zoned=False)
+    assert first_moment([coarse, exact, local])[0] == START.replace(tzinfo=UTC)
+    assert first_moment([coarse, local])[0] == START - timedelta(seconds=100)
+    assert first_moment([coarse])[0] == datetime(2001, 1, 1)
+    assert first_moment([Zero()]) == (None, "")
+
+
+@pytest.mark.parametrize("n_trips", [1, 30, 365, 366, 100_000])
+def test_simulated_trips_lie_in_the_past(n_trips):
+    between = time_between(n_trips)
+    assert timedelta(0) < between <= DAYS_BETWEEN
+    assert between.total_seconds() % 600 == 0
+    assert date_problem(datetime(2015, 8, 3) + n_trips * between) == ""
+
+
+def test_start_is_left_to_the_user_where_some_files_have_no_times(tmp_path):
+    parquet_of(np.datetime64(START, "ns"), tmp_path / "a.parquet")
+    pq.write_table(pa.table({"body": columns()["bogie"]}), tmp_path / "b.parquet")
+    signals = [one for name in "ab" for one in look_into(tmp_path / f"{name}.parquet")[0]]
+    text = template(signals, tmp_path / "trip.yaml").text
+    assert "\n# start: 2024-05-06T08:15:30  # by a part of the files; when do the others" in text
