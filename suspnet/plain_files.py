@@ -7,9 +7,11 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-MOST_TEXT_BYTES = 2**26
-"""Largest size of a file of text: manifests and configurations have kilobytes, models less than
-a megabyte, and 64 MB are parsed in seconds."""
+MOST_TEXT_BYTES = 2**24
+"""Largest size of a file of text: manifests and descriptions of models have kilobytes, and 16 MiB
+are parsed in seconds and half a gigabyte."""
+MOST_BYTES = 2**34
+"""Largest size of a file of arrays that is read whole."""
 MOST_EXTENTS = 4096
 """Largest number of stretches of data between the holes of a sparse file that are counted."""
 FREE_BYTES, DENSITY = 2**28, 100
@@ -62,12 +64,11 @@ def read_plain(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
         size = os.fstat(stream.fileno()).st_size
         if size > FREE_BYTES:
             most_bytes = min(most_bytes, FREE_BYTES + DENSITY * stored_bytes(stream))
-        content = b"" if size > most_bytes else stream.read(most_bytes + 1)
-    if max(size, len(content)) > most_bytes:
-        raise NotPlainError(
-            f"{path} has {max(size, len(content))} bytes; at most {most_bytes} are read of such a file"
-        )
-    return content
+        if size > most_bytes:
+            raise NotPlainError(
+                f"{path} is of {size} bytes; at most {most_bytes} are read of such a file"
+            )
+        return stream.read(size)
 
 
 def stored_bytes(stream: BinaryIO) -> int:

@@ -138,7 +138,7 @@ _lock = threading.Lock()
 
 
 def _started(request: dict[str, Any], handles: Sequence[int]) -> int:
-    """Return the number of a new process; its server is started if there is none or it has ended."""
+    """Return the number of a new process; the server is started if there is none."""
     with _lock:
         if (server := _servers.get(os.getpid())) is not None:
             with suppress(OSError, ValueError):
@@ -234,8 +234,8 @@ class _Process:
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
             words = (
-                f"{self.path}: its reader took longer than {self._limit_s:g} s for one step, so the "
-                f"file is damaged, or very slow to read (the variable {LIMIT} gives more time)"
+                f"{self.path}: its reader took longer than {self._limit_s:g} s for one step, so "
+                f"the file is damaged, or very slow to read (the variable {LIMIT} gives more time)"
             )
             with suppress(OSError):
                 _late[_state(self.path)] = words

@@ -118,7 +118,7 @@ def _refusing(path: Path, file: OpenFile, refused: Mapping[str, str]) -> OpenFil
 def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a MAT file; before version 7.3 its variables are read whole."""
     try:
-        variables = whosmat(path)
+        variables = whosmat(path, appendmat=False)
     except NotImplementedError:  # version 7.3 is HDF5
         with open_hdf5(path) as file:
             yield file
@@ -129,7 +129,7 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         if kind in NUMERIC and len(shape) <= 2
     }
     structs = [name for name, _, kind in variables if kind == "struct"]
-    content = loadmat(path, variable_names=structs, simplify_cells=True) if structs else {}
+    content = _loaded(path, structs, simplify_cells=True) if structs else {}
     leaves = dict(_leaves({name: content[name] for name in structs if name in content}))
     arrays |= {
         name: np.atleast_1d(leaf)
@@ -143,6 +143,12 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         yield found
 
 
+def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
+    """Return variables of a MAT file before version 7.3 by their names."""
+    found: dict[str, Any] = loadmat(path, variable_names=names, appendmat=False, **how)
+    return found
+
+
 @dataclass(frozen=True)
 class _Variable:
     """A numeric variable of a MAT file, which is read when it is asked for."""
@@ -153,7 +159,7 @@ class _Variable:
 
     @cached_property
     def values(self) -> Any:
-        return loadmat(self.path, variable_names=[self.name])[self.name]
+        return _loaded(self.path, [self.name])[self.name]
 
     @property
     def dtype(self) -> Any:

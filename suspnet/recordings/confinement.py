@@ -1,7 +1,8 @@
-"""Confinement of a process that reads one file: nothing else is read, written, started or called.
+"""Confinement of a process to reading one file: it writes, starts and calls nothing else.
 
-Each protection stands alone, so that a system without one keeps the others: resource limits (POSIX),
-Landlock (Linux 5.13), a filter of system calls (Linux on x86-64 and ARM), and a hook in Python itself.
+Each protection works without the others, as not every system has all of them: resource limits
+(POSIX), Landlock (Linux from 5.13 on), a filter of system calls (Linux on x86-64 and ARM), and a
+hook in Python itself.
 """
 
 from __future__ import annotations
@@ -41,17 +42,21 @@ _SYSTEM_CALLS: dict[str, tuple[int, int, tuple[int, ...]]] = {
         56,
         # socket, socketpair, connect, fork, vfork, execve, execveat, ptrace, process_vm_*, bpf,
         # io_uring_setup, unshare, mount; chmod, chown, utime, setxattr, removexattr and the like
-        (41, 53, 42, 57, 58, 59, 322, 101, 310, 311, 321, 425, 272, 165)
-        + (90, 91, 92, 93, 94, 260, 268, 452, 132, 235, 261, 280, 188, 189, 190, 197, 198, 199),
+        (
+            *(41, 53, 42, 57, 58, 59, 322, 101, 310, 311, 321, 425, 272, 165),
+            *(90, 91, 92, 93, 94, 260, 268, 452, 132, 235, 261, 280, 188, 189, 190, 197, 198, 199),
+        ),
     ),
     "aarch64": (
         0xC00000B7,
         220,
-        (198, 199, 203, 221, 281, 117, 270, 271, 280, 425, 97, 40)
-        + (52, 53, 54, 55, 452, 88, 5, 6, 7, 14, 15, 16),
+        (
+            *(198, 199, 203, 221, 281, 117, 270, 271, 280, 425, 97, 40),
+            *(52, 53, 54, 55, 452, 88, 5, 6, 7, 14, 15, 16),
+        ),
     ),
 }
-"""Code of each architecture, number of clone(), and numbers of the system calls that are refused."""
+"""Of each architecture: its code, the number of clone(), and those of the calls that are refused."""
 _REFUSED_EVENTS = (
     *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
     *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),
@@ -63,7 +68,7 @@ _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 def confine(descriptor: int, path: Path, memory_bytes: int) -> None:
-    """Give up, for ever, all rights of this process but to read one open file and Python's own code.
+    """Keep only the rights of this process to read one file and the code of Python; for ever.
 
     Parameters
     ----------
@@ -95,8 +100,8 @@ def _code_folders() -> list[str]:
         if os.path.basename(place) in ("site-packages", "dist-packages")
         or place.startswith(prefixes)
     ]
-    system = ["/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share/zoneinfo", "/sys/devices/system"]
-    return [one for one in {*prefixes, *packages, *map(os.path.realpath, system)} if os.path.isdir(one)]
+    system = ("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share/zoneinfo")
+    return list(filter(os.path.isdir, {*prefixes, *packages, *map(os.path.realpath, system)}))
 
 
 def _limit(memory_bytes: int) -> None:

@@ -161,7 +161,7 @@ def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
 def _conversion(
     path: Path, name: str, version: str, conversion: Any
 ) -> Callable[[Any], FloatArray]:
-    """Return what makes raw values of a channel physical ones; TripError if that is no arithmetic."""
+    """Return what makes raw values physical ones; TripError if that is not arithmetic."""
     version = "4" if version == "4" else "3"
     number = IDENTITY if conversion is None else int(conversion.conversion_type)
     kind = IDENTITY if conversion is None else KINDS[version].get(number)
