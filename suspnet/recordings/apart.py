@@ -5,16 +5,18 @@ never return (HDF5 on 2 of 500), and some do what a file says: run a formula, re
 file is read in a process of its own that may do no more than that (`confinement`). It is asked for
 one step at a time, to open the file or to read its next block; each step has a bound in time. The
 processes are forked from one that has imported the libraries. Requests are lines of JSON, answers
-too, followed by the bytes of the arrays: nothing is unpickled.
+too; the bytes of the arrays lie in shared memory. Nothing is unpickled.
 """
 
 from __future__ import annotations
 
 import atexit
+import fcntl
 import functools
 import importlib
 import itertools
 import json
+import mmap
 import os
 import signal
 import socket
@@ -33,7 +35,7 @@ import numpy as np
 from suspnet.plain_files import open_plain, stored_bytes
 from suspnet.recordings.bounds import memory_bytes, step_s
 from suspnet.recordings.checked_mapping import TripError
-from suspnet.recordings.columns import Block, Column, OpenFile
+from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile
 from suspnet.recordings.confinement import confine
 from suspnet.recordings.manifest import CsvDialect
 
@@ -47,6 +49,8 @@ CRASH_S = 5.0
 """Longest time between the end of a process's answers and its own, [s]."""
 DTYPES = ("float64", "datetime64[ns]")
 """Those of a block."""
+SHARED_BYTES = 8 * 8 * BLOCK
+"""Size of the memory that a process shares with the one that asks: a block of eight columns."""
 MEMORY_WORDS = (
     "reading it takes more memory than a recording of its size does, so the file is damaged or "
     "declares more than it holds; export the recording again"
@@ -112,7 +116,7 @@ class _Server:
         with theirs:
             self._child = subprocess.Popen(
                 [sys.executable, "-c", code],
-                stdin=theirs,
+                stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
                 env=os.environ | ENVIRONMENT,
             )
@@ -176,9 +180,18 @@ class _Process:
         with ours, theirs, open_plain(path) as stream:
             stored = stored_bytes(stream)
             self._limit_s = _limit_s(stored)
-            request = {"path": str(path), "function": list(function), "library": library}
-            request |= {"memory_bytes": memory_bytes(stored)}
-            self._pid = _started(request, [stream.fileno(), theirs.fileno()])
+            request = {
+                "path": str(path),
+                "function": list(function),
+                "library": library,
+                "memory_bytes": memory_bytes(stored),
+            }
+            handle = _shared_memory()
+            try:
+                self._shared = mmap.mmap(handle, SHARED_BYTES)
+                self._pid = _started(request, [stream.fileno(), theirs.fileno(), handle])
+            finally:
+                os.close(handle)
             self._requests, self._answers = ours.makefile("wb"), ours.makefile("rb")
 
     def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
@@ -216,12 +229,13 @@ class _Process:
         self._requests.write(json.dumps(request).encode() + b"\n")
         self._requests.flush()
         answer = json.loads(self._answers.readline())
-        arrays = []
+        arrays, place = [], 0
         for dtype, n_samples in answer.get("arrays", []):
-            array = np.empty(n_samples, dtype=DTYPES[DTYPES.index(dtype)])
-            if n_samples and self._answers.readinto(array.view(np.uint8)) < array.nbytes:  # type: ignore[attr-defined]
-                raise OSError
-            arrays.append(array)
+            if place + 8 * n_samples > SHARED_BYTES:
+                raise ValueError
+            kind = np.dtype(DTYPES[DTYPES.index(dtype)])
+            arrays.append(np.frombuffer(self._shared, kind, n_samples, place).copy())
+            place += 8 * n_samples
         return answer, tuple(arrays)
 
     def _end_late(self) -> None:
@@ -251,10 +265,18 @@ class _Process:
         """End the process if it does not end by itself in some time; return its exit code."""
         if self._requests.closed:
             return 0
-        for stream in (self._requests, self._answers):
+        for part in (self._requests, self._answers, self._shared):
             with suppress(OSError):
-                stream.close()
+                part.close()
         return _ended({"end": self._pid, "grace_s": grace_s})
+
+
+def _shared_memory() -> int:
+    """Return the descriptor of memory that cannot be made smaller by who shares it."""
+    handle = os.memfd_create("block", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    os.ftruncate(handle, SHARED_BYTES)
+    fcntl.fcntl(handle, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
+    return handle
 
 
 def _state(path: Path) -> tuple[str, int, int]:
@@ -287,7 +309,7 @@ def serve() -> None:
         os.dup2(nowhere, stream)
     with suppress(BrokenPipeError, ConnectionResetError):
         while True:  # ends with the process that asks
-            message, handles, _, _ = socket.recv_fds(control, 2**16, 2)
+            message, handles, _, _ = socket.recv_fds(control, 2**16, 3)
             if not message:
                 return
             request = json.loads(message)
@@ -311,9 +333,10 @@ def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.soc
     if pid == 0:
         try:
             control.close()
-            file, connection = handles
+            file, connection, memory = handles
+            shared = mmap.mmap(memory, SHARED_BYTES)
             confine(file, Path(request["path"]), request["memory_bytes"])
-            _serve_file(reader, Path(request["path"]), connection)
+            _serve_file(reader, Path(request["path"]), connection, shared)
         finally:
             os._exit(0 if sys.exc_info()[0] is None else 1)
     return pid
@@ -333,7 +356,7 @@ def _end(pid: int, grace_s: float) -> int:
     return -signal.SIGKILL
 
 
-def _serve_file(reader: Reader, path: Path, connection: int) -> None:
+def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) -> None:
     """Answer requests on a file until there are no more."""
     with (
         os.fdopen(connection, "rb", closefd=False) as requests,
@@ -342,10 +365,12 @@ def _serve_file(reader: Reader, path: Path, connection: int) -> None:
     ):
         for answer, arrays in _answers(reader, path, requests):
             signal.setitimer(signal.ITIMER_REAL, 0)
-            kinds = [[str(array.dtype), len(array)] for array in arrays]
-            answers.write(json.dumps(answer | {"arrays": kinds}).encode() + b"\n")
+            kinds, place = [], 0
             for array in arrays:
-                answers.write(np.ascontiguousarray(array).view(np.uint8).data)
+                kinds.append([str(array.dtype), len(array)])
+                np.frombuffer(shared, array.dtype, len(array), place)[:] = array
+                place += array.nbytes
+            answers.write(json.dumps(answer | {"arrays": kinds}).encode() + b"\n")
             answers.flush()
 
 
@@ -369,7 +394,7 @@ def _answers(
                 else:
                     number = request["block"]
                     if number not in blocks:
-                        blocks[number] = iter(file.read(request["names"]))
+                        blocks[number] = _pieces(file.read(request["names"]))
                     arrays = next(blocks[number], ())
             except TripError as error:
                 answer = {"problems": error.problems}
@@ -378,3 +403,11 @@ def _answers(
             except Exception as error:  # whatever a library raises on a damaged file
                 answer = {"error": str(error) or type(error).__name__}
             yield answer, arrays
+
+
+def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks that fit into the shared memory."""
+    for block in blocks:
+        most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
+        for start in range(0, len(block[0]), most):
+            yield tuple(array[start : start + most] for array in block)

@@ -15,10 +15,10 @@ MOST_SAMPLES = 48 * 3600 * 10_000
 """Largest number of samples of a channel: two days at 10 kHz."""
 FREE_SAMPLES = 2**26
 """Number of samples that any file may declare, as a channel of nothing but zeros may be packed into
-a few bytes: 3.7 hours at 5 kHz."""
-SAMPLES_PER_BYTE = 100
-"""Number of samples beyond those for each byte that is stored. Noise takes a byte or more for each
-sample, so that 99 % of a recording may be zeros that take no space at all."""
+a few bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""
+SAMPLES_PER_BYTE = 8
+"""Number of samples beyond those for each byte that is stored. Packed noise takes a byte or more
+for each sample, so that seven eighths of a long recording may be zeros that take no space."""
 
 FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
 """Memory that the reader of a file may take: 1.25 GiB, and 16 bytes for each that is stored.

@@ -56,7 +56,7 @@ _SYSTEM_CALLS: dict[str, tuple[int, int, tuple[int, ...]]] = {
         ),
     ),
 }
-"""Of each architecture: its code, the number of clone(), and those of the calls that are refused."""
+"""Of each architecture: its code, the number of clone(), and those of the refused calls."""
 _REFUSED_EVENTS = (
     *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
     *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),

@@ -168,7 +168,7 @@ def _named(path: Path) -> Iterator[None]:
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 
 READERS: dict[str, Reader] = {
-    ".parquet": apart(open_parquet),
+    ".parquet": apart(open_parquet, "pandas"),  # Arrow imports it, if there, for its first array
     **dict.fromkeys(CSV_SUFFIXES, open_csv),
     ".mat": apart(open_mat, "h5py"),
     ".h5": apart(open_hdf5, "h5py"),

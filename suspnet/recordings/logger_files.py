@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.io import wavfile
 
+from suspnet.recordings.bounds import check_samples
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
     BLOCK,
@@ -143,6 +144,7 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                 raise
             stream.seek(0)
             rate_hz, data = _call(wavfile.read, stream)  # 24 bits cannot be mapped to memory
+    check_samples(path, len(data))
     data = data[:, None] if data.ndim == 1 else data
     names = [f"channel_{i + 1}" for i in range(data.shape[1])]
     full_scale, zero = None, 0.0
@@ -168,5 +170,7 @@ def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Return what a function of a package returns that may raise any error on damaged files."""
     try:
         return read(*arguments, **named)
+    except MemoryError:
+        raise
     except Exception as error:
         raise ValueError(f"{type(error).__name__}: {error}") from error

@@ -153,6 +153,8 @@ def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
         found: tuple[Any, Any] = file.get(
             group=group, index=index, samples_only=True, raw=True, **at
         )
+    except MemoryError:
+        raise
     except Exception as error:
         raise ValueError(f"{type(error).__name__}: {error}") from error
     return found

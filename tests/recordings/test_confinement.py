@@ -20,11 +20,13 @@ HAS_LANDLOCK = platform.system() == "Linux" and (
     ctypes.CDLL(None, use_errno=True).syscall(confinement._CREATE_RULESET, None, 0, 1) > 0
 )
 HAS_FILTER = platform.system() == "Linux" and platform.machine() in confinement._SYSTEM_CALLS
-NEEDS_LANDLOCK = ("list", "kill the parent", "creat by C", "unlink by C", "rename by C") + (
-    ("mkdir by C", "link by C", "read by C", "passwords")
+NEEDS_LANDLOCK = (
+    *("list", "kill the parent", "creat by C", "unlink by C", "rename by C", "mkdir by C"),
+    *("link by C", "read by C", "passwords"),
 )
-NEEDS_FILTER = ("fork by C", "system by C", "execve by C", "datagram by C", "stream by C") + (
-    ("chmod by C", "trace")
+NEEDS_FILTER = (
+    *("fork by C", "system by C", "execve by C", "datagram by C", "stream by C", "chmod by C"),
+    "trace",
 )
 
 
