@@ -38,6 +38,10 @@ _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
+class TooLargeError(ValueError):
+    """A document is longer than any of ours, or aliases make it so."""
+
+
 class _Dumper(yaml.SafeDumper):
     """Puts text in quotes that YAML 1.1 or the core schema would take for anything else."""
 
@@ -68,7 +72,7 @@ def parse_yaml(text: str) -> Any:
         message, of one line, names the line.
     """
     if len(text) > LONGEST:
-        raise ValueError(f"it has {len(text)} characters; at most {LONGEST} are read")
+        raise TooLargeError(f"it has {len(text)} characters; at most {LONGEST} are read")
     try:
         return _Builder().document(yaml.parse(text, Loader=_LOADER))
     except yaml.YAMLError as error:
@@ -136,7 +140,7 @@ class _Builder:
         """Count values; ValueError if there are too many."""
         self.n_values += n_values
         if self.n_values > MOST_VALUES:
-            raise ValueError(f"line {_line(event)}: it has more than {MOST_VALUES} values")
+            raise TooLargeError(f"line {_line(event)}: it has more than {MOST_VALUES} values")
 
     def _mapping(self, events: Iterator[Any], depth: int) -> dict[Any, Any]:
         """Return a mapping; ValueError if it holds a key twice."""
