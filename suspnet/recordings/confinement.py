@@ -171,15 +171,14 @@ def _refuse_events(path: Path, folders: Sequence[str]) -> None:
     own = os.path.realpath(path)
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
-        if event.startswith(_REFUSED_EVENTS):
-            raise PermissionError(f"a file made its reader do what readers must not: {event}")
-        if event != "open" or isinstance(arguments[0], int):
-            return
-        name, _, flags = arguments
-        if isinstance(flags, int) and flags & _WRITES:
-            raise PermissionError(f"a file made its reader write {name}")
-        place = os.path.realpath(os.fsdecode(name))
-        if place != own and not place.startswith(allowed):
-            raise PermissionError(f"a file made its reader open {name}")
+        is_allowed = not event.startswith(_REFUSED_EVENTS)
+        if event == "open" and not isinstance(arguments[0], int):
+            name, _, flags = arguments
+            place = os.path.realpath(os.fsdecode(name))
+            is_allowed = place == own or place.startswith(allowed)
+            is_allowed = is_allowed and not (isinstance(flags, int) and flags & _WRITES)
+        if not is_allowed:
+            what = f"{event} {arguments[0]}" if arguments else event
+            raise PermissionError(f"the file makes its reader do what readers must not: {what}")
 
     sys.addaudithook(hook)

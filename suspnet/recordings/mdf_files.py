@@ -29,12 +29,12 @@ KINDS = {
 """Conversions that are applied, by the number that MDF 4, and MDF 2 and 3, give them."""
 REFUSED = {
     "4": {
-        **{3: "algebraic (a formula)", 7: "value to text", 8: "range to text"},
-        **{9: "text to value", 10: "text to text", 11: "bit field to text"},
+        **{3: "algebraic (a formula)", 7: "value-to-text", 8: "range-to-text"},
+        **{9: "text-to-value", 10: "text-to-text", 11: "bit-field-to-text"},
     },
     "3": {
         **{6: "polynomial", 7: "exponential", 8: "logarithmic", 10: "algebraic (a formula)"},
-        **{11: "value to text", 12: "range to text", 132: "date", 133: "time"},
+        **{11: "value-to-text", 12: "range-to-text", 132: "date", 133: "time"},
     },
 }
 """Names of conversions that are not applied."""
