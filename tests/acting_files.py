@@ -200,8 +200,8 @@ def mat_class(folder: Path, number: int) -> Path:
         )
 
     code = formula(folder, "@() system('touch {canary}')").encode()
-    inner = element(14, element(6, struct.pack("<II", 4, 0)) + element(5, struct.pack("<ii", 1, len(code)))
-                    + element(1, b"") + element(16, code))  # fmt: skip
+    parts = (element(6, struct.pack("<II", 4, 0)), element(5, struct.pack("<ii", 1, len(code))))
+    inner = element(14, b"".join((*parts, element(1, b""), element(16, code))))
     head = element(6, struct.pack("<II", number, 0))
     if number == 17:
         body = head + element(1, b"a") + element(1, b"MCOS") + element(1, b"evil") + inner

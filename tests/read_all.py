@@ -10,32 +10,25 @@ from pathlib import Path
 import numpy as np
 
 from suspnet.recordings import apart
-from suspnet.recordings.formats import open_columns, open_file
+from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripError
-
-
-def columns_of(path: Path) -> list[str]:
-    """Return the names of all columns of a file, or one if it cannot be opened."""
-    with open_file(path) as file:
-        return [column.name for column in file.columns]
 
 
 def read_all(path: Path, secret: float = np.nan) -> dict:
     """Return how many columns were read, the errors, whether a value came in, and the seconds."""
     start, n_read, errors, leaked = time.monotonic(), 0, [], False
-    names: list = []
     try:
-        names = columns_of(path)
+        with open_file(path) as file:
+            names = [column.name for column in file.columns]
+            for name in names[:3] or [None, "a"]:
+                try:
+                    for block in read_columns(path, file, [name]):
+                        leaked = leaked or bool(np.any(block[0].astype(np.float64) == secret))
+                    n_read += 1
+                except TripError as error:
+                    errors.append(str(error))
     except TripError as error:
         errors.append(str(error))
-    for name in names[:3] or [None, "a"]:
-        try:
-            for block in open_columns(path, [name]):
-                values = block[0].astype(np.float64)
-                leaked = leaked or bool(np.any(values == secret))
-            n_read += 1
-        except TripError as error:
-            errors.append(str(error))
     seconds = time.monotonic() - start
     return {"read": n_read, "errors": errors, "leaked": leaked, "seconds": seconds}
 

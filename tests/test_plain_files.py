@@ -1,4 +1,4 @@
-"""What is no plain file, or larger than it should be, is refused at once wherever a path is read."""
+"""What is no plain file, or far too large, is refused at once wherever a path is read."""
 
 import json
 import os
