@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from suspnet.storage import content_hash, read_arrays, write_atomically
+from suspnet.storage import content_hash, load_arrays, read_array_file, write_atomically
 
 log = logging.getLogger(__name__)
 ABOUT = "suspnet"
@@ -48,11 +48,12 @@ class Cache:
             return None
         path = self.path(made_from)
         try:
-            arrays = read_arrays(path)
-            about = _about(path)
+            content = read_array_file(path)
+            arrays = load_arrays(content, str(path))
+            about = _about(content)
         except FileNotFoundError:
             return None
-        except (ValueError, LookupError, TypeError, RecursionError) as error:
+        except (ValueError, LookupError, TypeError, RecursionError, MemoryError) as error:
             log.warning("ignoring a damaged cache file: %s", " ".join(str(error).split()))
             return None
         except OSError as error:
@@ -107,10 +108,9 @@ def _checksum(arrays: Arrays, made_from: Any, notes: Any) -> str:
     return digest.hexdigest()
 
 
-def _about(path: Path) -> dict[str, Any]:
+def _about(content: bytes) -> dict[str, Any]:
     """Return what a cache file's header says of its arrays; {} if it says nothing."""
-    with path.open("rb") as stream:
-        header = json.loads(stream.read(int.from_bytes(stream.read(8), "little")))
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     about = json.loads(header.get("__metadata__", {}).get(ABOUT, "{}"))
     return about if isinstance(about, dict) else {}
 

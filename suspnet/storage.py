@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from suspnet.plain_files import MOST_BYTES, MOST_TEXT_BYTES, NotPlainError, read_plain
+
 try:
     import fcntl
 except ImportError:  # not a POSIX system
@@ -147,12 +149,24 @@ def read_json(path: Path) -> Any:
     FileNotFoundError
         If there is no such file.
     DamagedFileError
-        If it is not valid JSON.
+        If it is no plain file, too large or not valid JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        return json.loads(_read(path, MOST_TEXT_BYTES).decode())
+    except DamagedFileError:
+        raise
+    except RecursionError as error:
+        raise DamagedFileError(f"{path} is not ours: it is nested too deeply") from error
+    except ValueError as error:
         raise DamagedFileError(f"{path} is damaged or not JSON ({error})") from error
+
+
+def _read(path: Path, most_bytes: int) -> bytes:
+    """Return the content of a plain file; DamagedFileError if it is none or too large."""
+    try:
+        return read_plain(path, most_bytes)
+    except NotPlainError as error:
+        raise DamagedFileError(str(error)) from error
 
 
 def dump_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -174,9 +188,14 @@ def read_arrays(path: Path, sha256: str | None = None) -> dict[str, NDArray[Any]
     FileNotFoundError
         If there is no such file.
     DamagedFileError
-        If the file is truncated, altered or of another format.
+        If the file is no plain file, truncated, altered or of another format.
     """
-    return load_arrays(path.read_bytes(), str(path), sha256)
+    return load_arrays(read_array_file(path), str(path), sha256)
+
+
+def read_array_file(path: Path) -> bytes:
+    """Return the bytes of a safetensors file; raises as `read_arrays`, but arrays are unchecked."""
+    return _read(path, MOST_BYTES)
 
 
 def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[str, NDArray[Any]]:
@@ -201,7 +220,7 @@ def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[st
         )
     try:
         return load(content)
-    except (SafetensorError, ValueError, KeyError) as error:
+    except (SafetensorError, ValueError, KeyError, OverflowError) as error:
         raise DamagedFileError(f"{name} is damaged or not a safetensors file ({error})") from error
 
 

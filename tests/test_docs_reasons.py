@@ -34,6 +34,7 @@ TELLING = (
 )
 """Modules whose every sentence is a reason."""
 RAISING = (
+    "suspnet/plain_files.py",
     "suspnet/trips/commissionings.py",
     "suspnet/trips/fleet.py",
     "suspnet/trips/models.py",
@@ -69,6 +70,7 @@ NO_REASON = (
     "import sys; ",  # a program that a reader runs
     "exit code ",  # how a reader crashed, in other words
     ", or there was too little memory",
+    "a formula in the file is not",  # the channel has been refused by then
     "its reader has ended",  # not printed: a file is opened again
     "%s holds manifests of its own",
 )

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from suspnet.checks import check_choice
 from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle
+from suspnet.plain_files import read_plain
 
 
 def _configs() -> str:
@@ -54,7 +55,7 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     """
     vehicles = {}
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
-        content = OmegaConf.to_container(OmegaConf.load(file), resolve=False)
+        content = OmegaConf.to_container(OmegaConf.create(read_plain(file).decode()), resolve=False)
         # a road vehicle's file sets a speed and a track beside the vehicle
         vehicle = content.get("vehicle", content) if isinstance(content, dict) else None
         if not isinstance(vehicle, dict) or vehicle.pop("_target_", None) != VEHICLE:

@@ -26,7 +26,11 @@ from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
 from suspnet.cli.configs import CONFIGS
+from suspnet.plain_files import NotPlainError, read_plain
+from suspnet.recordings.core_yaml import TooLargeError, parse_yaml
 
+DEPTH = 4
+"""Depth of the folders that are looked into, as Hydra's own hydra/job_logging/NAME.yaml has 2."""
 OBSERVATIONS = ("suspnet.data.curves.CurveSettings", "suspnet.data.estimates.EstimateSettings")
 TARGETS: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("suspnet.dynamics.Vehicle",),
@@ -118,6 +122,22 @@ SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that tell Hydra or Python's logging to call something."""
 
 
+def _check_files(folder: Path) -> None:
+    """Raise ValueError if a file that Hydra may read waits, never ends or grows when it is read."""
+    for depth in range(DEPTH):
+        for file in folder.glob("*/" * depth + "*.yaml"):
+            if file.is_dir():
+                continue
+            try:
+                parse_yaml(read_plain(file).decode(errors="replace"))
+            except NotPlainError as error:
+                raise ValueError(f"{error}; move it out of the folder of configurations") from error
+            except TooLargeError as error:
+                raise ValueError(f"{file} is no configuration: {error}") from error
+            except (OSError, ValueError):  # Hydra names it if it is asked for
+                continue
+
+
 class CheckedLoader(ConfigLoaderImpl):
     """Hydra's loader of configurations, which refuses one that would run foreign code."""
 
@@ -137,8 +157,12 @@ class CheckedLoader(ConfigLoaderImpl):
         Raises
         ------
         ValueError
-            If it asks for what is not trusted.
+            If it asks for what is not trusted, or a file of a folder of the user's is no plain file
+            or far too large.
         """
+        for source in self.get_sources():
+            if source.provider == "command-line" and source.scheme() == "file":
+                _check_files(Path(source.path))
         config = super().load_configuration(
             config_name, overrides, run_mode, from_shell, validate_sweep_overrides
         )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
+from suspnet.recordings.bounds import MOST_CHUNK_BYTES, check_samples
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
     Block,
@@ -42,16 +44,27 @@ MOST_PARTS = 1000
 """Largest number of columns of a matrix."""
 
 
+FILTERS = (1, 2, 3, 4, 5, 6, 32000)
+"""Filters that are part of the HDF5 library or of h5py: deflate, shuffle, fletcher32, szip, nbit,
+scaleoffset and LZF. Any other would be a plug-in, which is code that is loaded."""
+MOST_NOTE_BYTES = 2**12
+"""Largest size of a value that may be a rate or a unit."""
+
+
 @contextmanager
 def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open an HDF5 file."""
+    """Open an HDF5 file; what it takes from other files is refused."""
     h5py = needed(path, "h5py", "hdf5", "an HDF5 file")
-    with h5py.File(path, "r") as file:
+    with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
         arrays: dict[str, Any] = {}
         said: dict[str, Any] = {}
+        refused: dict[str, str] = {}
 
-        def collect(name: str, item: Any) -> None:
+        def collect(name: str, item: Any) -> None:  # is called for hard links only
             if not isinstance(item, h5py.Dataset):
+                return
+            if why := _foreign(item):  # before its shape, for which other files may be opened
+                refused[name] = why
                 return
             if item.dtype.kind in "iuf" and item.size > 1 and len(item.shape) <= 2:
                 if "MATLAB_empty" not in item.attrs and "MATLAB_int_decode" not in item.attrs:
@@ -67,14 +80,47 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         whole = {key: one for key, one in _stated(dict(file.attrs)).items() if key == "date"}
         notes = {name: whole | _notes(name, arrays[name], said) for name in arrays}
         with _opened(path, arrays, notes) as found:
-            yield found
+            yield _refusing(path, found, refused)
+
+
+def _foreign(dataset: Any) -> str:
+    """Return what a data set needs beside its own file, or too much memory for; "" if nothing."""
+    if dataset.is_virtual:
+        return "is virtual, which takes samples from other files"
+    plan = dataset.id.get_create_plist()
+    if plan.get_external_count():
+        return "is stored in other files"
+    filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
+    others = [number for number in filters if number not in FILTERS]
+    if others:
+        return f"is packed by filter {others[0]}, which is a plug-in"
+    piece = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    if filters and piece > MOST_CHUNK_BYTES:
+        return f"is packed in pieces of {piece} bytes, more than {MOST_CHUNK_BYTES}"
+    return ""
+
+
+def _refusing(path: Path, file: OpenFile, refused: Mapping[str, str]) -> OpenFile:
+    """Return a file that also has columns which cannot be read, with the reason when they are."""
+
+    def read(names: Sequence[str]) -> Iterator[Block]:
+        for name in names:
+            if name in refused:
+                raise TripError(
+                    f"{path}: column {name!r} {refused[name]}; export it as plain numbers into one "
+                    "file"
+                )
+        return file.read(names)
+
+    columns = (*file.columns, *(Column(name) for name in refused))
+    return replace(file, columns=columns, read=read)
 
 
 @contextmanager
 def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a MAT file; before version 7.3 its variables are read whole."""
     try:
-        variables = whosmat(path)
+        variables = whosmat(path, appendmat=False)
     except NotImplementedError:  # version 7.3 is HDF5
         with open_hdf5(path) as file:
             yield file
@@ -85,7 +131,7 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         if kind in NUMERIC and len(shape) <= 2
     }
     structs = [name for name, _, kind in variables if kind == "struct"]
-    content = loadmat(path, variable_names=structs, simplify_cells=True) if structs else {}
+    content = _loaded(path, structs, simplify_cells=True) if structs else {}
     leaves = dict(_leaves({name: content[name] for name in structs if name in content}))
     arrays |= {
         name: np.atleast_1d(leaf)
@@ -99,6 +145,12 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         yield found
 
 
+def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
+    """Return variables of a MAT file before version 7.3 by their names."""
+    found: dict[str, Any] = loadmat(path, variable_names=names, appendmat=False, **how)
+    return found
+
+
 @dataclass(frozen=True)
 class _Variable:
     """A numeric variable of a MAT file, which is read when it is asked for."""
@@ -109,7 +161,7 @@ class _Variable:
 
     @cached_property
     def values(self) -> Any:
-        return loadmat(self.path, variable_names=[self.name])[self.name]
+        return _loaded(self.path, [self.name])[self.name]
 
     @property
     def dtype(self) -> Any:
@@ -140,7 +192,8 @@ def _opened(
                 takes[f"{name}[{i}]"] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
-        for name in names:
+        check_samples(path, max(takes[name][0] for name in names))  # the type may be known only
+        for name in names:  # when all is read
             kind = arrays[name if name in arrays else re.sub(r"\[\d+\]$", "", name)].dtype
             if kind.kind not in "iuf":
                 raise TripError(f"{path}: column {name!r} holds {kind}, not real numbers")
@@ -182,10 +235,16 @@ def _notes(name: str, dataset: Any, said: Mapping[str, Any]) -> dict[str, Any]:
     beside = {}
     if slash:
         for key, item in said.items():
-            if key.rpartition("/")[0] == group and item.size < 100:
+            if key.rpartition("/")[0] == group and item.nbytes <= MOST_NOTE_BYTES:
                 is_text = item.dtype == np.uint16 and item.attrs.get("MATLAB_class") == b"char"
                 beside[key.rpartition("/")[2]] = _text(item[()]) if is_text else item[()]
-    return _stated(beside) | _stated(dict(dataset.attrs))
+    return _stated(beside) | _stated(_attributes(dataset))
+
+
+def _attributes(dataset: Any) -> dict[str, Any]:
+    """Return the attributes of a data set that are small."""
+    sizes = {key: dataset.attrs.get_id(key).get_storage_size() for key in dataset.attrs}
+    return {key: dataset.attrs[key] for key, size in sizes.items() if size <= MOST_NOTE_BYTES}
 
 
 def _text(codes: Any) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.recordings.bounds import check_samples
 from suspnet.recordings.checked_mapping import TripError
 
 BLOCK = 2**18
@@ -129,7 +130,8 @@ def listing(names: Sequence[str]) -> str:
 def slices(
     path: Path, names: Sequence[str], lengths: Sequence[int], takes: Sequence[Take]
 ) -> Iterator[Block]:
-    """Yield blocks of arrays; raise TripError if their lengths differ."""
+    """Yield blocks of arrays; raise TripError if their lengths differ, or are beyond bounds."""
+    check_samples(path, max(lengths, default=0))
     if len(set(lengths)) > 1:
         raise TripError(f"{path}: columns {list(names)} have different lengths {list(lengths)}")
     for start in range(0, lengths[0], BLOCK):

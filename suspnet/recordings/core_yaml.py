@@ -18,6 +18,13 @@ DEEPEST = 20
 LONGEST = 2**20
 """Largest number of characters."""
 
+MOST_BYTES = 4 * LONGEST
+"""Largest number of bytes."""
+
+MOST_VALUES = 2**18
+"""Largest number of values, those that aliases repeat counted each time: a list of ten aliases of
+a list of ten aliases, and so on, would be written out in messages."""
+
 _NULL = ("", "~", "null", "Null", "NULL")
 _BOOLEANS = {
     word: value
@@ -29,6 +36,10 @@ _BASED = re.compile(r"0o[0-7]{1,1000}|0x[0-9a-fA-F]{1,1000}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class TooLargeError(ValueError):
+    """A document is longer than any of ours, or aliases make it so."""
 
 
 class _Dumper(yaml.SafeDumper):
@@ -57,10 +68,11 @@ def parse_yaml(text: str) -> Any:
     ------
     ValueError
         If it is not YAML, holds a key twice, a tag or a second document, is nested more than
-        ``DEEPEST`` or longer than ``LONGEST``. The message, of one line, names the line.
+        ``DEEPEST``, longer than ``LONGEST`` or has more than ``MOST_VALUES`` values. The
+        message, of one line, names the line.
     """
     if len(text) > LONGEST:
-        raise ValueError(f"it has {len(text)} characters; at most {LONGEST} are read")
+        raise TooLargeError(f"it has {len(text)} characters; at most {LONGEST} are read")
     try:
         return _Builder().document(yaml.parse(text, Loader=_LOADER))
     except yaml.YAMLError as error:
@@ -81,6 +93,8 @@ class _Builder:
 
     def __init__(self) -> None:
         self.anchors: dict[str, Any] = {}
+        self.sizes: dict[str, int] = {}
+        self.n_values = 0
 
     def document(self, events: Iterator[Any]) -> Any:
         """Return the content of the only document."""
@@ -100,7 +114,10 @@ class _Builder:
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in self.anchors:
                 raise ValueError(f"line {_line(event)}: the alias {event.anchor!r} is unknown")
+            self._count(event, self.sizes[event.anchor])
             return self.anchors[event.anchor]
+        before = self.n_values
+        self._count(event, 1)
         if event.tag not in (None, "!", "tag:yaml.org,2002:str"):
             raise ValueError(f"line {_line(event)}: tags are not allowed, got {event.tag!r}")
         content: Any
@@ -116,7 +133,14 @@ class _Builder:
             content = self._mapping(events, depth)
         if event.anchor is not None:
             self.anchors[event.anchor] = content
+            self.sizes[event.anchor] = self.n_values - before
         return content
+
+    def _count(self, event: Any, n_values: int) -> None:
+        """Count values; ValueError if there are too many."""
+        self.n_values += n_values
+        if self.n_values > MOST_VALUES:
+            raise TooLargeError(f"line {_line(event)}: it has more than {MOST_VALUES} values")
 
     def _mapping(self, events: Iterator[Any], depth: int) -> dict[Any, Any]:
         """Return a mapping; ValueError if it holds a key twice."""

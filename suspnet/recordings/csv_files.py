@@ -22,6 +22,8 @@ from suspnet.types import FloatArray
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 such blocks ahead."""
+LONGEST_LINE = 2**20
+"""Largest number of bytes of a line whose cells are parted by blanks; Arrow bounds the others."""
 
 
 @contextmanager
@@ -114,6 +116,8 @@ class _Collapsed(io.RawIOBase):
     def read(self, size: int = -1) -> bytes:
         """Return at most `size` bytes; none at the end."""
         while not self._done and not self._ended:  # each round reads on, until the end
+            if len(self._rest) > LONGEST_LINE:
+                raise ValueError(f"a line of more than {LONGEST_LINE} bytes")
             block = self.source.read(BLOCK_BYTES)
             self._ended = not block
             whole, line_end, rest = (self._rest + block).rpartition(b"\n")

@@ -13,12 +13,15 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.io.matlab import MatReadError
 
+from suspnet.plain_files import NotPlainError, open_plain
 from suspnet.recordings.apart import Reader, apart
 from suspnet.recordings.array_files import open_hdf5, open_mat
+from suspnet.recordings.bounds import check_samples
 from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, as_block, choose
 from suspnet.recordings.csv_files import open_csv, to_float
-from suspnet.recordings.logger_files import open_mdf, open_tdms, open_uff, open_wav
+from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
 from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.mdf_files import open_mdf
 
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 
@@ -45,10 +48,16 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
         raise TripError(f"{path}: files of type {suffix!r} cannot be read; give {sorted(READERS)}")
     if csv is not None and READERS[suffix] is not open_csv:
         raise TripError(f"{path}: `csv` is for files of type {list(CSV_SUFFIXES)}")
-    if not path.is_file():
-        raise TripError(f"{path}: there is no such file")
-    if path.stat().st_size == 0:
-        raise TripError(f"{path} is empty")
+    try:
+        with open_plain(path) as stream:
+            if not stream.read(1):
+                raise TripError(f"{path} is empty")
+    except FileNotFoundError as error:
+        raise TripError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+    except NotPlainError as error:
+        raise TripError(str(error)) from error
     with ExitStack() as stack:
         with _named(path):
             file = stack.enter_context(READERS[suffix](path, csv))
@@ -95,12 +104,13 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
             for start in range(0, len(block[0]), BLOCK):
                 yield tuple(column[start : start + BLOCK] for column in block)
             n_samples += len(block[0])
+            check_samples(path, n_samples)
     if n_samples == 0:
         raise TripError(f"{path} is empty: its columns hold no samples")
 
 
 @contextmanager
-def _open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a Parquet file; the metadata `unit` and `rate_hz` of a column say what they are."""
     # Reading ahead, the default, is no faster here and takes as much memory as the whole column.
     with pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=PARQUET_BUFFER_BYTES) as file:
@@ -115,6 +125,7 @@ def _open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]
                     or pa.types.is_timestamp(kind)
                 ):
                     raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
+            check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
                 yield tuple(_from_arrow(batch.column(name)) for name in names)
 
@@ -157,21 +168,21 @@ def _named(path: Path) -> Iterator[None]:
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 
 READERS: dict[str, Reader] = {
-    ".parquet": _open_parquet,
+    ".parquet": apart(open_parquet, "pandas"),  # Arrow imports it, if there, for its first array
     **dict.fromkeys(CSV_SUFFIXES, open_csv),
-    ".mat": apart(open_mat),
-    ".h5": apart(open_hdf5),
-    ".hdf5": apart(open_hdf5),
-    ".tdms": apart(open_tdms),
-    ".mf4": apart(open_mdf),
-    ".mdf": apart(open_mdf),
-    ".uff": apart(open_uff),
-    ".unv": apart(open_uff),
+    ".mat": apart(open_mat, "h5py"),
+    ".h5": apart(open_hdf5, "h5py"),
+    ".hdf5": apart(open_hdf5, "h5py"),
+    ".tdms": apart(open_tdms, "nptdms"),
+    ".mf4": apart(open_mdf, "asammdf"),
+    ".mdf": apart(open_mdf, "asammdf"),
+    ".uff": apart(open_uff, "pyuff"),
+    ".unv": apart(open_uff, "pyuff"),
     ".wav": apart(open_wav),
 }
 """Reader of each suffix; another format is one more entry.
 
-Those of CSV and Parquet are Arrow's, which no damaged file has crashed."""
+That of CSV is in this process: its text declares nothing, and no damaged file has crashed it."""
 
 _DAMAGE = (
     pa.ArrowException,

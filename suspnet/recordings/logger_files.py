@@ -1,4 +1,4 @@
-"""Channels of TDMS, MDF, UFF and WAV files, with the rates, units and times that they state."""
+"""Channels of TDMS, UFF and WAV files, with the rates, units and times that they state."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
 from logging import CRITICAL, getLogger
 from pathlib import Path
 from threading import Lock
-from traceback import walk_tb
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from scipy.io import wavfile
 
+from suspnet.recordings.bounds import check_samples
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
     BLOCK,
@@ -29,7 +28,6 @@ from suspnet.recordings.columns import (
 )
 from suspnet.recordings.manifest import CsvDialect
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _WAV = Lock()
 """Filters of warnings are of the process; sensors are read in threads."""
 
@@ -85,86 +83,6 @@ def _tdms_column(name: str, channel: Any) -> Column:
         is_time=is_time,
         is_zoned=is_time,  # LabVIEW writes time stamps in UTC
     )
-
-
-@contextmanager
-def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open an MDF file; each channel group has its own times."""
-    asammdf = needed(path, "asammdf", "mdf", "an MDF file")
-    getLogger("asammdf").setLevel(CRITICAL)  # it prints what it raises or mends
-    with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
-        places: dict[str, tuple[int, int]] = {}
-        columns: list[Column] = []
-        start = file.start_time
-        start = start if start.tzinfo else start.replace(tzinfo=UTC)
-        start_ns = (start - EPOCH) // timedelta(microseconds=1) * 1000 if start > EPOCH else None
-        repeated = _repeated(file)
-        for g, group in enumerate(file.groups):
-            master = file.masters_db.get(g)
-            for c, channel in enumerate(group.channels):
-                name = f"group_{g}/{channel.name}" if channel.name in repeated else channel.name
-                places[name] = (g, c)
-                time = None
-                if master is not None and c != master:
-                    time = group.channels[master].name
-                    time = f"group_{g}/{time}" if time in repeated else time
-                columns.append(
-                    Column(
-                        name,
-                        unit=channel.unit or None,
-                        time=time,
-                        start_ns=start_ns if c != master else None,
-                    )
-                )
-
-        def read(names: Sequence[str]) -> Iterator[Block]:
-            groups = {places[name][0] for name in names}
-            if len(groups) > 1:
-                raise TripError(f"{path}: columns {list(names)} are not of one channel group")
-            n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
-            takes = [_mdf_take(path, file, name, *places[name]) for name in names]
-            return slices(path, names, [n_samples] * len(names), takes)
-
-        yield OpenFile(tuple(columns), read)
-
-
-def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
-    """Return an MDF file that is open; ValueError if it is damaged."""
-    try:
-        return asammdf.MDF(stream)
-    except Exception as error:
-        # The destructor of what could not be opened would print a traceback.
-        for frame, _ in walk_tb(error.__traceback__):
-            opened = frame.f_locals.get("self")
-            if opened is not None and not getattr(opened, "_closed", True):
-                opened._tempfile.close()
-                opened._closed = True
-        raise ValueError(f"{type(error).__name__}: {error}") from error
-
-
-def _repeated(file: Any) -> set[str]:
-    """Return the names that more than one channel of an MDF file has."""
-    names = [channel.name for group in file.groups for channel in group.channels]
-    return {name for name in names if names.count(name) > 1}
-
-
-def _mdf_take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
-    """Return a function that reads a slice of a channel of an MDF file."""
-
-    def take(part: slice) -> Any:
-        count = part.stop - part.start
-        at: dict[str, Any] = {"record_offset": part.start, "record_count": count}
-        if index == file.masters_db.get(group):
-            return _call(file.get_master, group, **at)
-        values, invalid = _call(file.get, group=group, index=index, samples_only=True, **at)
-        if values.dtype.kind not in "iufb" or values.ndim != 1:
-            raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
-        values = values.astype(np.float64)
-        if invalid is not None:
-            values[np.asarray(invalid, dtype=np.bool_)] = np.nan
-        return values
-
-    return take
 
 
 @contextmanager
@@ -231,6 +149,7 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                 raise
             stream.seek(0)
             rate_hz, data = _call(wavfile.read, stream)  # 24 bits cannot be mapped to memory
+    check_samples(path, len(data))
     data = data[:, None] if data.ndim == 1 else data
     names = [f"channel_{i + 1}" for i in range(data.shape[1])]
     full_scale, zero = None, 0.0
@@ -267,5 +186,7 @@ def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
     """Return what a function of a package returns that may raise any error on damaged files."""
     try:
         return read(*arguments, **named)
+    except MemoryError:
+        raise
     except Exception as error:
         raise ValueError(f"{type(error).__name__}: {error}") from error

@@ -14,8 +14,9 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.plain_files import NotPlainError, read_plain
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
-from suspnet.recordings.core_yaml import dump_yaml, parse_yaml
+from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.dates import date_problem
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
@@ -55,9 +56,11 @@ def read_manifest(path: Path) -> TripManifest:
 def read_content(path: Path) -> Any:
     """Return what the YAML file of a manifest holds, unchecked; TripError if it is none."""
     try:
-        return parse_yaml(path.read_text(encoding="utf-8-sig"))
+        return parse_yaml(read_plain(path, MOST_BYTES).decode("utf-8-sig"))
     except OSError as error:
         raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+    except NotPlainError as error:
+        raise TripError(str(error)) from error
     except ValueError as error:
         raise TripError(f"{path}: is not valid YAML ({error})") from error
 

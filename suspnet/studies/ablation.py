@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from suspnet.model import TrainedModel, load_model
+from suspnet.plain_files import read_plain
 from suspnet.problem import TEST, Problem
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.runs.tables import records_csv
@@ -135,6 +136,6 @@ def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
     metrics: dict[str, Any] = read_json(folder / "metrics.json")
     lost = features_ratio(load_model(folder), known)
     return metrics | {
-        "config": yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")),
+        "config": yaml.safe_load(read_plain(folder / "config.yaml")),
         "features_ratio": {name: None if math.isnan(v) else v for name, v in lost.items()},
     }

@@ -14,6 +14,7 @@ from suspnet.history.records import ERROR, Quality, TripCurves, TripResult
 from suspnet.model.checkpoint import fingerprint
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.trained import TrainedModel
+from suspnet.plain_files import read_plain
 from suspnet.recordings.manifest import Place, TripManifest
 
 FOLDER = "finished_trips"
@@ -56,7 +57,7 @@ class FinishedTrips:
         files = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
         states = {str(file): file.stat() for file in files}
         return self._common | {
-            "manifest": [str(manifest.path), manifest.path.read_bytes().hex()],
+            "manifest": [str(manifest.path), read_plain(manifest.path).hex()],
             "files": {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()},
         }
 

@@ -1,5 +1,6 @@
 """A configuration of someone else's executes nothing and writes nothing, in every program."""
 
+import os
 import pickle
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -463,3 +464,23 @@ def test_numbers_and_words_of_a_launcher_may_be_changed(changed, message, monkey
         return
     with pytest.raises(ValueError, match=message):
         trusted._check_launcher(launcher)
+
+
+@pytest.mark.parametrize("place", ["vehicle/evil.yaml", "evil.yaml", "hydra/job_logging/evil.yaml"])
+@pytest.mark.parametrize("kind", ["pipe", "endless", "laughs", "hole"])
+def test_configuration_that_waits_or_grows_is_refused_at_once(tmp_path, place, kind):
+    file = tmp_path / "theirs" / place
+    file.parent.mkdir(parents=True)
+    laughs = ["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
+    {
+        "pipe": lambda: os.mkfifo(file),
+        "endless": lambda: file.symlink_to("/dev/zero"),
+        "laughs": lambda: file.write_text("\n".join(laughs)),
+        "hole": lambda: (file.touch(), os.truncate(file, 2**40)),
+    }[kind]()
+    overrides = [f"+{place.split('/')[0]}=evil"] if place.count("/") == 1 else []
+    done = typed(train, f"--config-dir={tmp_path / 'theirs'}", *overrides, cwd=tmp_path)
+    assert done.returncode == 1
+    assert f"{file}" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert os.listdir(tmp_path) == ["theirs"]

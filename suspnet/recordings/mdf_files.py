@@ -1,0 +1,213 @@
+"""Channels of MDF files: raw values, and the conversions that are arithmetic; no formula is run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from importlib import import_module
+from io import BytesIO
+from logging import CRITICAL, getLogger
+from pathlib import Path
+from traceback import walk_tb
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
+
+from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.types import FloatArray
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
+KINDS = {
+    "4": {0: IDENTITY, 1: LINEAR, 2: RATIONAL, 4: INTERPOLATED, 5: TABLE, 6: RANGES},
+    "3": {65535: IDENTITY, 0: LINEAR, 1: INTERPOLATED, 2: TABLE, 9: RATIONAL},
+}
+"""Conversions that are applied, by the number that MDF 4, and MDF 2 and 3, give them."""
+REFUSED = {
+    "4": {
+        **{3: "algebraic (a formula)", 7: "value-to-text", 8: "range-to-text"},
+        **{9: "text-to-value", 10: "text-to-text", 11: "bit-field-to-text"},
+    },
+    "3": {
+        **{6: "polynomial", 7: "exponential", 8: "logarithmic", 10: "algebraic (a formula)"},
+        **{11: "value-to-text", 12: "range-to-text", 132: "date", 133: "time"},
+    },
+}
+"""Names of conversions that are not applied."""
+VIRTUAL = (3, 6)
+"""Types of channels of MDF 4 whose raw values are the numbers of the records."""
+
+
+@contextmanager
+def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+    """Open an MDF file; each channel group has its own times."""
+    asammdf = needed(path, "asammdf", "mdf", "an MDF file")
+    _disarm()
+    with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
+        places: dict[str, tuple[int, int]] = {}
+        columns: list[Column] = []
+        start = file.start_time
+        start = start if start.tzinfo else start.replace(tzinfo=UTC)
+        start_ns = (start - EPOCH) // timedelta(microseconds=1) * 1000 if start > EPOCH else None
+        repeated = _repeated(file)
+        for g, group in enumerate(file.groups):
+            master = file.masters_db.get(g)
+            for c, channel in enumerate(group.channels):
+                name = f"group_{g}/{channel.name}" if channel.name in repeated else channel.name
+                places[name] = (g, c)
+                time = None
+                if master is not None and c != master:
+                    time = group.channels[master].name
+                    time = f"group_{g}/{time}" if time in repeated else time
+                columns.append(
+                    Column(
+                        name,
+                        unit=channel.unit or None,
+                        time=time,
+                        start_ns=start_ns if c != master else None,
+                    )
+                )
+
+        def read(names: Sequence[str]) -> Iterator[Block]:
+            groups = {places[name][0] for name in names}
+            if len(groups) > 1:
+                raise TripError(f"{path}: columns {list(names)} are not of one channel group")
+            n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
+            takes = [_take(path, file, name, *places[name]) for name in names]
+            return slices(path, names, [n_samples] * len(names), takes)
+
+        yield OpenFile(tuple(columns), read)
+
+
+def _disarm() -> None:
+    """Take out of asammdf what evaluates formulas, prints, and opens temporary files.
+
+    It opens one for each file that it reads, without using it.
+    """
+
+    def refuse(*_: Any, **__: Any) -> NoReturn:
+        raise ValueError("a formula in the file is not evaluated")
+
+    getLogger("asammdf").setLevel(CRITICAL)  # it prints what it raises or mends
+    replaced = {"evaluate": refuse, "lambdify": refuse}
+    for name in ("NamedTemporaryFile", "TemporaryFile"):
+        replaced[name] = lambda *_, **__: BytesIO()  # type: ignore[assignment]
+    for part in ("mdf_v3", "mdf_v4", "v2_v3_blocks", "v4_blocks"):
+        module = import_module(f"asammdf.blocks.{part}")
+        for name in replaced.keys() & vars(module).keys():
+            setattr(module, name, replaced[name])
+
+
+def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
+    """Return an MDF file that is open; ValueError if it is damaged."""
+    try:
+        return asammdf.MDF(stream, process_bus_logging=False)
+    except Exception as error:
+        # The destructor of what could not be opened would print a traceback.
+        for frame, _ in walk_tb(error.__traceback__):
+            opened = frame.f_locals.get("self")
+            if opened is not None and not getattr(opened, "_closed", True):
+                with suppress(AttributeError):
+                    opened._tempfile.close()
+                opened._closed = True
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
+def _repeated(file: Any) -> set[str]:
+    """Return the names that more than one channel of an MDF file has."""
+    names = [channel.name for group in file.groups for channel in group.channels]
+    seen: set[str] = set()
+    return {name for name in names if name in seen or seen.add(name)}  # type: ignore[func-returns-value]
+
+
+def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
+    """Return a function that reads a slice of a channel of an MDF file."""
+    channel = file.groups[group].channels[index]
+    convert = _conversion(path, name, file.version[:1], channel.conversion)
+
+    def take(part: slice) -> FloatArray:
+        numbers = np.arange(part.start, part.stop, dtype=np.float64)
+        if file.version < "4" and index == file.masters_db.get(group) and channel.bit_count == 0:
+            return numbers * (channel.sampling_rate or 1)
+        if file.version >= "4" and channel.channel_type in VIRTUAL:
+            return convert(numbers)
+        values, invalid = _raw(file, group, index, part)
+        if values.dtype.kind not in "iufb" or values.ndim != 1:
+            raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
+        values = convert(values)
+        if invalid is not None:
+            values[np.asarray(invalid, dtype=np.bool_)] = np.nan
+        return values
+
+    return take
+
+
+def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
+    """Return raw values of a channel, and which are marked as invalid; ValueError if damaged."""
+    at = {"record_offset": part.start, "record_count": part.stop - part.start}
+    try:
+        found: tuple[Any, Any] = file.get(
+            group=group, index=index, samples_only=True, raw=True, **at
+        )
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+    return found
+
+
+def _conversion(
+    path: Path, name: str, version: str, conversion: Any
+) -> Callable[[Any], FloatArray]:
+    """Return what makes raw values physical ones; TripError if that is not arithmetic."""
+    version = "4" if version == "4" else "3"
+    number = IDENTITY if conversion is None else int(conversion.conversion_type)
+    kind = IDENTITY if conversion is None else KINDS[version].get(number)
+    if kind is None:
+        what = REFUSED[version].get(number, f"number {number}")
+        raise TripError(
+            f"{path}: column {name!r} has a conversion of a kind that is not applied, {what}; "
+            "export this channel as raw or linearly scaled numbers"
+        )
+    if kind == IDENTITY:
+        return lambda x: np.array(x, dtype=np.float64)
+    if kind == LINEAR:
+        return lambda x: np.asarray(x, dtype=np.float64) * conversion.a + conversion.b
+    if kind == RATIONAL:
+        p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
+        return lambda x: _ratio(p, np.asarray(x, dtype=np.float64))
+    if kind == RANGES:
+        n = (int(conversion.val_param_nr) - 1) // 3
+        lower, upper, values = (_entries(conversion, key, n) for key in ("lower", "upper", "phys"))
+        return lambda x: _in_ranges(lower, upper, values, float(conversion.default), x)
+    n = int(conversion.val_param_nr) // 2 if version == "4" else int(conversion.ref_param_nr)
+    keys, values = (_entries(conversion, key, n) for key in ("raw", "phys"))
+    if kind == INTERPOLATED:
+        return lambda x: np.interp(x, keys, values)
+    middles = (keys[:-1] + keys[1:]) / 2  # a value in the middle takes the lower entry
+    return lambda x: values[np.searchsorted(middles, x)]
+
+
+def _entries(conversion: Any, key: str, n: int) -> FloatArray:
+    """Return the entries of a table of a conversion."""
+    return np.array([float(conversion[f"{key}_{i}"]) for i in range(n)])
+
+
+def _ratio(p: Sequence[float], x: FloatArray) -> FloatArray:
+    """Return the ratio of two polynomials of degree 2; NaN or infinite where that is 0."""
+    with np.errstate(all="ignore"):
+        ratio: FloatArray = (p[0] * x**2 + p[1] * x + p[2]) / (p[3] * x**2 + p[4] * x + p[5])
+    return ratio
+
+
+def _in_ranges(
+    lower: FloatArray, upper: FloatArray, values: FloatArray, default: float, x: Any
+) -> FloatArray:
+    """Return the value of the range that holds x; integers may equal its upper end."""
+    i = np.searchsorted(lower, x, side="right") - 1
+    inside = (i >= 0) & ((x <= upper[i]) if x.dtype.kind in "iub" else (x < upper[i]))
+    return np.where(inside, values[i], default)

@@ -1,0 +1,309 @@
+"""Small data files that declare far more than they hold, or that are no files at all.
+
+Each function of ``DECLARING`` writes one into a folder and returns its path.
+"""
+
+import os
+import socket
+import struct
+import zlib
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from recording_files import write_mdf, write_tdms, write_uff
+
+A = np.arange(50.0)
+ZEROS = 2**24
+
+
+# HDF5
+
+
+def hdf5(folder: Path, *, shape, suffix=".h5", data=None, **how) -> Path:
+    """Write a data set of which nothing is stored but its shape."""
+    h5py = pytest.importorskip("h5py")
+    path = folder / f"data{suffix}"
+    with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
+        file.create_dataset("a", shape, "f8", data, **how)
+    if suffix == ".mat":
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+def hdf5_packed(folder: Path, *, n_chunks: int, n: int = ZEROS) -> Path:
+    """Write packed zeros: each chunk of 128 MB is 128 kB."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(folder / "data.h5", "w") as file:
+        data = file.create_dataset("a", (n_chunks * n,), "f8", chunks=(n,), compression="gzip")
+        chunk = zlib.compress(bytes(8 * n), 9)
+        for i in range(n_chunks):
+            data.id.write_direct_chunk((i * n,), chunk)
+    return folder / "data.h5"
+
+
+def hdf5_note(folder: Path, *, size: int) -> Path:
+    """Write an attribute's neighbour, a text of gigabytes, beside a column."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(folder / "data.h5", "w") as file:
+        file["g/a"] = A
+        file.create_dataset("g/unit", (1,), f"S{size}", chunks=None)
+        file.create_dataset("g/fs", (10**8,), "f8", chunks=(10**6,))
+    return folder / "data.h5"
+
+
+# MAT
+
+
+def element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content.ljust(-(-len(content) // 8) * 8, b"\0")
+
+
+def mat_head(n: int, n_bytes: int, *, rows: int = 1, kind: int = 9) -> bytes:
+    """Return the first bytes of a variable of n doubles whose data have some bytes."""
+    inner = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<ii", rows, n))
+    inner += element(1, b"a") + struct.pack("<II", kind, n_bytes)
+    return struct.pack("<II", 14, (len(inner) + n_bytes) % 2**32) + inner
+
+
+MAT = b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H", 0x0100) + b"IM"
+
+
+def mat(folder: Path, *, n: int, packed_bytes: int = 0, kind: int = 9, rows: int = 1) -> Path:
+    """Write a MAT file that declares n doubles and holds none, or packed zeros."""
+    width = {9: 8, 2: 1}[kind]
+    content = mat_head(n, min(rows * n * width, 2**32 - 1), kind=kind, rows=rows)
+    if packed_bytes:
+        pack = zlib.compressobj(9)
+        packed = pack.compress(content) + pack.flush(zlib.Z_FULL_FLUSH)
+        block = pack.compress(bytes(2**22)) + pack.flush(zlib.Z_FULL_FLUSH)
+        packed += block * (packed_bytes // 2**22)
+        content = struct.pack("<II", 15, len(packed)) + packed
+    (folder / "data.mat").write_bytes(MAT + content)
+    return folder / "data.mat"
+
+
+def mat_4(folder: Path, *, n: int, columns: int = 1) -> Path:
+    """Write a MAT file of version 4 that declares n doubles; its hole is as long, if it may be."""
+    path = folder / "data.mat"
+    path.write_bytes(struct.pack("<iiiii", 0, n, columns, 0, 2) + b"a\0" + bytes(80))
+    os.truncate(path, 22 + 8 * n * columns)
+    return path
+
+
+# Parquet
+
+
+def parquet(folder: Path, *, n: int, kind: str = "null") -> Path:
+    """Write a Parquet file with n rows of nothing, or of one value."""
+    group = 10**7
+    if kind == "null":
+        table = pa.table({"a": pa.nulls(group, pa.float32())})
+    else:
+        table = pa.table({"a": np.zeros(group, np.float32)})
+    with pq.ParquetWriter(folder / "data.parquet", table.schema, compression="zstd") as writer:
+        for _ in range(n // group):
+            writer.write_table(table)
+    return folder / "data.parquet"
+
+
+def parquet_columns(folder: Path, *, n_columns: int) -> Path:
+    """Write a Parquet file with very many columns."""
+    columns = {f"a{i}": pa.nulls(3, pa.float32()) for i in range(n_columns)}
+    pq.write_table(pa.table(columns), folder / "data.parquet")
+    return folder / "data.parquet"
+
+
+# WAV
+
+
+def wav(
+    folder: Path, *, n_bytes: int, bits: int = 16, form: int = 1, channels: int = 1, rf64=False
+):
+    """Write a WAV file that is one hole."""
+    path, frame = folder / "data.wav", bits // 8 * channels
+    size = 2**32 - 1 if rf64 else n_bytes
+    head = b"RF64" if rf64 else b"RIFF"
+    head += struct.pack("<I", min(n_bytes + 36, 2**32 - 1)) + b"WAVE"
+    if rf64:
+        head += b"ds64" + struct.pack("<IQQQI", 28, n_bytes + 72, n_bytes, n_bytes // frame, 0)
+    head += b"fmt " + struct.pack("<IHHIIHH", 16, form, channels, 1000, 1000 * frame, frame, bits)
+    path.write_bytes(head + b"data" + struct.pack("<I", size))
+    os.truncate(path, path.stat().st_size + n_bytes)
+    return path
+
+
+# TDMS, MDF, UFF, CSV
+
+
+def patched(path: Path, old: bytes, new: bytes) -> Path:
+    """Return a file in which some bytes are replaced wherever they are."""
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new))
+    return path
+
+
+def tdms(folder: Path, *, n: int, hole: int = 0) -> Path:
+    """Write a TDMS file whose index declares n values, and perhaps a hole that holds them."""
+    write_tdms(folder / "data.tdms", {"a": np.arange(5.0)})
+    path = patched(folder / "data.tdms", struct.pack("<IQ", 1, 5), struct.pack("<IQ", 1, n))
+    if hole:
+        content = path.read_bytes()
+        place = content.index(b"TDSm", 4) if content.count(b"TDSm") > 1 else len(content)
+        first = bytearray(content[:place])
+        raw = struct.unpack_from("<Q", first, 20)[0]
+        struct.pack_into("<Q", first, 12, raw + hole)
+        path.write_bytes(first)
+        os.truncate(path, 28 + raw + hole)
+    return path
+
+
+def mdf(folder: Path, *, n: int, version="4.10", hole: bool = False) -> Path:
+    """Write an MDF file whose channel group declares n records."""
+    write_mdf(folder / "data.mf4", {"a": A})
+    path = folder / "data.mf4"
+    content = bytearray(path.read_bytes())
+    group = content.index(b"##CG")
+    links = struct.unpack_from("<Q", content, group + 16)[0]
+    struct.pack_into("<Q", content, group + 24 + 8 * links + 8, n)
+    if hole:  # the block of data is the last of the file, and as long
+        block = content.rindex(b"##DT")
+        size = struct.unpack_from("<Q", content, block + 8)[0]
+        tail = content[block : block + size]
+        struct.pack_into("<Q", tail, 8, 24 + 16 * n)
+        data = content.index(b"##DG")
+        struct.pack_into("<Q", content, data + 40, len(content))
+        path.write_bytes(content + tail)
+        os.truncate(path, len(content) + 24 + 16 * n)
+    else:
+        path.write_bytes(content)
+    return path
+
+
+def mdf_packed(folder: Path, *, size: int) -> Path:
+    """Write an MDF file with a packed block that declares more than it holds."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        zeros = np.zeros(10**5)
+        file.append([asammdf.Signal(zeros, np.arange(len(zeros)) / 1e3, name="a")])
+        written = file.save(folder / "new.mf4", overwrite=True, compression=1)
+    content = bytearray(written.read_bytes())
+    block = content.index(b"##DZ")
+    struct.pack_into("<Q", content, block + 24 + 8, size)
+    (folder / "data.mf4").write_bytes(content)
+    written.unlink()
+    return folder / "data.mf4"
+
+
+def uff(folder: Path, *, n: int) -> Path:
+    """Write a universal file whose record declares n values."""
+    write_uff(folder / "data.uff", {"a": A})
+    content = (folder / "data.uff").read_bytes()
+    place = content.index(b"        50")
+    text = f"{n:10d}".encode()[-10:]
+    (folder / "data.uff").write_bytes(content[:place] + text + content[place + 10 :])
+    return folder / "data.uff"
+
+
+def uff_hole(folder: Path) -> Path:
+    write_uff(folder / "data.uff", {"a": A})
+    os.truncate(folder / "data.uff", 2**40)
+    return folder / "data.uff"
+
+
+def csv_hole(folder: Path, *, text: str, size: int = 2**40) -> Path:
+    """Write a CSV file that goes on with a hole."""
+    (folder / "data.csv").write_text(text)
+    os.truncate(folder / "data.csv", size)
+    return folder / "data.csv"
+
+
+# no files
+
+
+def no_file(folder: Path, *, suffix: str, kind: str) -> Path:
+    """Make something in the place of a data file that is none."""
+    path = folder / f"data{suffix}"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(path))
+    elif kind == "loop":
+        path.symlink_to(path)
+    else:
+        path.symlink_to(kind)
+    return path
+
+
+NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/dev/tty")
+SUFFIXES = (".csv", ".h5", ".mat", ".mf4", ".parquet", ".tdms", ".uff", ".wav")
+ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
+DECLARING = {
+    **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**9, 10**11, 10**15)},
+    **{
+        f"hdf5 in chunks of {n:.0e}": partial(hdf5, shape=(n,), chunks=(10**5,))
+        for n in (10**8, 10**11)
+    },
+    **{
+        f"hdf5 packed, of {n:.0e}": partial(hdf5, shape=(n,), chunks=(10**4,), compression="gzip")
+        for n in (10**8, 10**10)
+    },
+    "hdf5 matrix": partial(hdf5, shape=(3, 10**10)),
+    "hdf5 of one piece": partial(hdf5, shape=(10**8,), chunks=(10**8,), compression="gzip"),
+    "hdf5 of large pieces": partial(
+        hdf5, shape=(6 * 10**7,), chunks=(6 * 10**7,), compression="gzip"
+    ),
+    "hdf5 of zeros": partial(hdf5_packed, n_chunks=8),
+    "hdf5 of many zeros": partial(hdf5_packed, n_chunks=100),
+    "hdf5 notes": partial(hdf5_note, size=2**31 - 1),
+    **{f"mat 7.3 of {n:.0e}": partial(hdf5, shape=(1, n), suffix=".mat") for n in (10**8, 10**11)},
+    **{f"mat of {n:.0e}": partial(mat, n=n) for n in (10**8, 2 * 10**9)},
+    "mat of rows": partial(mat, n=10**8, rows=3),
+    "mat packed, 0.5 GB": partial(mat, n=6 * 10**7, packed_bytes=480_000_000),
+    "mat packed, 0.9 GB": partial(mat, n=2**27, packed_bytes=2**30),
+    "mat packed, 3 GB": partial(mat, n=4 * 10**8, packed_bytes=3 * 2**30),
+    "mat packed bytes": partial(mat, n=2 * 10**9, packed_bytes=2**31, kind=2),
+    "mat packed, empty": partial(mat, n=6 * 10**7, packed_bytes=2**22),
+    "mat packed matrix": partial(mat, n=10**8, rows=20, packed_bytes=2**31),
+    **{f"mat 4 of {n:.0e}": partial(mat_4, n=n) for n in (10**8, 2 * 10**9)},
+    "mat 4 matrix": partial(mat_4, n=6 * 10**7, columns=50),
+    **{f"parquet of {n:.0e}": partial(parquet, n=n) for n in (10**8, 10**9)},
+    "parquet of zeros": partial(parquet, n=2 * 10**8, kind="zero"),
+    "parquet of columns": partial(parquet_columns, n_columns=2000),
+    **{
+        f"wav of {bits} bits, {form}": partial(wav, n_bytes=4 * 10**9, bits=bits, form=form)
+        for bits, form in ((8, 1), (16, 1), (24, 1), (32, 1), (32, 3), (64, 3))
+    },
+    "wav of channels": partial(wav, n_bytes=4 * 10**9, channels=2),
+    "wav of 24 bits, 0.2 GB": partial(wav, n_bytes=3 * 6 * 10**7, bits=24, channels=1),
+    "wav of a terabyte": partial(wav, n_bytes=10**12, rf64=True),
+    **{f"tdms of {n:.0e}": partial(tdms, n=n) for n in (10**9, 10**11, 2**63)},
+    **{f"tdms with a hole, {n:.0e}": partial(tdms, n=n, hole=8 * n) for n in (10**8, 10**10)},
+    **{f"mdf of {n:.0e}": partial(mdf, n=n) for n in (10**8, 10**11, 2**62)},
+    **{f"mdf with a hole, {n:.0e}": partial(mdf, n=n, hole=True) for n in (10**8, 10**10)},
+    **{f"mdf packed, {size:.0e}": partial(mdf_packed, size=size) for size in (10**10, 10**15)},
+    **{f"uff of {n:.0e}": partial(uff, n=n) for n in (10**8, 9 * 10**9)},
+    "uff with a hole": uff_hole,
+    "csv with a hole": partial(csv_hole, text=ROWS),
+    "csv of blanks with a hole": partial(csv_hole, text=ROWS.replace(",", " ")),
+    "csv that is a hole": partial(csv_hole, text=""),
+    "csv of one line": partial(csv_hole, text="1," * 10_000),
+    **{
+        f"{kind} as {suffix}": partial(no_file, suffix=suffix, kind=kind)
+        for kind in NOT_FILES
+        for suffix in SUFFIXES
+    },
+}
+WITHIN_BOUNDS = (
+    *("mdf packed, 1e+10", "mdf packed, 1e+15", "hdf5 notes", "parquet of columns"),
+    *("tdms of 1e+09", "tdms of 1e+11", "uff of 1e+08", "uff of 9e+09", "wav of 24 bits, 0.2 GB"),
+)
+"""Those in which a column may be read: what is there of it is no longer than recordings are."""

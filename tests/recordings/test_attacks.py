@@ -1,0 +1,169 @@
+"""Recordings that would act, and such as declare more than they hold; all of them with -m slow.
+
+Each ends in one line within seconds and in bounded memory: nothing is run, written or changed, and
+nothing of another file comes in.
+"""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from acting_files import ACTING, HARMLESS, SECRET, prepare
+from declaring_files import DECLARING, WITHIN_BOUNDS
+from read_all import read_all
+
+from suspnet.recordings.manifest import CHANNELS
+
+SECONDS = 15.0
+"""Longest time for one column of one file on a machine that is busy with ten other programs.
+
+Alone it is 3 s: 500 MB of packed zeros are unpacked twice. The first file starts the reader too."""
+MOST_OWN_BYTES, MOST_READER_BYTES = 0.6e9, 1.7e9
+"""Largest memory of the process that asks and of a reader, their libraries (0.2 GB) included."""
+FEW_ACTING = ("mdf system", "mdf 3.30", "hdf5 external file", "hdf5 virtual file", "tdms index")
+FEW_DECLARING = (
+    "hdf5 of 1e+11",
+    "mat of 1e+08",
+    "wav of 16 bits, 1",
+    "pipe as .csv",
+    "mdf of 1e+11",
+)
+
+
+@pytest.fixture
+def bait(tmp_path):
+    """Return a folder with what must not be touched, and a hash of what it holds."""
+    (tmp_path / "bait").mkdir()
+    (tmp_path / "bait" / "precious").write_text("precious")
+    return tmp_path / "bait"
+
+
+def state(folder: Path) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        found = path.lstat()
+        digest.update(repr((str(path), found.st_mode, found.st_size, found.st_mtime_ns)).encode())
+        if path.is_file() and found.st_size < 10**6:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def written(folder: Path, payloads, names) -> dict[str, Path]:
+    """Write files, each into a folder of its own."""
+    paths = {}
+    for number, name in enumerate(names):
+        (folder / str(number)).mkdir(parents=True)
+        prepare(folder / str(number))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the packages warn of what they are made to write
+            paths[name] = payloads[name](folder / str(number))
+    return paths
+
+
+def check(name: str, path: Path, found: dict, harmless) -> None:
+    """Check what came of reading a file."""
+    assert not (path.parent / "canary").exists(), name
+    assert not found["leaked"], name
+    assert all("\n" not in error and path.name in error for error in found["errors"]), name
+    assert found["errors"] or name in harmless, name
+    assert found["seconds"] < SECONDS * max(len(found["errors"]) + found["read"], 1), (name, found)
+
+
+@pytest.mark.parametrize(
+    ("payloads", "names", "harmless"),
+    [(ACTING, FEW_ACTING, HARMLESS), (DECLARING, FEW_DECLARING, WITHIN_BOUNDS)],
+    ids=["acting", "declaring"],
+)
+def test_few_files_do_nothing(tmp_path, bait, payloads, names, harmless):
+    paths = written(tmp_path / "files", payloads, names)
+    before = state(tmp_path)
+    for name, path in paths.items():
+        check(name, path, read_all(path, SECRET), harmless)
+    assert state(tmp_path) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("payloads", "harmless"),
+    [(ACTING, HARMLESS), (DECLARING, WITHIN_BOUNDS)],
+    ids=["acting", "declaring"],
+)
+def test_all_files_do_nothing_in_bounded_memory(tmp_path, bait, payloads, harmless):
+    assert len(payloads) >= 40
+    paths = written(tmp_path / "files", payloads, payloads)
+    before = state(tmp_path)
+    path = os.pathsep.join(sys.path)
+    script = str(Path(__file__).parents[1] / "read_all.py")
+    done = subprocess.run(
+        [sys.executable, script, str(SECRET), *map(str, paths.values())],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path, "HDF5_PLUGIN_PATH": str(bait)},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    answer = json.loads(done.stdout)
+    for name, place in paths.items():
+        check(name, place, answer["found"][str(place)], harmless)
+    assert state(tmp_path) == before
+    refused = sum(bool(one["errors"]) for one in answer["found"].values())
+    longest = max(one["seconds"] for one in answer["found"].values())
+    print(
+        f"{len(paths)} files, {refused} refused, at most {longest:.1f} s, "
+        f"{answer['own'] / 1e9:.2f} and {answer['readers'] / 1e9:.2f} GB"
+    )
+    assert answer["own"] < MOST_OWN_BYTES
+    assert answer["readers"] < MOST_READER_BYTES
+
+
+def trip(folder: Path, path: Path) -> None:
+    """Write the manifest of a trip whose bogie's file is a payload."""
+    folder.mkdir()
+    rows = "t,a\n" + "".join(f"{i / 100},{i % 7}\n" for i in range(9000))
+    channels = {}
+    for name in CHANNELS:
+        (folder / f"{name}.csv").write_text(rows)
+        channels[name] = {"file": f"{name}.csv", "column": "a", "unit": "m/s2", "time": "t"}
+    (folder / path.name).symlink_to(path)
+    channels["bogie"] = {"file": path.name, "column": "a", "unit": "m/s2", "rate_hz": 100.0}
+    content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "x", "mileage_km": 1}
+    content |= {"start": "2015-08-03T08:00:00", "speed": 70, "channels": channels}
+    (folder / "trip.yaml").write_text(yaml.safe_dump(content))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("payloads", "names", "harmless"),
+    [
+        (ACTING, ("mdf system", "mdf 3.30", "hdf5 external file", "mat 7.3 virtual"), HARMLESS),
+        (DECLARING, ("hdf5 of 1e+11", "mat 4 matrix", "wav of 16 bits, 1"), WITHIN_BOUNDS),
+    ],
+    ids=["acting", "declaring"],
+)
+def test_check_names_the_file_in_one_line(tmp_path, bait, payloads, names, harmless):
+    for name, path in written(tmp_path / "files", payloads, names).items():
+        folder = tmp_path / f"trip {path.parent.name}"
+        trip(folder, path)
+        before = state(tmp_path)
+        command = [sys.executable, "-m", "suspnet.check", str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+        said = done.stdout + done.stderr
+        assert "Traceback" not in said, (name, said)
+        assert done.returncode != 0, (name, said)
+        assert path.name in said or name in harmless, (name, said)
+        assert not (path.parent / "canary").exists(), name
+        assert state(tmp_path) == before, name
+
+
+def test_secret_is_read_where_it_is_asked_for(tmp_path):
+    """The test would see it if it came in."""
+    prepare(tmp_path)
+    assert read_all(tmp_path / "secret.h5", SECRET)["leaked"]
+    assert np.fromfile(tmp_path / "secret")[0] == SECRET

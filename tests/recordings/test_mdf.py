@@ -1,0 +1,115 @@
+"""Conversions of MDF files: those that are arithmetic give what they say, others are refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from suspnet.recordings.formats import open_columns
+from suspnet.recordings.manifest import TripError
+
+asammdf = pytest.importorskip("asammdf")
+RAW = np.array([0, 1, 2, 3, 5, 8, 13, 21, 200, 255])
+TABLE = {"raw_0": 1.0, "phys_0": 10.0, "raw_1": 2.0, "phys_1": 30.0, "raw_2": 8.0, "phys_2": -5.0}
+RANGES = {
+    **{"lower_0": 0.0, "upper_0": 2.0, "phys_0": 7.0},
+    **{"lower_1": 5.0, "upper_1": 8.0, "phys_1": 9.0, "default": -1.0},
+}
+
+
+def nearest(x):
+    return np.array([[10.0, 30.0, -5.0][np.argmin(np.abs(one - np.array([1, 2, 8])))] for one in x])
+
+
+def in_ranges(x, ends):
+    inside = [(x >= a) & ((x <= b) if ends else (x < b)) for a, b in ((0, 2), (5, 8))]
+    return np.select(inside, [7.0, 9.0], -1.0)
+
+
+P = {"P1": 1.0, "P2": 2.0, "P3": 3.0, "P4": 0.0, "P5": 0.5, "P6": 4.0}
+KINDS = {  # numbers of MDF 4 and MDF 3, settings, and what each conversion means
+    "none": ({"4": 0, "3": 65535}, {}, lambda x: x),
+    "linear": ({"4": 1, "3": 0}, {"a": 0.5, "b": -3.0}, lambda x: 0.5 * x - 3),
+    "rational": ({"4": 2, "3": 9}, P, lambda x: (x**2 + 2 * x + 3) / (0.5 * x + 4)),
+    "interpolated": (
+        {"4": 4, "3": 1},
+        TABLE | {"val_param_nr": 6, "ref_param_nr": 3},
+        lambda x: np.interp(x, [1, 2, 8], [10, 30, -5]),
+    ),
+    "table": ({"4": 5, "3": 2}, TABLE | {"val_param_nr": 6, "ref_param_nr": 3}, nearest),
+    "ranges": ({"4": 6}, RANGES | {"val_param_nr": 7}, in_ranges),
+}
+
+
+def written(folder: Path, version: str, kind: str, number: int, settings, place=1) -> Path:
+    """Write a file whose channel has a conversion."""
+    if version < "4":
+        from asammdf.blocks.v2_v3_blocks import ChannelConversion
+    else:
+        from asammdf.blocks.v4_blocks import ChannelConversion
+    with asammdf.MDF(version=version) as file:
+        file.append([asammdf.Signal(RAW.astype(kind), np.arange(10) / 100, name="a", unit="g")])
+        conversion = ChannelConversion(conversion_type=number, **settings)
+        file.groups[0].channels[place].conversion = conversion
+        path = file.save(folder / f"new.{'mf4' if version >= '4' else 'mdf'}", overwrite=True)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["u1", "i4", "f4", "f8"])
+@pytest.mark.parametrize(
+    ("version", "name"),
+    [(v, name) for v in ("4.10", "3.30") for name, kind in KINDS.items() if v[0] in kind[0]],
+)
+def test_arithmetic_conversions_are_applied(tmp_path, version, name, kind):
+    numbers, settings, formula = KINDS[name]
+    path = written(tmp_path, version, kind, numbers[version[0]], settings)
+    found = np.concatenate([block[0] for block in open_columns(path, ["a"])])
+    x = RAW.astype(np.float64)
+    expected = formula(x, kind[0] != "f") if name == "ranges" else formula(x)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    if name not in ("ranges", "none"):
+        with asammdf.MDF(path) as file:  # an independent reading, by the package itself
+            theirs = np.asarray(file.get("a").samples, np.float64)
+        np.testing.assert_allclose(found, theirs, rtol=1e-6)
+
+
+@pytest.mark.parametrize("version", ["4.10", "3.30"])
+def test_times_are_converted_too(tmp_path, version):
+    number = {"4": 1, "3": 0}[version[0]]
+    path = written(tmp_path, version, "f8", number, {"a": 2.0, "b": 1.0}, place=0)
+    found = np.concatenate([block[0] for block in open_columns(path, ["time", "a"])])
+    np.testing.assert_allclose(found, 2 * np.arange(10) / 100 + 1)
+
+
+def test_virtual_channels_count_the_records(tmp_path):
+    with asammdf.MDF(version="4.10") as file:
+        at = np.arange(10.0) / 100
+        file.append([asammdf.Signal(RAW.astype("f8"), at, name="a")])
+        file.groups[0].channels[0].channel_type = 3
+        path = file.save(tmp_path / "new.mf4", overwrite=True)
+    times = np.concatenate([block[0] for block in open_columns(path, ["time", "a"])])
+    np.testing.assert_allclose(times, np.arange(10.0))
+
+
+@pytest.mark.parametrize(
+    ("version", "number", "settings", "words"),
+    [
+        ("4.10", 3, {"formula": "X"}, r"algebraic \(a formula\)"),
+        ("4.10", 7, {"ref_param_nr": 2, "val_0": 1.0, "text_0": b"on"}, "value-to-text"),
+        (
+            *("4.10", 8, {"ref_param_nr": 2, "lower_0": 0.0, "upper_0": 1.0, "text_0": b"on"}),
+            "range-to-text",
+        ),
+        ("3.30", 10, {"formula": "X1"}, r"algebraic \(a formula\)"),
+        ("3.30", 6, P, "polynomial"),
+        ("3.30", 7, P | {"P7": 0.0}, "exponential"),
+        ("3.30", 8, P | {"P7": 0.0}, "logarithmic"),
+    ],
+)
+def test_other_conversions_are_refused_by_name(tmp_path, version, number, settings, words):
+    path = written(tmp_path, version, "f8", number, settings)
+    message = rf"column 'a' has a conversion .* not applied, {words}; export this channel as raw or"
+    with pytest.raises(TripError, match=message):
+        list(open_columns(path, ["a"]))
+    times = np.concatenate([block[0] for block in open_columns(path, ["time"])])
+    np.testing.assert_allclose(times, np.arange(10) / 100)
