@@ -379,6 +379,57 @@ def test_bad_frames_are_counted_and_change_nothing(tmp_path, fleet):
     assert_same_estimate(found, replace(expected, mileage_km=manifest.mileage_km))
 
 
+def test_frames_that_cannot_be_used_stay_out_of_the_journal(tmp_path, fleet, caplog):
+    frames = frames_of_trips(fleet[:1])
+    good = decode(frames[5])
+    unknown = [
+        encode(replace(good, sensor=sensor, sequence=k, samples=np.ones(600)))
+        for sensor in ("cabin", "roof")
+        for k in range(500)
+    ]
+    others = {"rate": {"rate_hz": 1e5}, "unit": {"unit": "km/h"}, "suspension": {"suspension": "x"}}
+    wrong = [encode(replace(good, **change)) for change in others.values() for _ in range(100)]
+    n_bytes = []
+
+    def bytes_after(several):
+        (folder := tmp_path / str(len(n_bytes))).mkdir()
+        with Journal(folder / "journal") as journal:
+            monitor = Monitor(suspensions(fleet), ListSource([]), journal, lambda *_: None)
+            for data in several:
+                monitor._take(data)
+            n_bytes.append(sum(journal.n_bytes.values()))
+            monitor.run()
+        return monitor.counts
+
+    counts = bytes_after(frames + unknown + wrong)
+    assert counts == {"taken": len(frames), "sensor": 1000} | dict.fromkeys(others, 100)
+    words = [record.getMessage() for record in caplog.records]
+    assert len(words) == 2 + len(others)
+    bytes_after(frames)
+    assert n_bytes[0] == n_bytes[1] < 4e6
+
+
+def test_frames_that_cannot_be_used_do_not_keep_a_suspension_from_falling_silent(tmp_path, fleet):
+    frames, now_s = frames_of_trips(fleet[:1]), [0.0]
+    unknown = encode(replace(decode(frames[5]), sensor="cabin"))
+    source, told = ListSource([]), []
+    rounds = [frames, *([[unknown]] * 5), []]
+
+    def receive(timeout_s):
+        now_s[0] += 1000.0
+        return rounds.pop(0) if rounds else None
+
+    source.receive = receive
+    with Journal(tmp_path / "journal") as journal:
+        monitor = Monitor(
+            suspensions(fleet),
+            *(source, journal, lambda _, what: told.append(what), 1500.0, lambda: now_s[0]),
+            AtOnce(),
+        )
+        monitor.run()
+    assert len(told) == 2  # silent, and at the end
+
+
 def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fleet):
     frames = trip_frames(fleet[0])
     for several in frames.values():
