@@ -179,9 +179,9 @@ class MqttSink:
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
         client.on_disconnect = self._on_disconnect
         client.max_inflight_messages_set(self.in_flight)
-        where = f"{self.broker.host}:{self.broker.port}"
+        where = self.broker.where
         try:
-            client.connect(self.broker.host, self.broker.port, KEEPALIVE_S)
+            client.connect(str(self.broker.host), self.broker.port, KEEPALIVE_S)
         except OSError as error:
             raise ConnectionError(error.errno, f"no broker: {error.strerror}", where) from error
         client.loop_start()
@@ -224,7 +224,7 @@ class MqttSink:
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
             self._counts["disconnect"] += 1
-            log.warning("the broker at %s has gone; waiting for it", self.broker.host)
+            log.warning("the broker at %s has gone; waiting for it", self.broker.where)
 
     def _on_publish(
         self, client: Client, userdata: Any, number: int, reason: Any, properties: Any
