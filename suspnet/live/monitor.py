@@ -150,7 +150,7 @@ class Monitor:
             for data in self._journal.frames(name):
                 n_frames += 1
                 try:
-                    one.take(decode(data))
+                    one.take(decode(data), is_known=True)
                 except FrameError as error:  # a part of it was of a section that is over
                     log.debug("%s: %s", name, error)
                 self._add(one, one.due())  # as when they came: only so many sections may be open

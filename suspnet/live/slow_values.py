@@ -73,14 +73,18 @@ class SlowValues:
         for step in sorted(known)[MOST_KEPT:]:
             del known[step]
 
-    def within(self, begin_ns: int, end_ns: int) -> tuple[float | None, float | None]:
+    def within(
+        self, begin_ns: int, end_ns: int, before_ns: int = 0
+    ) -> tuple[float | None, float | None]:
         """Return mileage [km] and temperature [°C] of a section.
 
-        Of several values in it the first one counts. Where there is none, the mileage is None: that
-        at the end of the section before; and the temperature is the last one before.
+        Of several values in it the first one counts. Where there is none, the mileage is the last
+        one of a time `before_ns` before it, or None: that at the end of the section before; and the
+        temperature is the last one before.
         """
         mileages, temperatures = (sorted(one.values()) for one in self._known.values())
         km = [value for at, value in mileages if begin_ns <= at < end_ns]
+        km += [value for at, value in mileages if begin_ns - before_ns <= at < begin_ns][::-1]
         inside = [value for at, value in temperatures if begin_ns <= at < end_ns]
         before = [value for at, value in temperatures if at < begin_ns]
         celsius = next(iter([*inside, *before[::-1]]), self._first_c)

@@ -10,8 +10,7 @@ or stuck; which segments share a speed; which are louder than ``LOUD`` medians, 
 than the others. Signals on the common clock are kept for them: 27 bytes for each instant of three
 sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with half overlap, up to
 a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
-chosen. So a recording has to end; `longest_s` bounds it, and with it the memory. Its cross spectra
-add to those of others where the batch is cut at the same times.
+chosen. So a recording has to end; `longest_s` bounds it, and with it the memory.
 
 Besides, each sensor holds the samples whose window is not yet complete or waits for its turn (at
 most twice ``CORE_SAMPLES`` and two seconds or so, 4.3 MB): recordings of many suspensions begin at
@@ -47,7 +46,8 @@ from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
 from suspnet.recordings.timeline import RATE_TOLERANCE as TIMES_TOLERANCE
 from suspnet.recordings.units import size_of
 from suspnet.stream.assembler import Assembler, OrderSettings
-from suspnet.stream.frames import Frame, FrameError
+from suspnet.stream.frames import Frame, FrameError, end_ns
+from suspnet.stream.joining import followed
 from suspnet.stream.sensor import RunningSensor
 from suspnet.types import FloatArray
 
@@ -63,14 +63,24 @@ class Running:
     manifest : TripManifest
         Files and times are not looked at. Frames say what it says nothing of, unit and rate.
     zero_ns : int, [ns]
-        Zero of the recording's clock, since 1970: a whole second, at most `longest_s` before the
-        first sample.
+        A whole second, from which it is counted how early or late a frame may be.
     rate_hz : float, [Hz]
         Of the common clock.
     cleaning : CleaningSettings, optional
     order : OrderSettings, optional
     longest_s : float, [s]
         Frames that begin later after `zero_ns` are refused: then another recording is due.
+    before_s : float, [s]
+        Frames that begin earlier before `zero_ns` are refused.
+
+    Attributes
+    ----------
+    begin_ns, end_ns : int, [ns]
+        When the first frame begins and the last one ends, by their times.
+    goes_on : bool
+        Whether it goes on with the trip of another one.
+    rest : Running or None
+        What follows of the same trip, where it is too short for a recording of its own.
 
     Raises
     ------
@@ -88,12 +98,17 @@ class Running:
         cleaning: CleaningSettings | None = None,
         order: OrderSettings | None = None,
         longest_s: float = 3600.0,
+        before_s: float = 0.0,
     ) -> None:
         check_number("zero_ns", zero_ns, low=0, whole=True)
         check_number("rate_hz", rate_hz, above=0)
-        check_number("longest_s", longest_s, above=0, high=86400)
-        self.manifest, self.zero_ns, self.rate_hz = manifest, zero_ns, rate_hz
-        self.longest_s = longest_s
+        check_number("longest_s", longest_s, above=0, high=2 * 86400)
+        check_number("before_s", before_s, low=0, high=86400)
+        self.manifest, self.zero_ns, self.rate_hz = manifest, zero_ns, float(rate_hz)
+        self.longest_s, self.before_s = longest_s, before_s
+        self.begin_ns, self.end_ns = zero_ns + round(longest_s * SECOND_NS), 0
+        self.goes_on = False
+        self.rest: Running | None = None
         self.cleaning = CleaningSettings() if cleaning is None else cleaning
         self.order = OrderSettings() if order is None else order
         self._name = str(manifest.place)
@@ -160,17 +175,22 @@ class Running:
         found, unit = size_of(kind, frame.unit), source.unit
         if found is None or (unit is not None and abs(found / units[unit] - 1) > 1e-9):
             wanted = unit or f"a unit of {kind} like {' or '.join(units)}"
-            raise FrameError("unit", f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}")
+            raise FrameError(
+                "unit", f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}"
+            )
         if unit is None and found != 1.0:
             frame = replace(frame, samples=found * frame.samples.astype(np.float64))
         begins_s = (frame.time_ns - self.zero_ns) / SECOND_NS
-        if not 0 <= begins_s <= self.longest_s:
+        if not -self.before_s <= begins_s <= self.longest_s:
             raise FrameError(
                 "time",
                 f"a frame of {frame.sensor!r} begins {begins_s:.6g} s after the recording, which "
                 f"has at most {self.longest_s:g} s",
             )
-        self._give(frame.sensor, self._order(frame).push(frame))
+        given = self._order(frame).push(frame)
+        self.begin_ns = min(self.begin_ns, frame.time_ns)
+        self.end_ns = max(self.end_ns, end_ns(frame))
+        self._give(frame.sensor, given)
 
     def _order(self, frame: Frame) -> Assembler:
         """Return what orders the frames of a sensor; its first frame may say its rate."""
@@ -224,7 +244,8 @@ class Running:
     def recording(self) -> Recording:
         """Return the recording up to the samples so far: what the batch makes of them.
 
-        Frames that wait for earlier ones are left out; `flush` takes them.
+        Its clock begins with the second of `begin_ns`. Frames that wait for earlier ones are left
+        out; `flush` takes them. A `rest` of which nothing can be made is left out, too.
 
         Raises
         ------
@@ -236,8 +257,33 @@ class Running:
         missing = [name for name in self._sources if name not in begun]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
-        signals = [self._sensors[name].signal() for name in self._accelerations]
-        return joined(self.manifest, signals, self._track(), 0.0, self.rate_hz)
+        signals = [
+            self._sensors[name].signal((self._clock_ns - self._zero_ns(name)) / SECOND_NS)
+            for name in self._accelerations
+        ]
+        found = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz)
+        if self.rest is None:
+            return found
+        try:
+            rest = self.rest.recording()
+        except TripError:
+            return found
+        return followed(found, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
+
+    @property
+    def _clock_ns(self) -> int:
+        """Zero of the recording's clock, since 1970, [ns]."""
+        return _second(self.begin_ns) if self.rate_hz.is_integer() else self.zero_ns
+
+    def _zero_ns(self, name: str) -> int:
+        """Return the zero of a sensor's clock, since 1970, [ns].
+
+        It is the second of its own first sample, so that nothing depends on the order in which
+        frames came; between two seconds there are common instants if the rate is a whole number.
+        """
+        first_ns = self._orders[name].first_ns
+        assert first_ns is not None
+        return _second(first_ns) if self.rate_hz.is_integer() else self.zero_ns
 
     def _give(self, name: str, blocks: list[FloatArray]) -> None:
         """Give the next samples of a sensor to what keeps them."""
@@ -246,15 +292,15 @@ class Running:
             return
         sensor = self._sensors[name]
         if blocks and sensor.start_s is None:
-            sensor.begin(self._start_s(name))
+            sensor.begin(self._start_s(name, self._zero_ns(name)))
         for block in blocks:
             sensor.push(block)
 
-    def _start_s(self, name: str) -> float:
-        """Return the time of a sensor's first sample on the recording's clock, [s]."""
+    def _start_s(self, name: str, zero_ns: int) -> float:
+        """Return the time of a sensor's first sample on a clock, [s]."""
         first_ns = self._orders[name].first_ns
         assert first_ns is not None
-        return (first_ns - self.zero_ns) / SECOND_NS
+        return (first_ns - zero_ns) / SECOND_NS
 
     def _track(self) -> SpeedTrack | None:
         """Return the speeds so far as the batch reads them; None if the manifest gives one."""
@@ -266,13 +312,15 @@ class Running:
         speeds = SPEED_UNITS[source.unit or UNITS["speed"]] * self._speeds[0]
         elapsed_s = np.arange(len(speeds)) / rate_hz
         step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / rate_hz
-        return SpeedTrack(self._start_s("speed") + elapsed_s, speeds, Zero(), step_s, "")
+        start_s = self._start_s("speed", self._clock_ns)
+        return SpeedTrack(start_s + elapsed_s, speeds, Zero(), step_s, "")
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values that `restore` makes the same recording of."""
         self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
         return {
             "speeds": self._speeds[0],
+            "times": [self.begin_ns, self.end_ns, self.goes_on],
             "rates": {name: order.rate_hz for name, order in self._orders.items()},
             "orders": {name: order.state() for name, order in self._orders.items()},
             "sensors": {name: sensor.state() for name, sensor in self._sensors.items()},
@@ -281,6 +329,7 @@ class Running:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state of a recording of the same identity."""
         self._speeds = [state["speeds"]]
+        self.begin_ns, self.end_ns, self.goes_on = state["times"]
         for name, rate_hz in state["rates"].items():
             self._begin(name, rate_hz)
             self._orders[name].restore(state["orders"][name])
@@ -294,5 +343,16 @@ class Running:
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
             for name, one in self._sources.items()
         }
-        settings = [self.rate_hz, self.longest_s, asdict(self.cleaning), asdict(self.order)]
+        settings = [
+            self.rate_hz,
+            self.longest_s,
+            self.before_s,
+            asdict(self.cleaning),
+            asdict(self.order),
+        ]
         return [self._name, self.zero_ns, sensors, *settings]
+
+
+def _second(time_ns: int) -> int:
+    """Return the whole second in which a time lies, [ns]."""
+    return time_ns // SECOND_NS * SECOND_NS

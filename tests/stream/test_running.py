@@ -131,7 +131,7 @@ def test_recording_so_far_is_that_of_the_samples_so_far_and_changes_nothing(tmp_
 
 
 def test_what_the_manifest_leaves_to_the_file_is_that_of_the_frames(tmp_path):
-    expected, frames, rng = case(tmp_path, 4)
+    expected, frames, _ = case(tmp_path, 4)
     manifest = manifest_in(tmp_path)
     unsaid = {"unit": None, "rate_hz": None, "time": "t"}
     channels = {
