@@ -55,7 +55,7 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
     swept = OmegaConf.to_container(config.hydra.sweeper.get("params") or DictConfig({}))
     for key in swept if isinstance(swept, dict) else ():
         if str(key).lstrip("+~").split(".")[0] in (*BROKERS, "store", "open_to_network"):
-            raise ValueError(f"`hydra.sweeper.params.{key}` is swept on the command line only")
+            raise ValueError(f"`hydra.sweeper.params.{key!s}` is swept on the command line only")
 
 
 def _check_broker(group: str, option: Any, typed: Collection[str]) -> None:

@@ -97,8 +97,8 @@ class Broker:
             or self.prefix[0] in "$/"
         ):
             raise ValueError(
-                "`prefix` must be the short beginning of a topic, without + and # and not after $ or /; "
-                f"got {self.prefix!r}"
+                "`prefix` must be the short beginning of a topic, without + and # and not after $ "
+                f"or /; got {self.prefix!r}"
             )
         files = (self.ca_file, self.cert_file, self.key_file)
         if any(files) and not self.tls:

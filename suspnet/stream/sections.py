@@ -1,9 +1,10 @@
 """A stream without end as recordings of bounded length, which follow its trips.
 
 A trip begins with the first frame after a pause, and its sections with the second of their first
-frame. A section ends where no frame comes for the time of a pause, or after a fixed time; then the
-trip goes on with another section. A last one that is short joins the section before, which waits
-for it. A frame is divided where it crosses the end of a section.
+frame. A section ends where no frame comes for the time of a pause; after a fixed time; or, from a
+third of it on, where the train has stood for the time of a pause. Where frames go on, another
+section follows. One that ends short joins the section before, which waits for it. A frame is
+divided where it crosses the end of a section.
 
 None of this depends on the order in which frames come, as long as no sensor lags behind another by
 more than `late_s`, which a pause is not shorter than. A section stays open for such frames; then it
@@ -22,8 +23,9 @@ from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.manifest import TripManifest
 from suspnet.stream.assembler import OrderSettings
-from suspnet.stream.frames import Frame, FrameError
+from suspnet.stream.frames import Frame, FrameError, end_ns
 from suspnet.stream.running import Running
+from suspnet.stream.standing import Standing
 
 MOST_OPEN = 5
 """Largest number of open sections. Three are enough where clocks are right: one that is over, the
@@ -34,8 +36,11 @@ SHORT, SHORT_S = 1 / 4, 120.0
 """Part of the length of a section, and length [s], below which the last one of a trip joins the one
 before: twice what a recording needs."""
 
+TRIED_NS = 60 * SECOND_NS
+"""Time between two looks whether the train stood, [ns]."""
+
 AHEAD_NS = 86_400 * SECOND_NS
-"""Frames so much before the last section that was over [ns] are not late: a clock was wrong then."""
+"""Frames so much before a section that was over [ns] are not late: a clock was wrong then."""
 
 BORDER_SAMPLES = 1e-3
 """A sample this close before a border [samples] counts as on it, as times are whole nanoseconds."""
@@ -51,11 +56,17 @@ class _Open:
         Number of the latest frames of each sensor, in a row, that begin so late that it is over.
     before : int or None
         Key of the section of the same trip before it.
+    cut_ns : int or None, [ns]
+        Where it ends before it has its full length, as the train stood.
+    n_tried : int
+        Number of the times at which it was looked whether the train stood.
     """
 
     section: Running
     before: int | None = None
     after: Counter[str] = field(default_factory=Counter)
+    cut_ns: int | None = None
+    n_tried: int = 0
 
 
 class Sections:
@@ -75,7 +86,7 @@ class Sections:
         than this and the length of a short section after its end. No sensor may lag behind another
         by more.
     pause_s : float, [s]
-        Without a frame for so long a trip has ended.
+        Without a frame for so long, or without moving, a trip has ended.
     rate_hz, cleaning, order
         As of `Running`.
 
@@ -115,6 +126,7 @@ class Sections:
         self._open: dict[int, _Open] = {}
         self._next_ns = 0
         self._back: Counter[str] = Counter()
+        self._standing = Standing()
         self.identity = [section_s, late_s, pause_s, self._begun(0).identity]
 
     def add(self, frame: Frame, is_known: bool = False) -> None:
@@ -142,10 +154,12 @@ class Sections:
         n_taken = 0
         while rest is not None:  # ends: each round takes a sample, or begins at a border
             key = self._place(rest.time_ns)
-            begin_ns = rest.time_ns
-            if key in self._open:
-                begin_ns = min(begin_ns, self._open[key].section.begin_ns)
-            border_ns = self._border_ns(begin_ns)
+            one = self._open.get(key)
+            if one is None:
+                border_ns = self._full_ns(rest.time_ns)
+            else:
+                self._cut(one, end_ns(rest))
+                border_ns = min(self._border_ns(one), self._full_ns(rest.time_ns))
             if n_inside := _n_before(rest, border_ns):
                 try:
                     self._add(key, replace(rest, samples=rest.samples[:n_inside]))
@@ -215,25 +229,44 @@ class Sections:
         settings = self.rate_hz, self.cleaning, self.order, longest_s, float(self.pause_s)
         return Running(self.manifest, zero_ns, *settings)
 
-    def _border_ns(self, begin_ns: int) -> int:
+    def _full_ns(self, begin_ns: int) -> int:
         """Return where a section that begins at a time has its full length."""
         return (begin_ns // SECOND_NS + self.section_s) * SECOND_NS
 
-    def _end_ns(self, section: Running) -> int:
+    def _border_ns(self, one: _Open) -> int:
+        """Return where a section ends if frames go on."""
+        return self._full_ns(one.section.begin_ns) if one.cut_ns is None else one.cut_ns
+
+    def _cut(self, one: _Open, time_ns: int) -> None:
+        """Let a section end where the train has stood, as far as frames of a time have come.
+
+        Looked at is what all sensors must have sent by then.
+        """
+        first_ns = self._full_ns(one.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
+        late_ns = round(self.late_s * SECOND_NS)
+        while one.cut_ns is None:  # ends: each round goes on by a minute
+            at_ns = first_ns + one.n_tried * TRIED_NS
+            if time_ns <= at_ns:
+                return
+            one.n_tried += 1
+            if self._standing.stood(at_ns - late_ns - self._pause_ns, at_ns - late_ns):
+                one.cut_ns = at_ns
+
+    def _end_ns(self, one: _Open) -> int:
         """Return before which time a frame belongs to a section, if not to one before."""
-        return min(self._border_ns(section.begin_ns), section.end_ns + self._pause_ns)
+        return min(self._border_ns(one), one.section.end_ns + self._pause_ns)
 
     def _place(self, time_ns: int) -> int:
         """Return the key of the section in which a time lies; that of a new one if in none."""
         for k in self._keys:
             one = self._open[k]
             least_ns = k if one.section.goes_on else one.section.begin_ns - self._pause_ns
-            if max(least_ns, k - self._pause_ns) <= time_ns < self._end_ns(one.section):
+            if max(least_ns, k - self._pause_ns) <= time_ns < self._end_ns(one):
                 return k
         for k in self._keys:
-            section = self._open[k].section
-            border_ns = self._border_ns(section.begin_ns)
-            goes_on = border_ns <= time_ns < section.end_ns + self._pause_ns
+            one = self._open[k]
+            border_ns = self._border_ns(one)
+            goes_on = border_ns <= time_ns < one.section.end_ns + self._pause_ns
             if goes_on and border_ns not in self._open:
                 return border_ns
         return time_ns // SECOND_NS * SECOND_NS
@@ -244,23 +277,26 @@ class Sections:
         section = self._begun(key) if found is None else found.section
         section.add(part)  # a frame that is refused opens no section
         if found is None:
-            before = [
-                k for k, o in self._open.items() if self._border_ns(o.section.begin_ns) == key
-            ]
-            self._open[key] = found = _Open(section, *before[:1])
+            before = [k for k, one in self._open.items() if self._border_ns(one) == key]
+            self._open[key] = found = _Open(section, before[0] if before else None)
             section.goes_on = bool(before)
             self._drop()
         if found.before in self._open:
             self._open[found.before].section.rest = section if self._is_short(key) else None
         for one in self._open.values():
-            has_passed = part.time_ns >= self._over_ns(one.section)
+            has_passed = part.time_ns >= self._over_ns(one)
             one.after[part.sensor] = one.after[part.sensor] + 1 if has_passed else 0
+        if part.sensor == "speed":
+            self._standing.take(part)
+            kept_ns = 2 * self._pause_ns + round(2 * self.late_s * SECOND_NS) + TRIED_NS
+            self._standing.forget(part.time_ns - kept_ns)
 
-    def _over_ns(self, section: Running) -> int:
+    def _over_ns(self, one: _Open) -> int:
         """Return the time from which frames say that a section is over."""
         wait_s = max(self.late_s, self._short_s)
-        goes_on_ns = self._border_ns(section.begin_ns) + round(wait_s * SECOND_NS)
-        return min(goes_on_ns, section.end_ns + self._pause_ns + round(self.late_s * SECOND_NS))
+        goes_on_ns = self._border_ns(one) + round(wait_s * SECOND_NS)
+        pause_ns = self._pause_ns + round(self.late_s * SECOND_NS)
+        return min(goes_on_ns, one.section.end_ns + pause_ns)
 
     def _after(self, key: int) -> int | None:
         """Return the key of the section with which a trip goes on."""
@@ -298,9 +334,8 @@ class Sections:
         """Return some sections without those that are a rest, and wait for no frame of them."""
         found = [self._open[k].section for k in keys if not self._is_rest(k)]
         for k in keys:
-            section = self._open[k].section
-            self._next_ns = max(self._next_ns, self._end_ns(section))
-            section.flush()
+            self._next_ns = max(self._next_ns, self._end_ns(self._open[k]))
+            self._open[k].section.flush()
         for k in keys:
             if (after := self._after(k)) is not None:
                 self._open[after].before = None
@@ -313,11 +348,14 @@ class Sections:
             "counts": dict(self.counts),
             "next_ns": self._next_ns,
             "back": dict(self._back),
+            "standing": self._standing.state(),
             "open": {
                 str(k): {
                     "section": one.section.state(),
                     "before": one.before,
                     "after": dict(one.after),
+                    "cut_ns": one.cut_ns,
+                    "n_tried": one.n_tried,
                 }
                 for k, one in self._open.items()
             },
@@ -327,9 +365,11 @@ class Sections:
         """Go on from a state of a stream of the same identity."""
         self.counts, self._next_ns = Counter(state["counts"]), state["next_ns"]
         self._back = Counter(state["back"])
+        self._standing.restore(state["standing"])
         self._open = {}
         for k, saved in state["open"].items():
-            one = _Open(self._begun(int(k)), saved["before"], Counter(saved["after"]))
+            after, cut = Counter(saved["after"]), (saved["cut_ns"], saved["n_tried"])
+            one = _Open(self._begun(int(k)), saved["before"], after, *cut)
             one.section.restore(saved["section"])
             self._open[int(k)] = one
         for k, one in self._open.items():

@@ -196,6 +196,48 @@ def test_begin_does_not_depend_on_the_order_of_frames(tmp_path, order):
     assert (one.begin_ns, other.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
 
 
+def speed_frame(seconds, m_per_s):
+    time_ns = ZERO_NS + round(seconds * 1e9)
+    samples = np.full(40, m_per_s, "f4")
+    return Frame("front left", "speed", round(seconds), time_ns, 4.0, "m/s", samples)
+
+
+@pytest.mark.parametrize("lag_s", [0, 5, -5])
+@pytest.mark.parametrize("begin_s", [430, 750, 1100, 1430, 1999])
+def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag_s):
+    """A logger sends all day long; `lag_s` is how much later the speed comes than the others."""
+    stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
+    coming = [(at, frame(at, k)) for k, at in enumerate(range(0, 4000, 2))]
+    for at in range(0, 4000, 10):
+        speed = 70.0 if begin_s <= at < begin_s + 600 else 0.0
+        coming.append((at + lag_s, speed_frame(at, speed)))
+    for k, (_, one) in enumerate(sorted(coming, key=lambda one: one[0])):
+        assert taken(stream, encode(one)) == ""
+        found += stream.over()
+        if k % 500 == 499:
+            stream = gone_on(stream, sections(tmp_path, section_s=1200, late_s=10.0))
+    found += stream.close()
+    begins = [(one.begin_ns - ZERO_NS) // 10**9 for one in found]
+    assert begins[0] == 0
+    assert len(found) >= 4
+    (holds,) = {max(b for b in begins if b <= at) for at in (begin_s + 15, begin_s + 599)}
+    assert all(one.end_ns - one.begin_ns <= 1500 * 10**9 for one in found)
+    again = [b for b in begins if b < holds]
+    assert again == [400 * k for k in range(len(again))]  # while it stands, from a third on
+
+
+def test_train_that_stops_for_less_than_a_pause_or_of_unknown_speed_is_not_cut(tmp_path):
+    for speeds in ({}, {at: 0.0 if at % 1000 < 290 else 70.0 for at in range(0, 3600, 10)}):
+        stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
+        for k, at in enumerate(range(0, 3600, 2)):
+            if at in speeds:
+                stream.add(speed_frame(at, speeds[at]))
+            stream.add(frame(at, k))
+            found += stream.over()
+        begins = [(one.begin_ns - ZERO_NS) // 10**9 for one in found + stream.close()]
+        assert begins == [0, 1200, 2400]
+
+
 def test_joined_rest_survives_a_restart(tmp_path):
     stream = sections(tmp_path)
     for k in range(30):
