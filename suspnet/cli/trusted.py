@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
 from suspnet.cli.configs import CONFIGS
+from suspnet.cli.typed import check_typed
 from suspnet.plain_files import NotPlainError, read_plain
 from suspnet.recordings.core_yaml import TooLargeError, parse_yaml
 
@@ -141,8 +142,8 @@ def _check_files(folder: Path) -> None:
 class CheckedLoader(ConfigLoaderImpl):
     """Hydra's loader of configurations, which refuses one that would run foreign code."""
 
-    _is_cluster_typed: bool | None = None
-    """Whether the command line names the cluster; it is loaded before the jobs of a multirun."""
+    _typed: frozenset[str] | None = None
+    """Keys of the command line, which is loaded before the jobs of a multirun."""
 
     def load_configuration(
         self,
@@ -167,11 +168,12 @@ class CheckedLoader(ConfigLoaderImpl):
             config_name, overrides, run_mode, from_shell, validate_sweep_overrides
         )
         check_configuration(config)
-        if self._is_cluster_typed is None:
+        if self._typed is None:
             typed = OverridesParser.create().parse_overrides(overrides)
-            self._is_cluster_typed = any(one.key_or_group == CLUSTER for one in typed)
-        if not self._is_cluster_typed:
+            self._typed = frozenset(one.key_or_group for one in typed)
+        if CLUSTER not in self._typed:
             _check_cluster(config)
+        check_typed(config, self._typed)
         foreign = any(source.provider == "command-line" for source in self.get_sources())
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
             # the sweeper would write a file before it composes the jobs

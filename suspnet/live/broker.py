@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -15,6 +17,19 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
+HOST_VARIABLE, LOCAL = "SUSPNET_MQTT_HOST", "localhost"
+"""Environment variable that names the host of a broker, and the host without it."""
+
+HOST = re.compile(r"[\w.:%-]+")
+"""A name of a machine, or an address of version 4 or 6."""
+
+OUR_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
+"""Names of environment variables that may hold a password: a configuration names one, and must not
+send what others hold to a broker."""
+
+MOST_PREFIX = 200
+"""Largest number of characters of the first part of topics."""
+
 KEEPALIVE_S = 30
 """A connection over which nothing came for one and a half times this [s] is lost."""
 
@@ -31,17 +46,20 @@ class Broker:
 
     Parameters
     ----------
-    host : str
+    host : str, optional
+        None: as the environment variable ``SUSPNET_MQTT_HOST`` says, else this machine.
     port : int
     prefix : str
         First part of all topics; it may contain "/".
     user : str, optional
         With it, a password is read from the environment.
     password_env : str
-        Name of the environment variable.
+        Name of the environment variable, which begins with "SUSPNET_".
     tls : bool
+        Encrypted, and only with a broker whose certificate is valid and names `host`.
     ca_file, cert_file, key_file : str, optional
-        With `tls`: certificates of authorities (None: the system's), our certificate and its key.
+        With `tls`: certificates of authorities (None: the system's), our certificate, which is
+        sent, and its key, which is not.
 
     Raises
     ------
@@ -49,7 +67,7 @@ class Broker:
         If a setting is out of range.
     """
 
-    host: str = "localhost"
+    host: str | None = None
     port: int = 1883
     prefix: str = "suspnet"
     user: str | None = None
@@ -62,12 +80,25 @@ class Broker:
     def __post_init__(self) -> None:
         check_number("port", self.port, low=1, high=65535, whole=True)
         check_flag("tls", self.tls)
-        if not self.host:
-            raise ValueError("`host` is empty")
-        if not self.prefix or set("+#\0") & set(self.prefix) or self.prefix[0] in "$/":
+        if self.host is None:
+            object.__setattr__(self, "host", os.environ.get(HOST_VARIABLE) or LOCAL)
+        if not isinstance(self.host, str) or not HOST.fullmatch(self.host):
+            raise ValueError(f"`host` must be a name or an address, got {self.host!r}")
+        if not isinstance(self.password_env, str) or not OUR_VARIABLE.fullmatch(self.password_env):
             raise ValueError(
-                "`prefix` must be the begin of a topic, without + and # and not after $ or /; "
-                f"got {self.prefix!r}"
+                "`password_env` must be the name of an environment variable that begins with "
+                f"SUSPNET_, got {self.password_env!r}"
+            )
+        if (
+            not isinstance(self.prefix, str)
+            or not self.prefix.isprintable()
+            or not 0 < len(self.prefix) <= MOST_PREFIX
+            or set("+#") & set(self.prefix)
+            or self.prefix[0] in "$/"
+        ):
+            raise ValueError(
+                "`prefix` must be the short beginning of a topic, without + and # and not after $ "
+                f"or /; got {self.prefix!r}"
             )
         files = (self.ca_file, self.cert_file, self.key_file)
         if any(files) and not self.tls:
@@ -82,6 +113,11 @@ class Broker:
         'suspnet/frames/train%201%2C%20car%202'
         """
         return f"{self.prefix}/{kind}/{quote(suspension, safe='')}"
+
+    @property
+    def where(self) -> str:
+        """Host and port, as messages name them."""
+        return f"{self.host}:{self.port}"
 
     def client(self, client_id: str, manual_ack: bool = False) -> Client:
         """Return a client that is not yet connected, and tries again with backoff once it is.
@@ -108,7 +144,16 @@ class Broker:
                 )
             client.username_pw_set(self.user, password)
         if self.tls:
+            for file in filter(None, (self.ca_file, self.cert_file, self.key_file)):
+                if not Path(file).is_file():  # a FIFO would be waited for
+                    raise FileNotFoundError(2, "there is no such file", file)
             client.tls_set(self.ca_file, self.cert_file, self.key_file)
+        log.info(
+            "the broker is at %s%s%s",
+            self.where,
+            "" if self.user is None else f", user {self.user!r}",
+            ", with TLS" if self.tls else "",
+        )
         return client
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import stat
 import time
 from collections import Counter, deque
 from collections.abc import Generator, Sequence
@@ -14,12 +15,20 @@ from typing import BinaryIO, Literal
 import pyarrow as pa
 
 from suspnet.checks import check_choice, check_flag, check_number
-from suspnet.live.framing import Splitter
+from suspnet.live.framing import CONTINUATION, Splitter
 from suspnet.live.source import Kind, print_result
+from suspnet.stream import FrameError, decode
+from suspnet.stream.frames import MOST_BYTES
 
 log = logging.getLogger(__name__)
-TAKEN, REFUSED = "taken", "refused"
-"""Names of the subfolders for files that were read."""
+TAKEN = "taken"
+"""Name of the subfolder for files that were read."""
+
+MOST_LOST = 4 * MOST_BYTES
+"""Number of bytes in a row without a frame after which a file is not read further."""
+
+MOST_REPORTED = 100
+"""Number of files that are named in the log because they are left where they are."""
 
 PIECE_BYTES, BATCH_BYTES = 2**18, 2**23
 """Numbers of bytes that are read at once, and given at once."""
@@ -37,7 +46,6 @@ class _File:
 
     path: Path
     identity: tuple[int, int, int]
-    is_whole: bool
     n_given: int
 
 
@@ -47,7 +55,10 @@ class DropFolder:
     A file is written under a name that begins with "." or ends with ".part" or ".tmp", and then
     renamed; names are not used again. Files are read in the order of the times of their first
     frames, in pieces. Once all of its frames are confirmed, a file moves to ``taken/`` or is
-    deleted. One that holds anything but frames moves to ``refused/``; its frames were given.
+    deleted. Only files that hold nothing but valid frames of the suspensions monitored here are
+    touched. All others are left where they are and reported once: a link, a FIFO, a file that does
+    not begin with a frame, which is not read either, and one that holds anything but such frames,
+    or is cut off, whose frames are given all the same.
 
     Memory is bounded by one batch of frames, 8 MiB, one frame, and the names of the files.
 
@@ -79,6 +90,7 @@ class DropFolder:
         check_flag("once", once)
         self.folder, self.then, self.poll_s, self.once = Path(folder), then, poll_s, once
         self._counts: Counter[str] = Counter()
+        self._suspensions: frozenset[str] = frozenset()
         self._waiting: deque[Path] = deque()
         self._known: set[str] = set()
         self._read: deque[_File] = deque()
@@ -88,15 +100,15 @@ class DropFolder:
 
     @property
     def counts(self) -> Counter[str]:
-        """As `Splitter.counts`, and files that were "vanished", "unreadable" or "replaced"."""
+        """As `Splitter.counts`, and files "left", "vanished", "unreadable" or "replaced"."""
         return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Make the subfolders; all suspensions are this process's. See `Source`."""
+        """Check the folder; all suspensions are this process's. See `Source`."""
         if not self.folder.is_dir():
             raise FileNotFoundError(2, "there is no such folder", str(self.folder))
-        for name in (TAKEN, REFUSED):
-            (self.folder / name).mkdir(exist_ok=True)
+        self._check_taken()
+        self._suspensions = frozenset(suspensions)
         return suspensions
 
     def receive(self, timeout_s: float) -> list[bytes] | None:
@@ -156,76 +168,137 @@ class DropFolder:
         """Find files that are new, in the order of the times of their first frames."""
         try:
             with os.scandir(self.folder) as entries:
-                names = {one.name for one in entries if one.is_file()}
+                found = {
+                    one.name: one.is_file(follow_symlinks=False)
+                    for one in entries
+                    if not one.is_dir(follow_symlinks=False)
+                    and not one.name.startswith(".")
+                    and not one.name.endswith(UNFINISHED)
+                }
         except OSError as error:
             self._give_up(self.folder, error)
             return
-        self._known &= names | {file.path.name for file in self._read}
-        new = [
-            name
-            for name in names - self._known
-            if not name.startswith(".") and not name.endswith(UNFINISHED)
-        ]
+        self._known &= found.keys() | {file.path.name for file in self._read}
+        new = found.keys() - self._known
         self._known.update(new)
-        self._waiting.extend(sorted((self.folder / name for name in new), key=_first_time))
+        for name in sorted(new):
+            if not found[name]:
+                self._leave(self.folder / name, "it is no plain file")
+        plain = (self.folder / name for name in new if found[name])
+        self._waiting.extend(sorted(plain, key=_first_time))
 
     def _frames(self, path: Path) -> Generator[list[bytes], None, None]:
         """Yield the frames of a file, piece by piece."""
-        splitter = Splitter()
+        splitter, problem, last = Splitter(), "", list[bytes]()
         try:
-            with path.open("rb") as file:
-                identity = _identity(file)
+            with _opened(path) as file:
+                identity = _identity(os.fstat(file.fileno()))
                 data = file.read(PIECE_BYTES)
-                if not data:
-                    splitter.counts["truncated"] += 1
-                while following := file.read(PIECE_BYTES):
-                    yield splitter.push(data)
-                    data = following
+                if not data.startswith(CONTINUATION):  # it is not read further
+                    data, problem = b"", "it does not begin with a frame"
+                n_lost = 0
+                while data and n_lost <= MOST_LOST:
+                    frames = splitter.push(data)
+                    problem = problem or next(filter(None, map(self._problem, frames)), "")
+                    n_lost = 0 if frames else n_lost + len(data)
+                    # a file that grows while it is read is read up to the size it had
+                    data = file.read(PIECE_BYTES) if file.tell() < identity[2] else b""
+                    if data:
+                        yield frames
+                    else:
+                        last = frames
         except OSError as error:
             self._give_up(path, error)
             self._counts += splitter.counts
             return
-        last = splitter.push(data) + splitter.finish()
+        last += splitter.finish()
+        problem = problem or next(filter(None, map(self._problem, last)), "")
         self._counts += splitter.counts
-        # from here on all of its frames are given
-        n_given = self._n_given + len(last)
-        self._read.append(_File(path, identity, not splitter.counts, n_given))
+        if problem or splitter.counts:
+            self._leave(path, problem or f"it holds not only frames ({', '.join(splitter.counts)})")
+        else:
+            # from here on all of its frames are given
+            self._read.append(_File(path, identity, self._n_given + len(last)))
         yield last
+
+    def _problem(self, data: bytes) -> str:
+        """Return why an encoded frame is none of ours, or nothing."""
+        try:
+            frame = decode(data)
+        except FrameError as error:
+            return f"it holds a frame that is not valid ({error.reason})"
+        if frame.suspension not in self._suspensions:
+            return f"it holds a frame of {frame.suspension!r}, which is not monitored here"
+        return ""
 
     def _put_away(self, file: _File) -> None:
         """Move or delete a file, unless another one has its name by now."""
-        with file.path.open("rb") as now:
-            if _identity(now) != file.identity:
-                self._counts["replaced"] += 1
-                return
-        if file.is_whole and self.then == "delete":
+        now = os.lstat(file.path)
+        if not stat.S_ISREG(now.st_mode) or _identity(now) != file.identity:
+            self._counts["replaced"] += 1
+            return
+        if self.then == "delete":
             file.path.unlink()
             return
-        folder = self.folder / (TAKEN if file.is_whole else REFUSED)
-        target, number = folder / file.path.name, 1
-        while target.exists():  # ends: there are fewer files than numbers
+        self._check_taken()
+        (self.folder / TAKEN).mkdir(exist_ok=True)
+        target, number = self.folder / TAKEN / file.path.name, 1
+        while os.path.lexists(target):  # ends: there are fewer files than numbers
             number += 1
-            target = folder / f"{file.path.stem}_{number}{file.path.suffix}"
+            target = target.with_name(f"{file.path.stem}_{number}{file.path.suffix}")
         file.path.rename(target)
+
+    def _check_taken(self) -> None:
+        """Raise OSError if files would be moved through a link."""
+        taken = self.folder / TAKEN
+        if self.then == "move" and os.path.lexists(taken) and not _is_folder(taken):
+            raise NotADirectoryError(20, "must be a folder, and no link to one", str(taken))
+
+    def _leave(self, path: Path, reason: str) -> None:
+        """Count and report a file that is left where it is."""
+        self._counts["left"] += 1
+        if self._counts["left"] <= MOST_REPORTED:
+            log.warning("%r is left where it is: %s", str(path), reason)
 
     def _give_up(self, path: Path, error: OSError) -> None:
         """Count a file that cannot be read or moved; it is not tried again while it is there."""
         reason = "vanished" if isinstance(error, FileNotFoundError) else "unreadable"
         if reason == "unreadable" and not self._counts[reason]:
-            log.warning("%s: %s; further ones are only counted", path, error.strerror)
+            log.warning("%r: %s; further ones are only counted", str(path), error.strerror)
         self._counts[reason] += 1
 
 
-def _identity(file: BinaryIO) -> tuple[int, int, int]:
+def _opened(path: Path) -> BinaryIO:
+    """Open a plain file: follow no link, and wait for nobody who writes into a FIFO.
+
+    Raises
+    ------
+    OSError
+        If it is none, or cannot be read.
+    """
+    # Windows has neither of these flags
+    flags = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    file = os.fdopen(os.open(path, os.O_RDONLY | flags), "rb")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(22, "no plain file", str(path))
+    return file
+
+
+def _is_folder(path: Path) -> bool:
+    """Return whether a path is a folder and no link to one."""
+    return stat.S_ISDIR(os.lstat(path).st_mode)
+
+
+def _identity(found: os.stat_result) -> tuple[int, int, int]:
     """Return what tells a file from another one of the same name."""
-    found = os.fstat(file.fileno())
     return found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def _first_time(path: Path) -> tuple[int, str]:
     """Return the time of a file's first frame, [ns], and its name; 0 where there is no frame."""
     try:
-        with path.open("rb") as file:
+        with _opened(path) as file:
             schema = pa.ipc.read_schema(pa.BufferReader(file.read(HEAD_BYTES)))
         return int((schema.metadata or {}).get(b"time_ns", b"0")), path.name
     except (pa.ArrowException, OSError, ValueError):

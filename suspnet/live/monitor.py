@@ -41,6 +41,9 @@ MOST_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
 first suspension half of it, for others in between, so that hundreds are not saved at once."""
 
+MOST_REPORTED = 1000
+"""Number of sensors and reasons for which a frame that cannot be used is named in the log."""
+
 NICENESS = 10
 """Niceness of the thread that makes estimates: on a core that both share it gets a tenth of the
 time while there are frames to take."""
@@ -109,7 +112,7 @@ class Monitor:
         self.counts: Counter[str] = Counter()
         self._source, self._journal, self._tell = source, journal, tell
         self._idle_s, self._clock = idle_s, clock
-        self._seen: set[tuple[str, str]] = set()
+        self._seen: set[tuple[str, str, str]] = set()
         known: dict[str, LiveSuspension] = {}
         for one in suspensions:
             if one.name in known:
@@ -147,7 +150,7 @@ class Monitor:
             for data in self._journal.frames(name):
                 n_frames += 1
                 try:
-                    one.take(decode(data))
+                    one.take(decode(data), is_known=True)
                 except FrameError as error:  # a part of it was of a section that is over
                     log.debug("%s: %s", name, error)
                 self._add(one, one.due())  # as when they came: only so many sections may be open
@@ -209,26 +212,28 @@ class Monitor:
 
     def _take(self, data: bytes) -> None:
         """Take a frame, or count why not."""
-        name = ""
+        name = sensor = ""
         try:
             frame = decode(data)
-            name = frame.suspension
+            name, sensor = frame.suspension, frame.sensor
             one = self._suspensions.get(name)
             if one is None:
                 raise FrameError(
                     "suspension", f"{name!r} is none of the suspensions monitored here"
                 )
-            self._last_s[name] = self._clock()
-            self._journal.add(name, data)
             one.take(frame)
+            # a frame that cannot be used is not kept: nothing bounds how many of them come
+            self._journal.add(name, data)
+            self._last_s[name] = self._clock()
             self.counts["taken"] += 1
             self._add(one, one.due())
             if self._journal.n_bytes[name] > self._most_bytes[name]:
                 self._save(one)
         except FrameError as error:
             self.counts[error.reason] += 1
-            if (name, error.reason) not in self._seen and len(self._seen) < 1000:
-                self._seen.add((name, error.reason))
+            kind = name, sensor, error.reason
+            if kind not in self._seen and len(self._seen) < MOST_REPORTED:
+                self._seen.add(kind)
                 log.warning("a frame cannot be used (%s): %s", error.reason, error)
 
     def _add_silent(self) -> None:

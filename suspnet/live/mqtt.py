@@ -106,7 +106,7 @@ class Mqtt:
             ReceiveMaximum=self.in_flight,
         )
         client.connect_async(
-            self.broker.host,
+            str(self.broker.host),
             self.broker.port,
             keepalive=KEEPALIVE_S,
             clean_start=False,
@@ -199,7 +199,7 @@ class Mqtt:
                 self._counts["reconnect"] += 1
             self._connection += 1
             self._is_connected, self._is_away = True, False
-        log.info("connected to the broker at %s:%d", self.broker.host, self.broker.port)
+        log.info("connected to the broker at %s", self.broker.where)
         options = importlib.import_module("paho.mqtt.subscribeoptions").SubscribeOptions
         once = options(qos=1, retainHandling=options.RETAIN_DO_NOT_SEND)
         for start in range(0, len(self._topics), MOST_PER_REQUEST):
@@ -243,6 +243,6 @@ class Mqtt:
         """Count what goes wrong with the broker, and log the first since it was there."""
         self._counts[reason] += 1
         if not self._is_away:
-            where = f"{self.broker.host}:{self.broker.port}"
+            where = self.broker.where
             log.warning("the broker at %s: %s; it is tried again until it answers", where, words)
         self._is_away = True

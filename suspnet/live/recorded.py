@@ -24,7 +24,7 @@ from suspnet.recordings.manifest import (
 from suspnet.recordings.recording import even_values, known_rate
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
 from suspnet.recordings.timeline import Timeline
-from suspnet.stream.frames import MOST_SAMPLES, Frame
+from suspnet.stream.frames import MOST_SAMPLES, Frame, end_ns
 from suspnet.types import FloatArray
 
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
@@ -139,11 +139,6 @@ def trip_frames(
         yield first
         break
     yield from merged
-
-
-def end_ns(frame: Frame) -> int:
-    """Return when a frame is complete, [ns] since 1970."""
-    return frame.time_ns + round(len(frame.samples) * SECOND_NS / frame.rate_hz)
 
 
 def _sensor_frames(

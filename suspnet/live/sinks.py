@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 import threading
 from collections import Counter
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from suspnet.checks import check_number
 from suspnet.live.broker import KEEPALIVE_S, Broker
+from suspnet.live.drop_folder import TAKEN
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.storage import write_atomically
 from suspnet.stream.frames import Frame, encode
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
+NUMBERED = re.compile(r"\d{9}", re.ASCII)
+"""Names of the files that a `Folder` writes, without their suffix."""
+
 MOST_FILE_BYTES = 2**23
 """Size of a file of frames, [bytes], beyond which the next one is begun."""
 
@@ -98,7 +103,12 @@ class Folder:
     def open(self) -> None:
         """Make the folder; the names of files go on from those that are there."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        there = [int(p.stem) for p in self.folder.rglob("*.frames") if p.stem.isdecimal()]
+        there = [
+            int(path.stem)
+            for folder in (self.folder, self.folder / TAKEN)
+            for path in folder.glob("*.frames")
+            if NUMBERED.fullmatch(path.stem)
+        ]
         self._n_files = max(there, default=0)
 
     def send(self, frame: Frame) -> None:
@@ -169,9 +179,9 @@ class MqttSink:
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
         client.on_disconnect = self._on_disconnect
         client.max_inflight_messages_set(self.in_flight)
-        where = f"{self.broker.host}:{self.broker.port}"
+        where = self.broker.where
         try:
-            client.connect(self.broker.host, self.broker.port, KEEPALIVE_S)
+            client.connect(str(self.broker.host), self.broker.port, KEEPALIVE_S)
         except OSError as error:
             raise ConnectionError(error.errno, f"no broker: {error.strerror}", where) from error
         client.loop_start()
@@ -214,7 +224,7 @@ class MqttSink:
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
             self._counts["disconnect"] += 1
-            log.warning("the broker at %s has gone; waiting for it", self.broker.host)
+            log.warning("the broker at %s has gone; waiting for it", self.broker.where)
 
     def _on_publish(
         self, client: Client, userdata: Any, number: int, reason: Any, properties: Any

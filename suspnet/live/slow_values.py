@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from bisect import insort
 from typing import Any, ClassVar
 
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
 from suspnet.stream import Frame, FrameError
 
-MOST_KEPT = 1000
-"""Largest number of values of one kind that are kept; the earliest go first."""
+STEP_NS = 10 * SECOND_NS
+"""Time of which the first value is kept, [ns]: in it a train runs less than a kilometre."""
+
+MOST_KEPT = 10_000
+"""Largest number of values of one kind that are kept, those of a day. The latest go first: they are
+of wrong times, as sections are at most a day long."""
+
+MOST_IN_FRAME = 1000
+"""Number of samples of a frame that are looked at."""
 
 
 class SlowValues:
-    """The last values of mileage and temperature, by time.
+    """The last values of mileage and temperature, by time: the first of every ten seconds.
 
     Frames may come in any order, and twice. Between frames the mileage goes on with the distance
     that the speed tells.
@@ -40,7 +46,7 @@ class SlowValues:
 
     def __init__(self, mileage_km: float, temperature_c: float | None) -> None:
         self.passed_km = mileage_km
-        self._known: dict[str, list[tuple[int, float]]] = {"mileage": [], "temperature": []}
+        self._known: dict[str, dict[int, tuple[int, float]]] = {"mileage": {}, "temperature": {}}
         self._first_c = temperature_c
 
     def take(self, frame: Frame) -> None:
@@ -60,38 +66,47 @@ class SlowValues:
         if values.min() < low or values.max() > high:
             raise FrameError("range", f"{frame.sensor!r} is {low:g} to {high:g}, got {values}")
         known = self._known[frame.sensor]
-        for i, value in enumerate(values[:MOST_KEPT].tolist()):
+        for i, value in enumerate(values[:MOST_IN_FRAME].tolist()):
             one = frame.time_ns + round(i * SECOND_NS / frame.rate_hz), value
-            if one not in known:
-                insort(known, one)
-        del known[:-MOST_KEPT]
+            step = one[0] // STEP_NS
+            known[step] = min(one, known.get(step, one))
+        for step in sorted(known)[MOST_KEPT:]:
+            del known[step]
 
-    def within(self, begin_ns: int, end_ns: int) -> tuple[float | None, float | None]:
+    def within(
+        self, begin_ns: int, end_ns: int, before_ns: int = 0
+    ) -> tuple[float | None, float | None]:
         """Return mileage [km] and temperature [°C] of a section.
 
-        Of several values in it the first one counts. Where there is none, the mileage is None: that
-        at the end of the section before; and the temperature is the last one before.
+        Of several values in it the first one counts. Where there is none, the mileage is the last
+        one of a time `before_ns` before it, or None: that at the end of the section before; and the
+        temperature is the last one before.
         """
-        km = [value for at, value in self._known["mileage"] if begin_ns <= at < end_ns]
-        inside = [value for at, value in self._known["temperature"] if begin_ns <= at < end_ns]
-        before = [value for at, value in self._known["temperature"] if at < begin_ns]
+        mileages, temperatures = (sorted(one.values()) for one in self._known.values())
+        km = [value for at, value in mileages if begin_ns <= at < end_ns]
+        km += [value for at, value in mileages if begin_ns - before_ns <= at < begin_ns][::-1]
+        inside = [value for at, value in temperatures if begin_ns <= at < end_ns]
+        before = [value for at, value in temperatures if at < begin_ns]
         celsius = next(iter([*inside, *before[::-1]]), self._first_c)
         return (km[0] if km else None), celsius
 
     def pass_section(self, end_ns: int, mileage_km: float) -> None:
         """Take the mileage at the end of a section, and forget what lies in it."""
         self.passed_km = mileage_km
-        known = self._known["temperature"]
-        last = [value for at, value in known if at < end_ns][-1:]
-        self._first_c = last[0] if last else self._first_c
+        before = [one for one in self._known["temperature"].values() if one[0] < end_ns]
+        self._first_c = max(before)[1] if before else self._first_c
         for name, several in self._known.items():
-            self._known[name] = [one for one in several if one[0] >= end_ns]
+            self._known[name] = {k: one for k, one in several.items() if one[0] >= end_ns}
 
     def state(self) -> dict[str, Any]:
         """Return JSON-able values that `restore` makes the same of."""
-        return {"passed_km": self.passed_km, "first_c": self._first_c, "known": self._known}
+        known = {name: sorted(one.values()) for name, one in self._known.items()}
+        return {"passed_km": self.passed_km, "first_c": self._first_c, "known": known}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state."""
         self.passed_km, self._first_c = state["passed_km"], state["first_c"]
-        self._known = {name: [(at, v) for at, v in one] for name, one in state["known"].items()}
+        self._known = {
+            name: {at // STEP_NS: (at, value) for at, value in one}
+            for name, one in state["known"].items()
+        }

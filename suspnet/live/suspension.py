@@ -33,9 +33,11 @@ class LiveSettings:
     Parameters
     ----------
     section_s : int, [s]
-        Length of a section, which is a trip of its own in the history.
+        Largest length of a section, which is a trip of its own in the history.
     every_s : float, optional, [s]
         After so much signal of a section an estimate from it so far is told; None: at its end only.
+    pause_s : float, [s]
+        Without a frame for so long a trip has ended; the next one begins a section.
     late_s : float, [s]
         A section is kept open for frames that come so much later than others.
     idle_s : float, [s]
@@ -51,6 +53,7 @@ class LiveSettings:
 
     section_s: int = 1200
     every_s: float | None = 600.0
+    pause_s: float = 300.0
     late_s: float = 60.0
     idle_s: float = 3600.0
     order: OrderSettings = field(default_factory=OrderSettings)
@@ -58,7 +61,8 @@ class LiveSettings:
     def __post_init__(self) -> None:
         check_number("live.section_s", self.section_s, low=60, high=86400, whole=True)
         check_number("live.every_s", self.every_s, low=60, high=86400, optional=True)
-        check_number("live.late_s", self.late_s, low=0, high=3600)
+        check_number("live.pause_s", self.pause_s, low=60, high=3600)
+        check_number("live.late_s", self.late_s, low=0, high=self.pause_s)
         check_number("live.idle_s", self.idle_s, low=1, high=1e7)
 
 
@@ -197,17 +201,25 @@ class LiveSuspension:
             settings.late_s,
             trips.rate_hz,
             order=settings.order,
+            pause_s=settings.pause_s,
         )
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
         self._told: dict[int, int] = {}
         self._silent: dict[int, tuple[float, int]] = {}
 
-    def take(self, frame: Frame) -> None:
-        """Take a frame; raises FrameError where it cannot be used."""
+    def take(self, frame: Frame, is_known: bool = False) -> None:
+        """Take a frame, of which nothing is taken where this raises FrameError.
+
+        Parameters
+        ----------
+        frame : Frame
+        is_known : bool
+            As of `Sections.add`.
+        """
         if frame.sensor in SlowValues.UNITS:
             self._slow.take(frame)
         else:
-            self._sections.add(frame)
+            self._sections.add(frame, is_known)
 
     def due(self) -> list[Due]:
         """Return the estimates of sections that are over or have gone on for `every_s`.
@@ -218,7 +230,7 @@ class LiveSuspension:
         every_s = self._settings.every_s
         if every_s is None:
             return found
-        for section in self._sections.open[:1]:
+        for section in self._sections.growing[:1]:
             step = int(section.n_seconds / every_s)
             is_new = step > self._told.get(section.zero_ns, 0)
             if is_new and step * every_s < self._settings.section_s:
@@ -231,7 +243,7 @@ class LiveSuspension:
         found = []
         for section in self._sections.open:
             _, n_frames = self._silent.get(section.zero_ns, (0.0, 0))
-            if section.n_frames > n_frames and not section.is_empty:
+            if _n_frames(section) > n_frames and not section.is_empty:
                 found.append(self._due(section, is_final=True))
         return found
 
@@ -245,7 +257,7 @@ class LiveSuspension:
         Before the next one of this suspension, `finish` is called with its result.
         """
         section, mileage_km = due.section, due.mileage_km
-        start = EPOCH + timedelta(microseconds=section.zero_ns // 1000)
+        start = EPOCH + timedelta(seconds=section.begin_ns // SECOND_NS)
         if section.zero_ns in self._silent:
             # a trip that is kept already is replaced under the mileage by which it is known
             mileage_km, _ = self._silent[section.zero_ns]
@@ -258,14 +270,15 @@ class LiveSuspension:
             truth={},
         )
         frames: Counter[str] = Counter()
-        for counts in section.sensors.values():
-            frames.update(counts)
+        for part in filter(None, (section, section.rest)):
+            for counts in part.sensors.values():
+                frames.update(counts)
         frames.update(self._sections.counts)
         if due.is_final:
             self._sections.counts.clear()
         if section in self._sections.open:
             if due.is_final:
-                self._silent[section.zero_ns] = manifest.mileage_km, section.n_frames
+                self._silent[section.zero_ns] = manifest.mileage_km, _n_frames(section)
             section = copy.deepcopy(section)  # as the first thread goes on with it
         return Job(due, section, manifest, dict(frames), self.models, self._trips)
 
@@ -274,8 +287,7 @@ class LiveSuspension:
         section, result, distance_km = job.due.section, made.result, made.distance_km
         was_over = job.section is section  # when the job was begun: it is no copy
         if job.due.is_final and was_over:
-            end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
-            self._slow.pass_section(end_ns, result.mileage_km + distance_km)
+            self._slow.pass_section(_end_ns(section), result.mileage_km + distance_km)
             self._silent.pop(section.zero_ns, None)
         return Told(result, job.due.is_final, job.frames, distance_km)
 
@@ -308,8 +320,19 @@ class LiveSuspension:
 
     def _due(self, section: Running, is_final: bool) -> Due:
         """Return the estimate of a section; what is known of it by now does not depend on when."""
-        end_ns = section.zero_ns + self._settings.section_s * SECOND_NS
-        return Due(section, is_final, *self._slow.within(section.zero_ns, end_ns))
+        begin_ns = section.begin_ns // SECOND_NS * SECOND_NS
+        before_ns = 0 if section.goes_on else round(self._settings.pause_s * SECOND_NS)
+        return Due(section, is_final, *self._slow.within(begin_ns, _end_ns(section), before_ns))
+
+
+def _end_ns(section: Running) -> int:
+    """Return the end of a section and its rest, [ns]."""
+    return max(section.end_ns, 0 if section.rest is None else section.rest.end_ns)
+
+
+def _n_frames(section: Running) -> int:
+    """Return the number of frames of a section and its rest."""
+    return section.n_frames + (0 if section.rest is None else section.rest.n_frames)
 
 
 def _distance_km(recording: Recording) -> float:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from suspnet.recordings.clocks import SECOND_NS
 from suspnet.types import FloatArray
 
 MOST_SAMPLES = 2**16
@@ -107,6 +108,11 @@ class Frame:
         if not np.isfinite(self.samples).all():
             n_bad = int(np.count_nonzero(~np.isfinite(self.samples)))
             raise FrameError("nan", f"{n_bad} of {len(self.samples)} samples are NaN or infinite")
+
+
+def end_ns(frame: Frame) -> int:
+    """Return when a frame ends and the next one begins, [ns] since 1970."""
+    return frame.time_ns + round(len(frame.samples) * SECOND_NS / frame.rate_hz)
 
 
 def encode(frame: Frame) -> bytes:

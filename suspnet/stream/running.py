@@ -10,21 +10,21 @@ or stuck; which segments share a speed; which are louder than ``LOUD`` medians, 
 than the others. Signals on the common clock are kept for them: 27 bytes for each instant of three
 sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with half overlap, up to
 a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
-chosen. So a recording has to end; `longest_s` bounds it, and with it the memory. Its cross spectra
-add to those of others where the batch is cut at the same times.
+chosen. So a recording has to end; `longest_s` bounds it, and with it the memory.
 
 Besides, each sensor holds the samples whose window is not yet complete or waits for its turn (at
 most twice ``CORE_SAMPLES`` and two seconds or so, 4.3 MB): recordings of many suspensions begin at
 the same instant, and each sensor is cleaned at a time of its own, by its name. Then there are the
-frames of `Assembler`. Rates are those of the manifest: the mean rate that the batch takes from a
-column of times is known at its end only.
+frames of `Assembler`. The rate of a sensor is that of the manifest. Where the manifest leaves it to
+the file, as to a column of times, it is that of the sensor's first frame: the mean rate that the
+batch takes from such a column is known at its end only. Units are left to frames in the same way.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections import Counter
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -41,12 +41,18 @@ from suspnet.recordings.manifest import (
     TripManifest,
 )
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, joined
+from suspnet.recordings.sources import RATE_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
+from suspnet.recordings.timeline import RATE_TOLERANCE as TIMES_TOLERANCE
 from suspnet.recordings.units import size_of
 from suspnet.stream.assembler import Assembler, OrderSettings
-from suspnet.stream.frames import Frame, FrameError
+from suspnet.stream.frames import Frame, FrameError, end_ns
+from suspnet.stream.joining import followed
 from suspnet.stream.sensor import RunningSensor
 from suspnet.types import FloatArray
+
+UNITS = {"acceleration": "m/s2", "speed": "m/s"}
+"""Units in which samples are kept where the manifest leaves them to the file."""
 
 
 class Running:
@@ -55,21 +61,31 @@ class Running:
     Parameters
     ----------
     manifest : TripManifest
-        Its channels and its speed have `unit` and `rate_hz`; files and times are not looked at.
+        Files and times are not looked at. Frames say what it says nothing of, unit and rate.
     zero_ns : int, [ns]
-        Zero of the recording's clock, since 1970: a whole second, at most `longest_s` before the
-        first sample.
+        A whole second, from which it is counted how early or late a frame may be.
     rate_hz : float, [Hz]
         Of the common clock.
     cleaning : CleaningSettings, optional
     order : OrderSettings, optional
     longest_s : float, [s]
         Frames that begin later after `zero_ns` are refused: then another recording is due.
+    before_s : float, [s]
+        Frames that begin earlier before `zero_ns` are refused.
+
+    Attributes
+    ----------
+    begin_ns, end_ns : int, [ns]
+        When the first frame begins and the last one ends, by their times.
+    goes_on : bool
+        Whether it goes on with the trip of another one.
+    rest : Running or None
+        What follows of the same trip, where it is too short for a recording of its own.
 
     Raises
     ------
     TripError
-        If the manifest lacks a unit or a rate, or a rate is out of range.
+        If a rate is out of range, or the unit of a sensor's `range` is missing.
     ValueError
         If a number is out of range.
     """
@@ -82,12 +98,17 @@ class Running:
         cleaning: CleaningSettings | None = None,
         order: OrderSettings | None = None,
         longest_s: float = 3600.0,
+        before_s: float = 0.0,
     ) -> None:
         check_number("zero_ns", zero_ns, low=0, whole=True)
         check_number("rate_hz", rate_hz, above=0)
-        check_number("longest_s", longest_s, above=0, high=86400)
-        self.manifest, self.zero_ns, self.rate_hz = manifest, zero_ns, rate_hz
-        self.longest_s = longest_s
+        check_number("longest_s", longest_s, above=0, high=2 * 86400)
+        check_number("before_s", before_s, low=0, high=86400)
+        self.manifest, self.zero_ns, self.rate_hz = manifest, zero_ns, float(rate_hz)
+        self.longest_s, self.before_s = longest_s, before_s
+        self.begin_ns, self.end_ns = zero_ns + round(longest_s * SECOND_NS), 0
+        self.goes_on = False
+        self.rest: Running | None = None
         self.cleaning = CleaningSettings() if cleaning is None else cleaning
         self.order = OrderSettings() if order is None else order
         self._name = str(manifest.place)
@@ -97,28 +118,15 @@ class Running:
             self._sources["speed"] = manifest.speed
             self._units["speed"] = ("speed", SPEED_UNITS)
         for name, source in self._sources.items():
-            least = 0.0 if name == "speed" else 0.99 * rate_hz
-            most = 2 * HIGHEST_RATE_HZ if name == "speed" else HIGHEST_HZ
-            if source.unit is None or source.rate_hz is None or not least < source.rate_hz < most:
+            if source.rate_hz is not None and (words := self._rate_problem(name, source.rate_hz)):
+                raise TripError(f"{manifest.path}: {words}")
+            if source.unit is None and getattr(source, "range", None) is not None:
                 raise TripError(
-                    f"{manifest.path}: {name!r} needs `unit` and a `rate_hz` of {least:g} to "
-                    f"{most:g} Hz to be read as it comes, got {source.unit} and {source.rate_hz}"
+                    f"{manifest.path}: {name!r} has a `range`; write its `unit` to have it read as "
+                    "it comes"
                 )
-        self._orders = {
-            name: Assembler(source.rate_hz or 0.0, self.order)
-            for name, source in self._sources.items()
-        }
-        self._sensors = {
-            name: RunningSensor(
-                f"{manifest.path}: channel {name!r}",
-                name,
-                channel,
-                rate_hz,
-                self.cleaning,
-                late=zlib.crc32(f"{self._name}, {name}".encode()) / 2**32,
-            )
-            for name, channel in manifest.sensors().items()
-        }
+        self._orders: dict[str, Assembler] = {}
+        self._sensors: dict[str, RunningSensor] = {}
         self._speeds: list[FloatArray] = []
 
     @property
@@ -137,10 +145,15 @@ class Running:
         return not any(self._orders[name].n_frames for name in self._sensors)
 
     @property
+    def _accelerations(self) -> list[str]:
+        """Names of the accelerometers."""
+        return list(self.manifest.sensors())
+
+    @property
     def n_seconds(self) -> float:
         """Length of what has come of each sensor at least, with gaps, [s]; 0 before a first."""
-        orders = [self._orders[name] for name in self._sensors]
-        return min(order.n_samples / order.rate_hz for order in orders)
+        orders = [self._orders.get(name) for name in self._accelerations]
+        return min(0.0 if order is None else order.n_samples / order.rate_hz for order in orders)
 
     def add(self, frame: Frame) -> None:
         """Take a frame.
@@ -159,20 +172,69 @@ class Running:
                 f"{frame.sensor!r} of {frame.suspension!r}",
             )
         kind, units = self._units[frame.sensor]
-        assert source.unit is not None
-        found = size_of(kind, frame.unit)
-        if found is None or abs(found / units[source.unit] - 1) > 1e-9:
+        found, unit = size_of(kind, frame.unit), source.unit
+        if found is None or (unit is not None and abs(found / units[unit] - 1) > 1e-9):
+            wanted = unit or f"a unit of {kind} like {' or '.join(units)}"
             raise FrameError(
-                "unit", f"{frame.sensor!r} is in {source.unit}, its frame in {frame.unit!r}"
+                "unit", f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}"
             )
+        if unit is None and found != 1.0:
+            frame = replace(frame, samples=found * frame.samples.astype(np.float64))
         begins_s = (frame.time_ns - self.zero_ns) / SECOND_NS
-        if not 0 <= begins_s <= self.longest_s:
+        if not -self.before_s <= begins_s <= self.longest_s:
             raise FrameError(
                 "time",
                 f"a frame of {frame.sensor!r} begins {begins_s:.6g} s after the recording, which "
                 f"has at most {self.longest_s:g} s",
             )
-        self._give(frame.sensor, self._orders[frame.sensor].push(frame))
+        given = self._order(frame).push(frame)
+        self.begin_ns = min(self.begin_ns, frame.time_ns)
+        self.end_ns = max(self.end_ns, end_ns(frame))
+        self._give(frame.sensor, given)
+
+    def _order(self, frame: Frame) -> Assembler:
+        """Return what orders the frames of a sensor; its first frame may say its rate."""
+        name, source = frame.sensor, self._sources[frame.sensor]
+        if name not in self._orders:
+            rate_hz = source.rate_hz
+            if rate_hz is None or source.time is not None:
+                words = self._rate_problem(name, frame.rate_hz)
+                if rate_hz is not None and abs(frame.rate_hz / rate_hz - 1) > TIMES_TOLERANCE:
+                    words = f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+                if words:
+                    raise FrameError("rate", words)
+                rate_hz = frame.rate_hz
+            elif abs(frame.rate_hz - rate_hz) > RATE_TOLERANCE * rate_hz:
+                raise FrameError(
+                    "rate", f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+                )
+            self._begin(name, rate_hz)
+        return self._orders[name]
+
+    def _begin(self, name: str, rate_hz: float) -> None:
+        """Begin a sensor, whose rate is known."""
+        self._orders[name] = Assembler(rate_hz, self.order)
+        channel = self.manifest.sensors().get(name)
+        if channel is not None:
+            self._sensors[name] = RunningSensor(
+                f"{self.manifest.path}: channel {name!r}",
+                name,
+                replace(channel, rate_hz=rate_hz, unit=channel.unit or UNITS["acceleration"]),
+                self.rate_hz,
+                self.cleaning,
+                late=zlib.crc32(f"{self._name}, {name}".encode()) / 2**32,
+            )
+
+    def _rate_problem(self, name: str, rate_hz: float) -> str:
+        """Return why a sensor cannot have a rate; empty if it can."""
+        least = 0.0 if name == "speed" else 0.99 * self.rate_hz
+        most = 2 * HIGHEST_RATE_HZ if name == "speed" else HIGHEST_HZ
+        if least < rate_hz < most:
+            return ""
+        return (
+            f"{name!r} needs a rate of {least:g} to {most:g} Hz to be read as it comes, got "
+            f"{rate_hz:g} Hz"
+        )
 
     def flush(self) -> None:
         """Take all frames that wait for earlier ones; those are missing then."""
@@ -182,7 +244,8 @@ class Running:
     def recording(self) -> Recording:
         """Return the recording up to the samples so far: what the batch makes of them.
 
-        Frames that wait for earlier ones are left out; `flush` takes them.
+        Its clock begins with the second of `begin_ns`. Frames that wait for earlier ones are left
+        out; `flush` takes them. A `rest` of which nothing can be made is left out, too.
 
         Raises
         ------
@@ -190,11 +253,37 @@ class Running:
             As `load_recording` does: a sensor is dead or missing, the time too short, the speed
             unknown, or clocks run apart.
         """
-        missing = [name for name, order in self._orders.items() if order.first_ns is None]
+        begun = [name for name, order in self._orders.items() if order.first_ns is not None]
+        missing = [name for name in self._sources if name not in begun]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
-        signals = [sensor.signal() for sensor in self._sensors.values()]
-        return joined(self.manifest, signals, self._track(), 0.0, self.rate_hz)
+        signals = [
+            self._sensors[name].signal((self._clock_ns - self._zero_ns(name)) / SECOND_NS)
+            for name in self._accelerations
+        ]
+        found = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz)
+        if self.rest is None:
+            return found
+        try:
+            rest = self.rest.recording()
+        except TripError:
+            return found
+        return followed(found, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
+
+    @property
+    def _clock_ns(self) -> int:
+        """Zero of the recording's clock, since 1970, [ns]."""
+        return _second(self.begin_ns) if self.rate_hz.is_integer() else self.zero_ns
+
+    def _zero_ns(self, name: str) -> int:
+        """Return the zero of a sensor's clock, since 1970, [ns].
+
+        It is the second of its own first sample, so that nothing depends on the order in which
+        frames came; between two seconds there are common instants if the rate is a whole number.
+        """
+        first_ns = self._orders[name].first_ns
+        assert first_ns is not None
+        return _second(first_ns) if self.rate_hz.is_integer() else self.zero_ns
 
     def _give(self, name: str, blocks: list[FloatArray]) -> None:
         """Give the next samples of a sensor to what keeps them."""
@@ -203,34 +292,36 @@ class Running:
             return
         sensor = self._sensors[name]
         if blocks and sensor.start_s is None:
-            sensor.begin(self._start_s(name))
+            sensor.begin(self._start_s(name, self._zero_ns(name)))
         for block in blocks:
             sensor.push(block)
 
-    def _start_s(self, name: str) -> float:
-        """Return the time of a sensor's first sample on the recording's clock, [s]."""
+    def _start_s(self, name: str, zero_ns: int) -> float:
+        """Return the time of a sensor's first sample on a clock, [s]."""
         first_ns = self._orders[name].first_ns
         assert first_ns is not None
-        return (first_ns - self.zero_ns) / SECOND_NS
+        return (first_ns - zero_ns) / SECOND_NS
 
     def _track(self) -> SpeedTrack | None:
         """Return the speeds so far as the batch reads them; None if the manifest gives one."""
         source = self.manifest.speed
         if not isinstance(source, SpeedSource):
             return None
-        assert source.rate_hz is not None
-        assert source.unit is not None
+        rate_hz = self._orders["speed"].rate_hz
         self._speeds = [np.concatenate(self._speeds)]
-        speeds = SPEED_UNITS[source.unit] * self._speeds[0]
-        elapsed_s = np.arange(len(speeds)) / source.rate_hz
-        step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / source.rate_hz
-        return SpeedTrack(self._start_s("speed") + elapsed_s, speeds, Zero(), step_s, "")
+        speeds = SPEED_UNITS[source.unit or UNITS["speed"]] * self._speeds[0]
+        elapsed_s = np.arange(len(speeds)) / rate_hz
+        step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / rate_hz
+        start_s = self._start_s("speed", self._clock_ns)
+        return SpeedTrack(start_s + elapsed_s, speeds, Zero(), step_s, "")
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values that `restore` makes the same recording of."""
         self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
         return {
             "speeds": self._speeds[0],
+            "times": [self.begin_ns, self.end_ns, self.goes_on],
+            "rates": {name: order.rate_hz for name, order in self._orders.items()},
             "orders": {name: order.state() for name, order in self._orders.items()},
             "sensors": {name: sensor.state() for name, sensor in self._sensors.items()},
         }
@@ -238,8 +329,10 @@ class Running:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a state of a recording of the same identity."""
         self._speeds = [state["speeds"]]
-        for name, order in self._orders.items():
-            order.restore(state["orders"][name])
+        self.begin_ns, self.end_ns, self.goes_on = state["times"]
+        for name, rate_hz in state["rates"].items():
+            self._begin(name, rate_hz)
+            self._orders[name].restore(state["orders"][name])
         for name, sensor in self._sensors.items():
             sensor.restore(state["sensors"][name])
 
@@ -250,5 +343,16 @@ class Running:
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
             for name, one in self._sources.items()
         }
-        settings = [self.rate_hz, self.longest_s, asdict(self.cleaning), asdict(self.order)]
+        settings = [
+            self.rate_hz,
+            self.longest_s,
+            self.before_s,
+            asdict(self.cleaning),
+            asdict(self.order),
+        ]
         return [self._name, self.zero_ns, sensors, *settings]
+
+
+def _second(time_ns: int) -> int:
+    """Return the whole second in which a time lies, [ns]."""
+    return time_ns // SECOND_NS * SECOND_NS

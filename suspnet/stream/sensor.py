@@ -73,8 +73,13 @@ class RunningSensor:
         for block, bad in self._cleaner.push(self._size * values):
             self._resample(block, bad)
 
-    def signal(self) -> SensorSignal:
+    def signal(self, shift_s: float = 0.0) -> SensorSignal:
         """Return what the batch would make of the samples so far; they may go on.
+
+        Parameters
+        ----------
+        shift_s : float, [s]
+            Zero of the times of the signal on the sensor's clock, a multiple of the common step.
 
         Raises
         ------
@@ -89,9 +94,9 @@ class RunningSensor:
         return sensor_signal(
             self.where,
             ended._cleaner,
-            start_s,
+            start_s - shift_s,
             self._input_rate_hz,
-            self._first,
+            self._first - round(shift_s * self.rate_hz),
             signal.values,
             signal.touched,
         )

@@ -125,6 +125,46 @@ def test_each_section_is_a_trip_with_its_mileage(tmp_path, fleet):
     assert told["frames"]["taken"] > 100
 
 
+@pytest.mark.parametrize("section_s", [1200, 200])
+def test_a_trip_is_one_wherever_it_begins(tmp_path, fleet, section_s):
+    later_ns = round(1050.5 * 1e9)  # over 06:20, a multiple of 20 minutes
+    frames = map(decode, frames_of_trips(fleet[:1]))
+    source = ListSource([encode(replace(f, time_ns=f.time_ns + later_ns)) for f in frames])
+    (found,), _ = monitored(tmp_path, fleet, source, replace(LIVE, section_s=section_s))
+    expected = evaluate_trip(fleet[0], [model_at()], SETTINGS.trips)
+    assert (found.status, found.mileage_km) == ("ok", expected.mileage_km)
+    assert found.trip.endswith("06:17")
+    assert found.quality.duration_s == pytest.approx(expected.quality.duration_s, abs=0.1)
+    if section_s == 1200:  # half a second moves the common instants between the samples
+        for name in OUTPUTS:
+            np.testing.assert_allclose(found.estimates[name], expected.estimates[name], rtol=1e-3)
+    else:  # the rest of 100 s joins the section before
+        for name in OUTPUTS:
+            assert abs(found.estimates[name] - expected.estimates[name]) < 0.03
+
+
+def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_silent(
+    tmp_path, fleet
+):
+    frames, now_s = frames_of_trips(fleet[:1]), [0.0]
+    source = ListSource([])
+    rounds = [frames, [], [], []]
+
+    def receive(timeout_s):
+        now_s[0] += 1000.0
+        return rounds.pop(0) if rounds else None
+
+    source.receive = receive
+    live = replace(LIVE, section_s=200)
+    with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
+        results, (one,) = Results(store, SETTINGS, source.publish), suspensions(fleet, live)
+        Monitor([one], source, journal, results.tell, 1500.0, lambda: now_s[0], AtOnce()).run()
+    told = [row for kind, _, row in source.published if kind == "estimates"]
+    assert [row["trip"] for row in told] == [told[0]["trip"]] * 2
+    assert told[0]["estimates"] == told[1]["estimates"]
+    assert len(kept(tmp_path, fleet)) == 1
+
+
 def test_the_mileage_goes_on_with_the_speed(tmp_path, fleet):
     live = replace(LIVE, section_s=100)
     source = ListSource(all_frames(fleet[1]))
@@ -377,6 +417,57 @@ def test_bad_frames_are_counted_and_change_nothing(tmp_path, fleet):
     manifest = read_manifest(fleet[0])
     expected = evaluate_trip(fleet[0], [model_at()], SETTINGS.trips)
     assert_same_estimate(found, replace(expected, mileage_km=manifest.mileage_km))
+
+
+def test_frames_that_cannot_be_used_stay_out_of_the_journal(tmp_path, fleet, caplog):
+    frames = frames_of_trips(fleet[:1])
+    good = decode(frames[5])
+    unknown = [
+        encode(replace(good, sensor=sensor, sequence=k, samples=np.ones(600)))
+        for sensor in ("cabin", "roof")
+        for k in range(500)
+    ]
+    others = {"rate": {"rate_hz": 1e5}, "unit": {"unit": "km/h"}, "suspension": {"suspension": "x"}}
+    wrong = [encode(replace(good, **change)) for change in others.values() for _ in range(100)]
+    n_bytes = []
+
+    def bytes_after(several):
+        (folder := tmp_path / str(len(n_bytes))).mkdir()
+        with Journal(folder / "journal") as journal:
+            monitor = Monitor(suspensions(fleet), ListSource([]), journal, lambda *_: None)
+            for data in several:
+                monitor._take(data)
+            n_bytes.append(sum(journal.n_bytes.values()))
+            monitor.run()
+        return monitor.counts
+
+    counts = bytes_after(frames + unknown + wrong)
+    assert counts == {"taken": len(frames), "sensor": 1000} | dict.fromkeys(others, 100)
+    words = [record.getMessage() for record in caplog.records]
+    assert len(words) == 2 + len(others)
+    bytes_after(frames)
+    assert n_bytes[0] == n_bytes[1] < 4e6
+
+
+def test_frames_that_cannot_be_used_do_not_keep_a_suspension_from_falling_silent(tmp_path, fleet):
+    frames, now_s = frames_of_trips(fleet[:1]), [0.0]
+    unknown = encode(replace(decode(frames[5]), sensor="cabin"))
+    source, told = ListSource([]), []
+    rounds = [frames, *([[unknown]] * 5), []]
+
+    def receive(timeout_s):
+        now_s[0] += 1000.0
+        return rounds.pop(0) if rounds else None
+
+    source.receive = receive
+    with Journal(tmp_path / "journal") as journal:
+        monitor = Monitor(
+            suspensions(fleet),
+            *(source, journal, lambda _, what: told.append(what), 1500.0, lambda: now_s[0]),
+            AtOnce(),
+        )
+        monitor.run()
+    assert len(told) == 2  # silent, and at the end
 
 
 def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fleet):

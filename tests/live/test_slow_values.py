@@ -65,11 +65,24 @@ def test_order_and_repetition_of_frames_change_nothing(order, n_twice):
     assert again.state() == straight.state()
 
 
-def test_number_of_values_is_bounded():
+def test_number_of_values_is_bounded_and_wrong_times_push_out_no_right_ones():
     slow = SlowValues(0.0, None)
-    for k in range(3):
-        slow.take(value("mileage", k * MOST_KEPT, *np.full(MOST_KEPT, 5.0)))
-    assert len(slow.state()["known"]["mileage"]) == MOST_KEPT
+    for k in range(200):
+        far = np.full(1000, 5.0)
+        slow.take(value("mileage", 10**9 + 10_000 * k, *far, rate_hz=0.1))
+        slow.take(value("mileage", 10 * k, 100.0 + k))
+    known = slow.state()["known"]["mileage"]
+    assert len(known) == MOST_KEPT
+    assert known[:200] == [(10 * k * SECOND, 100.0 + k) for k in range(200)]
+
+
+def test_mileage_of_every_second_begins_with_that_of_the_section():
+    slow = SlowValues(0.0, None)
+    for k in range(1300):
+        slow.take(value("mileage", k, 100.0 + 0.07 * k))
+    assert within(slow, 0, 1200)[0] == 100.0
+    slow.pass_section(1200 * SECOND, 184.0)
+    assert within(slow, 1200, 2400)[0] == pytest.approx(184.0)
 
 
 @pytest.mark.parametrize(

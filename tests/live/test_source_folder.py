@@ -20,7 +20,7 @@ FRAMES = encoded(30)
 
 def opened(folder, **options):
     source = DropFolder(folder, **({"poll_s": 0.01, "once": True} | options))
-    source.subscribe([])
+    source.subscribe(["train 1, car 2"])
     return source
 
 
@@ -44,7 +44,6 @@ def test_files_are_read_in_the_order_of_their_first_frames(tmp_path):
     assert everything(opened(tmp_path)) == FRAMES
     assert names(tmp_path) == []
     assert len(names(tmp_path / "taken")) == 10
-    assert names(tmp_path / "refused") == []
 
 
 def test_files_are_deleted_if_one_likes(tmp_path):
@@ -52,8 +51,8 @@ def test_files_are_deleted_if_one_likes(tmp_path):
     (tmp_path / "b").write_bytes(b"foreign")
     source = opened(tmp_path, then="delete")
     assert everything(source) == FRAMES[:1]
-    assert names(tmp_path) == names(tmp_path / "taken") == []
-    assert names(tmp_path / "refused") == ["b"]
+    assert names(tmp_path) == ["b"]
+    assert not (tmp_path / "taken").exists()
 
 
 def test_file_stays_until_its_frames_are_confirmed(tmp_path):
@@ -72,7 +71,6 @@ def test_files_that_are_being_written_are_left_alone(tmp_path):
     for name in (".a", "b.part", "c.tmp"):
         (tmp_path / name).write_bytes(FRAMES[0][:100])
     (tmp_path / "folder").mkdir()
-    os.mkfifo(tmp_path / "fifo")
     source = opened(tmp_path, once=False)
     assert source.receive(0.05) == []
     (tmp_path / "b.part").write_bytes(FRAMES[0])
@@ -82,23 +80,81 @@ def test_files_that_are_being_written_are_left_alone(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "reason"),
+    ("content", "counts", "reason"),
     [
-        (b"time;value\n1;2\n", "foreign"),
-        (b"", "truncated"),
-        (FRAMES[0] + FRAMES[1][:-20], "truncated"),
-        (FRAMES[0] + b"x" + FRAMES[1], "foreign"),
+        (b"time;value\n1;2\n", {}, "does not begin with a frame"),
+        (b"", {}, "does not begin with a frame"),
+        (b"x" + FRAMES[0], {}, "does not begin with a frame"),
+        (FRAMES[0] + FRAMES[1][:-20], {"truncated": 1}, "not only frames (truncated)"),
+        (FRAMES[0] + b"x" + FRAMES[1], {"foreign": 1}, "not only frames (foreign)"),
+        (encode(frame(0, suspension="train 9")), {}, "'train 9', which is not monitored here"),
+        (FRAMES[0].replace(b"sequence", b"seqvence"), {}, "not valid (sequence)"),
     ],
 )
-def test_file_with_anything_but_frames_is_refused_after_its_frames(tmp_path, content, reason):
-    (tmp_path / "bad").write_bytes(content)
+def test_file_with_anything_but_our_frames_is_left_and_reported_once(
+    tmp_path, caplog, content, counts, reason
+):
+    (tmp_path / "bad\x1b[2J").write_bytes(content)
     (tmp_path / "good").write_bytes(FRAMES[5])
-    source = opened(tmp_path)
-    expected = [one for one in FRAMES[:2] if one in content] + [FRAMES[5]]
-    assert sorted(everything(source)) == sorted(expected)
-    assert source.counts == {reason: 1}
-    assert names(tmp_path / "refused") == ["bad"]
+    source = opened(tmp_path, once=False)
+    found = source.receive(0.1) + source.receive(0.1)
+    source.confirm()
+    begins = content.startswith(b"\xff")
+    assert [one for one in found if one in FRAMES] == [
+        *(one for one in FRAMES[:2] if begins and one in content),
+        FRAMES[5],
+    ]
+    assert source.counts == counts | {"left": 1}
+    assert names(tmp_path) == ["bad\x1b[2J"]
+    assert (tmp_path / "bad\x1b[2J").read_bytes() == content
     assert names(tmp_path / "taken") == ["good"]
+    (words,) = [record.getMessage() for record in caplog.records]
+    assert reason in words
+    assert words.isprintable()
+
+
+def test_links_and_fifos_are_left_and_reported_once(tmp_path, caplog):
+    precious = tmp_path / "precious"
+    precious.write_bytes(FRAMES[0])
+    folder = tmp_path / "incoming"
+    folder.mkdir()
+    (folder / "link").symlink_to(precious)
+    (folder / "dangling").symlink_to(tmp_path / "nothing")
+    os.mkfifo(folder / "fifo")
+    source = opened(folder, once=False, then="delete")
+    assert source.receive(0.05) == source.receive(0.05) == []
+    source.confirm()
+    assert source.counts == {"left": 3}
+    assert len(caplog.records) == 3
+    assert len(os.listdir(folder)) == 3
+    assert precious.read_bytes() == FRAMES[0]
+
+
+def test_files_are_not_moved_through_a_link(tmp_path):
+    (tmp_path / "outside").mkdir()
+    folder = tmp_path / "incoming"
+    folder.mkdir()
+    (folder / "a").write_bytes(FRAMES[0])
+    (folder / "taken").symlink_to(tmp_path / "outside")
+    with pytest.raises(OSError, match="must be a folder, and no link"):
+        opened(folder)
+    (folder / "taken").unlink()
+    source = opened(folder)
+    assert source.receive(1.0) == FRAMES[:1]
+    (folder / "taken").symlink_to(tmp_path / "outside")
+    source.confirm()
+    assert os.listdir(tmp_path / "outside") == []
+    assert sorted(os.listdir(folder)) == ["a", "taken"]
+
+
+def test_long_file_that_only_begins_with_a_frame_is_not_read_to_its_end(tmp_path):
+    with (tmp_path / "long").open("wb") as file:
+        file.write(FRAMES[0])
+        file.truncate(10**12)  # sparse
+    begin = time.monotonic()
+    assert everything(opened(tmp_path)) == FRAMES[:1]
+    assert time.monotonic() - begin < 5
+    assert names(tmp_path) == ["long"]
 
 
 @settings(max_examples=50, deadline=None)
@@ -110,17 +166,18 @@ def test_file_with_anything_but_frames_is_refused_after_its_frames(tmp_path, con
         max_size=5,
     )
 )
-def test_files_of_anything_give_their_frames_and_are_put_away(contents):
+def test_files_of_anything_give_their_frames_and_only_frames_are_put_away(contents):
     with TemporaryDirectory() as name:
         folder = Path(name)
         for k, parts in enumerate(contents):
             (folder / str(k)).write_bytes(b"".join(parts))
         found = everything(opened(folder))
-        assert sorted(found) == sorted(p for parts in contents for p in parts if p in FRAMES)
+        begun = [parts for parts in contents if b"".join(parts).startswith(b"\xff\xff\xff\xff")]
+        assert sorted(found) == sorted(p for parts in begun for p in parts if p in FRAMES)
         whole = [str(k) for k, parts in enumerate(contents) if parts and set(parts) <= set(FRAMES)]
-        assert names(folder) == []
-        assert names(folder / "taken") == whole
-        assert len(names(folder / "refused")) == len(contents) - len(whole)
+        assert names(folder) == [str(k) for k in range(len(contents)) if str(k) not in whole]
+        if whole:
+            assert names(folder / "taken") == whole
 
 
 def test_files_are_put_away_as_their_frames_are_confirmed_one_after_the_other(tmp_path):
@@ -128,19 +185,13 @@ def test_files_are_put_away_as_their_frames_are_confirmed_one_after_the_other(tm
     (tmp_path / "b").write_bytes(b"".join(FRAMES[2:5]))
     source = opened(tmp_path, once=False)
     assert source.receive(1.0) == FRAMES[:5]
-    (tmp_path / "c").write_bytes(b"foreign")
-    assert source.receive(0.05) == []
     source.confirm(1)
-    assert names(tmp_path) == ["a", "b", "c"]
+    assert names(tmp_path) == ["a", "b"]
     source.confirm(3)
-    assert names(tmp_path) == ["b", "c"]
+    assert names(tmp_path) == ["b"]
     source.confirm(1)
     assert names(tmp_path) == []
     assert names(tmp_path / "taken") == ["a", "b"]
-    (tmp_path / "d").write_bytes(b"foreign")
-    assert source.receive(0.05) == []
-    source.confirm(0)
-    assert names(tmp_path / "refused") == ["c", "d"]
 
 
 def test_thousands_of_files_and_batches_of_bounded_size(tmp_path, monkeypatch):

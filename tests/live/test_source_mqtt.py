@@ -432,13 +432,27 @@ def test_sink_without_a_broker_is_a_mistake(tmp_path):
         (lambda: Broker(port=0), "`port` must be"),
         (lambda: Broker(prefix="a/#"), "`prefix` must be"),
         (lambda: Broker(prefix=""), "`prefix` must be"),
-        (lambda: Broker(host=""), "`host` is empty"),
+        (lambda: Broker(prefix="a\n"), "`prefix` must be"),
+        (lambda: Broker(prefix="a" * 201), "`prefix` must be"),
+        (lambda: Broker(host=""), "`host` must be a name or an address"),
+        (lambda: Broker(host="a b"), "`host` must be a name or an address"),
+        (lambda: Broker(password_env="AWS_SECRET_ACCESS_KEY"), "`password_env` must be the name"),
+        (lambda: Broker(password_env="SUSPNET_A\n"), "`password_env` must be the name"),
+        (lambda: Broker(password_env=7), "`password_env` must be the name"),
+        (lambda: Broker(tls=True, key_file="/dev/zero").client(""), "there is no such file"),
         (lambda: Broker(ca_file="x"), "are for tls=true"),
     ],
 )
 def test_settings_out_of_range_are_refused(make, message):
-    with pytest.raises((TypeError, ValueError), match=message):
+    with pytest.raises((TypeError, ValueError, OSError), match=message):
         make()
+
+
+def test_host_is_that_of_the_environment_unless_it_is_given(monkeypatch):
+    assert Broker().where == "localhost:1883"
+    monkeypatch.setenv("SUSPNET_MQTT_HOST", "depot.lan")
+    assert Broker().where == "depot.lan:1883"
+    assert Broker(host="other.lan", port=7).where == "other.lan:7"
 
 
 def test_missing_paho_says_how_to_install_it(monkeypatch):

@@ -23,7 +23,7 @@ from stream_signals import (
 from suspnet.features.welch import Welch
 from suspnet.recordings import TripError, cleaning
 from suspnet.recordings.segments import recording_segments
-from suspnet.stream import Frame, FrameError, Running, StateError, encode
+from suspnet.stream import Frame, FrameError, Running, StateError, decode, encode
 from suspnet.stream.assembler import OrderSettings
 from suspnet.stream.state import dump_state, load_state
 
@@ -130,6 +130,37 @@ def test_recording_so_far_is_that_of_the_samples_so_far_and_changes_nothing(tmp_
     assert_same(stream.recording(), batch(manifest_in(tmp_path), signals(5)))
 
 
+def test_what_the_manifest_leaves_to_the_file_is_that_of_the_frames(tmp_path):
+    expected, frames, _ = case(tmp_path, 4)
+    manifest = manifest_in(tmp_path)
+    unsaid = {"unit": None, "rate_hz": None, "time": "t"}
+    channels = {
+        name: replace(one, **(unsaid | ({"unit": "m/s2"} if one.range else {})))
+        for name, one in manifest.channels.items()
+    }
+    manifest = replace(manifest, channels=channels, speed=replace(manifest.speed, **unsaid))
+    stream = Running(manifest, ZERO_NS, order=ORDER)
+    for k, one in enumerate(map(decode, frames)):
+        if one.sensor == "axle_box":
+            samples = one.samples.astype("f8") / 9.80665
+            one = replace(one, unit="g", samples=samples)
+        assert taken(stream, encode(one)) == ""
+        if k == len(frames) // 2:
+            stream = gone_on(stream, Running(manifest, ZERO_NS, order=ORDER))
+    assert taken(stream, encode(replace(GOOD, rate_hz=251.0, sequence=10**6))) == "rate"
+    stream.flush()
+    assert_same(stream.recording(), expected)
+
+
+def test_rate_of_a_column_of_times_is_near_the_stated_one(tmp_path):
+    manifest = manifest_in(tmp_path)
+    bogie = replace(manifest.channels["bogie"], time="t")
+    stream = Running(replace(manifest, channels={**manifest.channels, "bogie": bogie}), ZERO_NS)
+    assert taken(stream, encode(replace(GOOD, rate_hz=260.0))) == "rate"
+    assert taken(stream, encode(replace(GOOD, rate_hz=249.5))) == ""
+    assert taken(stream, encode(replace(GOOD, rate_hz=250.0, sequence=1))) == "rate"
+
+
 # property
 
 
@@ -190,11 +221,11 @@ def test_recording_without_a_sensor_is_refused(tmp_path):
         stream.recording()
 
 
-def test_manifest_without_a_rate_is_refused(tmp_path):
+def test_manifest_with_a_range_of_unknown_unit_is_refused(tmp_path):
     manifest = manifest_in(tmp_path)
-    bogie = replace(manifest.channels["bogie"], rate_hz=None)
-    without = replace(manifest, channels={**manifest.channels, "bogie": bogie})
-    with pytest.raises(TripError, match="'bogie' needs `unit` and a `rate_hz`"):
+    body = replace(manifest.channels["body"], unit=None)
+    without = replace(manifest, channels={**manifest.channels, "body": body})
+    with pytest.raises(TripError, match="'body' has a `range`; write its `unit`"):
         Running(without, ZERO_NS)
 
 

@@ -1,0 +1,455 @@
+"""What comes from others, a configuration or the files in a folder, sends and removes nothing."""
+
+import os
+import shutil
+import socket
+import stat
+import threading
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from cli_runner import typed
+from live_frames import encoded, frame
+from trip_fixtures import model_at, small_fleet
+
+from suspnet.cli import monitor, replay, serve
+from suspnet.live.drop_folder import DropFolder
+from suspnet.live.mqtt import Mqtt
+from suspnet.model.checkpoint import save_model
+from suspnet.stream import encode
+
+SECRET = "the key of a cloud"
+GLOBAL = "# @package _global_\n"
+
+
+@dataclass
+class Listener:
+    """Keeps what is sent to a port of this machine, and closes each connection."""
+
+    received: list[bytes] = field(default_factory=list)
+
+    def __enter__(self):
+        self._socket = socket.create_server(("127.0.0.1", 0))
+        self.port = self._socket.getsockname()[1]
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+        return self
+
+    def _listen(self):
+        while True:  # ends when the socket is closed
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            with connection:
+                connection.settimeout(1.0)
+                try:
+                    self.received.append(connection.recv(1000))
+                except OSError:
+                    self.received.append(b"")
+
+    def __exit__(self, *_):
+        self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._thread.join()
+
+
+# what a configuration sends
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Files for --config-dir and a command line, in which GROUP is source or sink."""
+
+    name: str
+    files: dict[str, str]
+    arguments: tuple[str, ...]
+    words: str = "name the broker's host yourself"
+
+
+def in_extra(name, text, *arguments, **options):
+    """Return a payload in a file that is typed as a group of its own."""
+    return Sent(name, {"extra/evil.yaml": GLOBAL + text}, ("+extra=evil", *arguments), **options)
+
+
+SETTINGS = {
+    "host": "host: 127.0.0.1, port: PORT",
+    "host_in_capitals": "host: LOCALHOST, port: PORT",
+    "port": "port: PORT",
+    "user": "port: PORT, user: x",
+    "secret": "port: PORT, user: x, password_env: AWS_SECRET_ACCESS_KEY",
+    "certificates": "port: PORT, tls: true, ca_file: ca.pem",
+    "prefix": "port: PORT, prefix: home",
+}
+REFERRED = {
+    "host": "x: 127.0.0.1\nGROUP: {broker: {port: PORT, host: '${x}'}}",
+    "settings": "x: {host: 127.0.0.1, port: PORT}\nGROUP: {broker: '${x}'}",
+    "option": "x: {broker: {port: PORT}}\nGROUP: '${x}'",
+    "host_by_ours": "GROUP: {broker: {port: PORT, host: '${now:127.0.0.1}'}}",
+    "host_by_hydra": "hydra: {job: {name: LOCALHOST}}\n"
+    "GROUP: {broker: {port: PORT, host: '${hydra:job.name}'}}",
+    "settings_by_hydra": "GROUP: {broker: '${hydra:job}'}",
+}
+SWEPT = {
+    "host": "{GROUP.broker.host: 127.0.0.1, GROUP.broker.port: PORT}",
+    "settings": "{GROUP.broker: '{port: PORT}'}",
+    "added": "{++GROUP.broker.port: PORT}",
+}
+OPTION = {
+    "source": "_target_: suspnet.live.mqtt.Mqtt",
+    "sink": "_target_: suspnet.live.sinks.MqttSink",
+}
+OTHERS_VARIABLES = (
+    "AWS_SECRET_ACCESS_KEY",
+    "HOME",
+    "PATH",
+    "suspnet_mqtt_password",
+    "SUSPNET",
+    "SUSPNET_",
+    "XSUSPNET_MQTT_PASSWORD",
+    "'SUSPNET_A B'",
+    "'SUSPNET_A\\n'",
+    "''",
+    "null",
+    "7",
+    "[AWS_SECRET_ACCESS_KEY]",
+)
+
+
+def payloads(group):
+    """Return what a configuration may hold to send something over one group's broker."""
+    chosen = f"{group}=mqtt"
+    for name, text in SETTINGS.items():
+        yield in_extra(f"extra_{name}", f"GROUP: {{broker: {{{text}}}}}", chosen)
+    for name in ("host", "port"):
+        of_broker = f"{{defaults: [/base/broker@broker, _self_], {OPTION[group]}, "
+        option = f"{of_broker}broker: {{{SETTINGS[name]}}}}}"
+        yield Sent(f"option_{name}", {f"{group}/evil.yaml": option}, (f"{group}=evil",))
+        other = f"defaults: [PROGRAM, _self_]\nGROUP: {{broker: {{{SETTINGS[name]}}}}}"
+        yield Sent(f"config_{name}", {"other.yaml": other}, ("--config-name=other", chosen))
+    yield in_extra("user_of_this_machine", "GROUP: {broker: {user: x}}", chosen)
+    for name, text in REFERRED.items():
+        words = "name the broker's host" if name.startswith("host") else "must be an option of"
+        yield in_extra(f"referred_{name}", text, chosen, words=words)
+    for name, text in SWEPT.items():
+        swept = f"hydra: {{mode: MULTIRUN, sweeper: {{params: {text}}}}}"
+        yield in_extra(f"swept_{name}", swept, chosen, words="is swept on the command line only")
+    named = f"{group}.broker.host=127.0.0.1"
+    swept = "hydra: {mode: MULTIRUN, sweeper: {params: {GROUP.broker.host: LOCALHOST}}}"
+    yield in_extra("swept_after_typed", swept, chosen, named, words="is swept on the command line")
+    for k, variable in enumerate(OTHERS_VARIABLES):
+        text = f"GROUP: {{broker: {{port: PORT, user: x, password_env: {variable}}}}}"
+        yield in_extra(f"variable_{k}", text, chosen, named, words="`password_env` must be")
+
+
+STORES = [
+    Sent(f"store_{k}", {"extra/evil.yaml": GLOBAL + text}, ("+extra=evil",), words)
+    for k, (text, words) in enumerate(
+        [
+            ("store: 'postgresql://x:y@127.0.0.1:PORT/fleet'", "named on the command line only"),
+            ("store: 'POSTGRESQL://127.0.0.1:PORT/fleet'", "named on the command line only"),
+            ("x: '//127.0.0.1:PORT/x'\nstore: 'postgresql:${x}'", "named on the command line only"),
+            ("store: '${now:postgresql://127.0.0.1:PORT/x}'", "named on the command line only"),
+            ("store: fleet.db\nopen_to_network: true\nhost: 0.0.0.0", "opened to the network"),
+        ]
+    )
+]
+PAYLOADS = [
+    (group, replace(one, name=f"{group}_{one.name}"))
+    for group in ("source", "sink")
+    for one in payloads(group)
+]
+DEFAULT = {"source_extra_host", "sink_variable_0"}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    save_model(folder, model_at())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    return small_fleet(tmp_path_factory)[0].parent
+
+
+@pytest.fixture(autouse=True)
+def _short(monkeypatch):
+    """A source that was opened after all ends, and a sink does not wait for an answer."""
+    receive = Mqtt.receive
+
+    def received(self, timeout_s):
+        receive(self, 1.0)
+
+    monkeypatch.setattr(Mqtt, "receive", received)
+    monkeypatch.setattr("suspnet.live.sinks.ANSWER_S", 1.0)
+    monkeypatch.setattr("suspnet.live.mqtt.LAST_WORDS_S", 0.1)
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
+    monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "right")
+
+
+def configured(group, payload, listener, run, fleet, folder, **variables):
+    """Run the program of a group with a configuration of somebody else's."""
+    program = "monitor" if group == "source" else "replay"
+
+    def filled(text):
+        words = {"GROUP": group, "PORT": str(listener.port), "PROGRAM": program}
+        for word, value in words.items():
+            text = text.replace(word, value)
+        return text
+
+    for name, text in payload.files.items():
+        file = folder / "theirs" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(filled(text))
+    (cwd := folder / "cwd").mkdir()
+    given = {
+        "source": (monitor, f"run={run}", f"suspensions={fleet}", "store=fleet.db"),
+        "sink": (replay, f"trips={fleet}"),
+        "monitor_store": (monitor, f"run={run}", f"suspensions={fleet}"),
+        "serve": (serve, "port=0"),
+    }
+    module, *arguments = given[group]
+    arguments = [f"--config-dir={folder / 'theirs'}", *map(filled, payload.arguments), *arguments]
+    arguments.sort(key=lambda one: not one.startswith("-"))
+    return typed(module, *arguments, cwd=cwd, **variables)
+
+
+def is_one_line(ended):
+    assert ended.returncode in (1, 2)
+    assert ended.stderr.startswith("error: ")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("group", "payload"),
+    [
+        pytest.param(group, one, id=one.name, marks=[pytest.mark.slow] * (one.name not in DEFAULT))
+        for group, one in (*PAYLOADS, *[("monitor_store", s) for s in STORES[:4]])
+    ]
+    + [
+        pytest.param("serve", one, id=f"serve_{one.name}", marks=pytest.mark.slow) for one in STORES
+    ],
+)
+def test_a_configuration_of_others_sends_nothing(group, payload, tmp_path, run, fleet):
+    with Listener() as listener:
+        ended = configured(group, payload, listener, run, fleet, tmp_path)
+    assert listener.received == []
+    is_one_line(ended)
+    assert payload.words in ended.stderr
+    assert SECRET not in ended.stdout + ended.stderr
+
+
+def test_there_are_many_configurations_of_distinct_names():
+    names = [one.name for _, one in PAYLOADS]
+    assert len(set(names)) == len(names) >= 60
+
+
+@pytest.mark.parametrize("group", ["source", "sink"])
+@pytest.mark.parametrize("way", ["typed", "environment"])
+def test_the_broker_that_a_user_names_is_connected(group, way, tmp_path, run, fleet):
+    own = in_extra("own", "GROUP: {broker: {port: PORT, user: monitor}}", f"{group}=mqtt")
+    named = (f"{group}.broker.host=127.0.0.1",) if way == "typed" else ()
+    variables = {} if way == "typed" else {"SUSPNET_MQTT_HOST": "127.0.0.1"}
+    own = replace(own, arguments=own.arguments + named)
+    with Listener() as listener:
+        configured(group, own, listener, run, fleet, tmp_path, **variables)
+    assert listener.received
+    assert b"MQTT" in listener.received[0]
+    assert b"right" in listener.received[0]
+
+
+# what lies in a folder of frames
+
+OURS = encoded(6)
+GOOD = b"".join(OURS)
+FOREIGN = {
+    "text": b"time;value\n1;2\n",
+    "nothing": b"",
+    "blank": b"\n",
+    "zeros": bytes(5000),
+    "mark_alone": b"\xff\xff\xff\xff",
+    "marks": b"\xff\xff\xff\xff" * 500,
+    "end_alone": b"\xff\xff\xff\xff\0\0\0\0",
+    "sqlite": b"SQLite format 3\0" + bytes(4080),
+    "parquet": b"PAR1" + bytes(100) + b"PAR1",
+    "feather": b"ARROW1\0\0" + GOOD,
+    "script": b"#!/bin/sh\nrm -rf /\n",
+    "cut_in_the_schema": OURS[0][:100],
+    "cut_in_the_samples": OURS[0][:-30],
+    "without_its_end": OURS[0][:-8],
+    "last_cut": GOOD[:-1],
+    "first_cut": GOOD[1:],
+    "preceded": b"\n" + GOOD,
+    "followed": GOOD + b"\n",
+    "parted": OURS[0] + b"\0" + OURS[1],
+    "twice_the_schema": OURS[0][:300] + OURS[0],
+    "length_that_lies": GOOD[:4] + b"\xf8\xff\xff\x7f" + GOOD[8:],
+    "length_below_zero": GOOD[:4] + b"\xf8\xff\xff\xff" + GOOD[8:],
+    "other_column": OURS[0].replace(b"samples", b"simples"),
+    "without_number": OURS[0].replace(b"sequence", b"seqvence"),
+    "other_train": encode(frame(0, suspension="train 7, car 2")),
+    "no_train": encode(frame(0, suspension="")),
+    "path": encode(frame(0, suspension="../../etc/passwd")),
+    "like_ours": encode(frame(0, suspension="train 1, car 2 ")),
+    "other_train_later": GOOD + encode(frame(0, suspension="train 7")),
+    "not_a_number": encode(frame(0, n=100, samples=np.full(100, 7.0))).replace(
+        np.full(100, 7.0).tobytes(), np.full(100, np.nan).tobytes()
+    ),
+    "number_below_zero": OURS[0].replace(b"1000000000000000000", b"-10000000000000000000"[:19]),
+    "long": GOOD + bytes(5_000_000),
+}
+NAMES = (
+    *("a b", "-rf", "a\n", "a\x1b[2J", "*.frames", "a;b", "$HOME", "a" * 250, "ä", "taken_"),
+    *("0001.part.frames", "x.PART", "..a", "~", "%2e%2e"),
+)
+LINKS = ("to_file", "to_frames", "to_folder", "to_nothing", "to_itself", "to_device", "to_hidden")
+OTHERS = ("fifo", "socket", "folder", "folder_of_frames", "device", "unreadable_folder")
+
+
+def lie(folder, name):
+    """Put something that is none of our files into a folder; return its path, or None."""
+    kind, _, which = name.partition(":")
+    path = folder / which
+    if kind == "name":
+        if which.startswith("..") or which.endswith(".part"):
+            path.write_bytes(GOOD)  # hidden, or not yet whole
+        else:
+            path.write_bytes(FOREIGN["text"])
+    elif kind == "content":
+        path.write_bytes(FOREIGN[which])
+    elif kind == "link":
+        outside = folder.parent / "outside"
+        targets = {"to_file": outside / "text", "to_frames": outside / "frames"}
+        targets |= {"to_folder": outside, "to_nothing": outside / "none", "to_itself": path}
+        targets |= {"to_device": "/dev/zero", "to_hidden": outside / ".hidden"}
+        path.symlink_to(targets[which])
+    elif which == "fifo":
+        os.mkfifo(path)
+    elif which == "socket":
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(os.path.relpath(path))
+    elif which == "device":
+        if os.geteuid():
+            pytest.skip("only root makes devices")
+        try:
+            os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(1, 5))  # /dev/zero
+        except PermissionError:
+            pytest.skip("no devices can be made here")
+    else:
+        path.mkdir(mode=0 if which == "unreadable_folder" else 0o755)
+        if which == "folder_of_frames":
+            (path / "a.frames").write_bytes(GOOD)
+
+
+def tree(folder):
+    """Return kind, size, time and content of all that lies below a folder."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        one = path.lstat()
+        content = path.read_bytes() if stat.S_ISREG(one.st_mode) else None
+        where = os.readlink(path) if stat.S_ISLNK(one.st_mode) else ""
+        found[str(path.relative_to(folder))] = one.st_mode, one.st_size, content, where
+    return found
+
+
+IN_FOLDER = [
+    *(f"name:{name}" for name in NAMES),
+    *(f"content:{name}" for name in FOREIGN),
+    *(f"link:{name}" for name in LINKS),
+    *(f"other:{name}" for name in OTHERS),
+]
+
+
+def laid(folder):
+    """Make a folder of frames with one good file in it, and what lies outside of it."""
+    (incoming := folder / "incoming").mkdir()
+    (incoming / "good.frames").write_bytes(GOOD)
+    (outside := folder / "outside").mkdir()
+    for name, content in (("text", b"precious"), ("frames", GOOD), (".hidden", GOOD)):
+        (outside / name).write_bytes(content)
+    return incoming
+
+
+def all_read(incoming, then):
+    """Read a folder until nothing new comes, all confirmed; return the source and its frames."""
+    source = DropFolder(incoming, then=then, poll_s=0.01)
+    source.subscribe(["train 1, car 2"])
+    found = []
+    for _ in range(3):
+        found += source.receive(0.02)
+        source.confirm()
+    source.close()
+    return source, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("then", ["move", "delete"])
+@pytest.mark.parametrize("name", IN_FOLDER, ids=ascii)
+def test_nothing_in_a_folder_but_our_frames_is_touched(name, then, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    incoming = laid(tmp_path)
+    lie(incoming, name)
+    before = tree(tmp_path)
+    source, found = all_read(incoming, then)
+    after = tree(tmp_path)
+    good = before.pop("incoming/good.frames")
+    if then == "move":
+        assert after.pop("incoming/taken/good.frames") == good
+        after.pop("incoming/taken")
+    assert after == before
+    assert set(OURS) <= set(found)
+    is_silent = name.startswith("name:..") or (name.startswith("other:") and "folder" in name)
+    assert source.counts["left"] == (0 if is_silent else 1)
+
+
+def test_there_are_many_things_in_folders():
+    assert len(set(IN_FOLDER)) == len(IN_FOLDER) >= 55
+
+
+@pytest.mark.parametrize("then", ["move", "delete"])
+def test_nothing_in_a_full_folder_but_our_frames_is_touched(then, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    incoming = laid(tmp_path)
+    for name in IN_FOLDER:
+        if name not in ("other:device", "content:long"):
+            lie(incoming, name)
+    before = tree(tmp_path)
+    all_read(incoming, then)
+    after = tree(tmp_path)
+    good = before.pop("incoming/good.frames")
+    if then == "move":
+        assert after.pop("incoming/taken/good.frames") == good
+        after.pop("incoming/taken")
+    assert after == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("then", ["move", "delete"])
+def test_the_program_touches_nothing_but_frames(then, tmp_path, run, fleet, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    incoming = laid(tmp_path)
+    (incoming / "good.frames").unlink()
+    sent = typed(
+        replay, f"trips={fleet}", "sink=folder", f"sink.folder={incoming}", "frame_s=10",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert sent.returncode == 0, sent.stderr
+    n_files = len(list(incoming.glob("*.frames")))
+    for name in IN_FOLDER:
+        if name not in ("other:device", "content:long"):
+            lie(incoming, name)
+    before = {key: one for key, one in tree(tmp_path).items() if not key.endswith(".frames")}
+    ended = typed(
+        monitor, f"run={run}", f"suspensions={fleet}", "store=../fleet.db", "source=folder",
+        "source.folder=../incoming", "source.once=true", f"source.then={then}",
+        cwd=(tmp_path / "outside"),
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    after = {key: one for key, one in tree(tmp_path).items() if key in before}
+    assert after == before
+    n_left = sum(key.endswith(".frames") for key in tree(incoming)) - 3  # of others
+    assert n_left == (n_files if then == "move" else 0)
+    shutil.rmtree(incoming / "unreadable_folder")

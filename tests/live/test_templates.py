@@ -1,0 +1,95 @@
+"""A manifest that suspnet-init wrote serves the monitor as it serves suspnet-evaluate."""
+
+import re
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from cli_runner import typed
+from monitor_frames import ListSource
+from trip_fixtures import OUTPUTS, RATES_HZ, model_at, signal, small_fleet
+
+from suspnet.cli import init
+from suspnet.history import History
+from suspnet.inspection.template import BLANK
+from suspnet.live.journal import Journal
+from suspnet.live.monitor import Monitor
+from suspnet.live.replay import Replay
+from suspnet.live.results import Results
+from suspnet.live.suspension import LiveSettings
+from suspnet.live.suspensions import read_suspensions
+from suspnet.model.from_recording import TripSettings
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.stream import encode
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.trip import evaluate_trip
+
+SETTINGS = FleetSettings(TripSettings())
+UNITS = {"g": 9.80665, "m/s^2": 1.0, "mg": 9.80665e-3}
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    return small_fleet(tmp_path_factory)
+
+
+def templated(folder, manifest, how):
+    """Write a trip's samples as a logger does, and complete the template of these files."""
+    files = []
+    for name, rate_hz, (unit, size) in zip(CHANNELS, RATES_HZ, UNITS.items(), strict=True):
+        values = signal(manifest, name) / size
+        stated = {b"unit": unit.encode()} | ({b"rate_hz": b"%g" % rate_hz} if how == "file" else {})
+        fields, columns = [pa.field(name, pa.float64(), metadata=stated)], [values]
+        if how == "times":
+            fields.insert(0, pa.field("t", pa.float64()))
+            columns.insert(0, np.arange(len(values)) / (rate_hz * 0.9998))
+        files.append(folder / f"{name}.parquet")
+        pq.write_table(pa.table(columns, schema=pa.schema(fields)), files[-1])
+    done = typed(init, *files, "-o", folder / "trip.yaml", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    path = folder / "trip.yaml"
+    text = path.read_text(encoding="utf-8")
+    filled = {
+        "vehicle": model_at().vehicle.name,
+        "suspension": "front",
+        "mileage_km": "1000.0",
+        "speed": "70.0",
+        "side": "left",
+    }
+    for key, value in filled.items():
+        text = re.sub(rf"^{key}:.*$", f"{key}: {value}", text, flags=re.MULTILINE)
+    assert f": {BLANK}" not in text
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("how", ["file", "times"])
+def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fleet, how):
+    (folder := tmp_path / "trips").mkdir()
+    path = templated(folder, fleet[0], how)
+    manifest = read_manifest(path)
+    assert [one.rate_hz is None for one in manifest.channels.values()] == [how == "times"] * 3
+    assert manifest.channels["body"].unit is None  # mg is no unit of manifests, so the file says it
+    model = model_at()
+    (one,) = read_suspensions(folder, [model], SETTINGS, LiveSettings(every_s=None))
+    frames = list(Replay(folder, start="2026-03-01T06:17:30Z").frames())
+    source = ListSource([encode(frame) for frame in frames])
+    with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
+        results = Results(store, SETTINGS, source.publish)
+        monitor = Monitor([one], source, journal, results.tell)
+        monitor.run()
+        (found,) = store.read(manifest.vehicle, manifest.place)
+    assert monitor.counts == {"taken": len(frames)}
+    expected = evaluate_trip(path, [model], SETTINGS.trips)
+    assert (found.status, found.trip) == ("ok", "2026-03-01 06:17")
+    for name in OUTPUTS:
+        np.testing.assert_allclose(found.estimates[name], expected.estimates[name], rtol=1e-6)
+
+
+def test_range_without_a_unit_is_the_only_thing_that_is_missing(tmp_path, fleet):
+    path = templated(tmp_path, fleet[0], "file")
+    path.write_text(path.read_text().replace('column: "body"', 'column: "body", range: 50'))
+    with pytest.raises(TripError, match=r"'body' has a `range`; write its `unit` to have it read"):
+        read_suspensions(tmp_path, [model_at()], SETTINGS, LiveSettings())
