@@ -56,7 +56,7 @@ def serve(board: Board, config: DictConfig) -> None:
     Raises
     ------
     ValueError
-        If the address is taken, or not of this computer.
+        If the address is taken, or not of this computer, or the server ends by itself.
     SystemExit
         With 128 and the number of the signal.
     """
@@ -91,7 +91,7 @@ def serve(board: Board, config: DictConfig) -> None:
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
     if not code:
-        raise RuntimeError("the server has ended by itself; start suspnet-serve again")
+        raise ValueError("the server has ended by itself; start suspnet-serve again")
     print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
     sys.exit(128 + code)
 
