@@ -104,7 +104,7 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
     for i, result in good.items():
         assert result.estimates == alone[i].estimates
         assert result.quality == alone[i].quality
-    assert "at 64.4 to 75.6 m/s and steady within 2 %" in results[2].reason
+    assert "the model reads 64.4 to 75.6 m/s" in results[2].reason
     assert results[5].reason.startswith("channel 'body' is constant (0) throughout")
     assert results[6].reason.startswith("is not valid YAML")
 
@@ -429,7 +429,7 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
     assert [r.status for r in results] == ["ok", "no estimate"]
     assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
     details = json.loads((tmp_path / "out" / "metrics.json").read_text())["details"]
-    assert details["speeds"] == "46 to 54 m/s, 64.4 to 75.6 m/s"
+    assert details["speeds"] == "46.0 to 54.0 m/s, 64.4 to 75.6 m/s"
 
 
 def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
@@ -479,7 +479,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
     are_as_if_alone([results[name] for name in "abc"], alone[:3])
     reasons = {
         "deadly": "was killed (SIGKILL(-9)), and so was that of a second attempt",
-        "far": "`mileage_km` must be below 1e+09, got 1e+19",
+        "far": "`mileage_km` must be at most 20000000 km (is it in metres?), got 1e+19",
         "fast": "channel 'body' has 1e+09 Hz; at most 1e+06 Hz can be read",
         "b\\udcffd": "channel 'body' has 50 Hz; at least 100 Hz are needed",
     }
