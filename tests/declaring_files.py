@@ -190,7 +190,7 @@ def mdf_packed(folder: Path, *, size: int) -> Path:
     asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version="4.10") as file:
         zeros = np.zeros(10**5)
-        file.append([asammdf.Signal(zeros, np.arange(len(zeros)) / 1e3, name="a")])
+        file.append([asammdf.Signal(zeros, np.arange(len(zeros)) / 700, name="a")])
         written = file.save(folder / "new.mf4", overwrite=True, compression=1)
     content = bytearray(written.read_bytes())
     block = content.index(b"##DZ")

@@ -1,6 +1,7 @@
 """Reads all columns of data files and prints, as JSON, what came of each; a process of its own."""
 
 import json
+import os
 import re
 import resource
 import sys
@@ -14,9 +15,19 @@ from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripError
 
 
+def cpu_s() -> float:
+    """Return the processor time of this process and of all readers so far [s]."""
+    own, server = resource.getrusage(resource.RUSAGE_SELF), apart._servers.get(os.getpid())
+    found = own.ru_utime + own.ru_stime
+    if server is not None:
+        stat = Path(f"/proc/{server._child.pid}/stat").read_text().rpartition(")")[2].split()
+        found += sum(map(int, stat[11:15])) / os.sysconf("SC_CLK_TCK")
+    return found
+
+
 def read_all(path: Path, secret: float = np.nan) -> dict:
     """Return how many columns were read, the errors, whether a value came in, and the seconds."""
-    start, n_read, errors, leaked = time.monotonic(), 0, [], False
+    start, cpu, n_read, errors, leaked = time.monotonic(), cpu_s(), 0, [], False
     try:
         with open_file(path) as file:
             names = [column.name for column in file.columns]
@@ -29,8 +40,8 @@ def read_all(path: Path, secret: float = np.nan) -> dict:
                     errors.append(str(error))
     except TripError as error:
         errors.append(str(error))
-    seconds = time.monotonic() - start
-    return {"read": n_read, "errors": errors, "leaked": leaked, "seconds": seconds}
+    seconds, cpu = time.monotonic() - start, cpu_s() - cpu
+    return {"read": n_read, "errors": errors, "leaked": leaked, "seconds": seconds, "cpu": cpu}
 
 
 def main() -> None:

@@ -21,10 +21,10 @@ from read_all import read_all
 
 from suspnet.recordings.manifest import CHANNELS
 
-SECONDS = 15.0
-"""Longest time for one column of one file on a machine that is busy with ten other programs.
+SECONDS, WALL_SECONDS = 10.0, 60.0
+"""Longest processor time for one file, and longest time on a machine that is busy with ten others.
 
-Alone it is 3 s: 500 MB of packed zeros are unpacked twice. The first file starts the reader too."""
+The longest are 500 MB of packed zeros, unpacked twice; the first file starts the reader."""
 MOST_OWN_BYTES, MOST_READER_BYTES = 0.6e9, 1.7e9
 """Largest memory of the process that asks and of a reader, their libraries (0.2 GB) included."""
 FEW_ACTING = ("mdf system", "mdf 3.30", "hdf5 external file", "hdf5 virtual file", "tdms index")
@@ -73,7 +73,8 @@ def check(name: str, path: Path, found: dict, harmless) -> None:
     assert not found["leaked"], name
     assert all("\n" not in error and path.name in error for error in found["errors"]), name
     assert found["errors"] or name in harmless, name
-    assert found["seconds"] < SECONDS * max(len(found["errors"]) + found["read"], 1), (name, found)
+    assert found["cpu"] < SECONDS, (name, found)
+    assert found["seconds"] < WALL_SECONDS, (name, found)
 
 
 @pytest.mark.parametrize(
@@ -114,9 +115,9 @@ def test_all_files_do_nothing_in_bounded_memory(tmp_path, bait, payloads, harmle
         check(name, place, answer["found"][str(place)], harmless)
     assert state(tmp_path) == before
     refused = sum(bool(one["errors"]) for one in answer["found"].values())
-    longest = max(one["seconds"] for one in answer["found"].values())
+    longest = max(one["cpu"] for one in answer["found"].values())
     print(
-        f"{len(paths)} files, {refused} refused, at most {longest:.1f} s, "
+        f"{len(paths)} files, {refused} refused, at most {longest:.1f} s of a processor, "
         f"{answer['own'] / 1e9:.2f} and {answer['readers'] / 1e9:.2f} GB"
     )
     assert answer["own"] < MOST_OWN_BYTES
