@@ -143,9 +143,7 @@ def test_a_trip_is_one_wherever_it_begins(tmp_path, fleet, section_s):
             assert abs(found.estimates[name] - expected.estimates[name]) < 0.03
 
 
-def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_silent(
-    tmp_path, fleet
-):
+def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_silent(tmp_path, fleet):
     frames, now_s = frames_of_trips(fleet[:1]), [0.0]
     source = ListSource([])
     rounds = [frames, [], [], []]
