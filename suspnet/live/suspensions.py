@@ -48,8 +48,8 @@ def read_suspensions(
         name = str(manifest.place)
         if not name.isprintable() or len(name) > MOST_CHARACTERS:
             raise TripError(
-                f"{manifest.path}: frames cannot name the suspension {name[:80]!r}; a name is plain "
-                f"text of at most {MOST_CHARACTERS} characters"
+                f"{manifest.path}: frames cannot name the suspension {name[:80]!r}; a name is "
+                f"plain text of at most {MOST_CHARACTERS} characters"
             )
         fitting = models_of(models, group.place)
         settings.limits_of(fitting)
