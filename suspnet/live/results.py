@@ -101,7 +101,7 @@ class Results:
         """Return the TensorBoard log of a suspension."""
         assert self._folder is not None
         if name not in self._logs:
-            folder = "".join(c if c.isalnum() or c in "-_." else "_" for c in name)
+            folder = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
             self._logs[name] = RunLog(self._folder / folder)
         return self._logs[name]
 

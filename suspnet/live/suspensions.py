@@ -10,6 +10,7 @@ from suspnet.live.suspension import LiveSettings, LiveSuspension
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.stream.frames import MOST_CHARACTERS
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.models import models_of
 from suspnet.trips.places import find_groups
@@ -34,7 +35,8 @@ def read_suspensions(
     FileNotFoundError
         If there is no manifest.
     TripError
-        If a manifest is faulty, is of another vehicle, or lacks the unit or rate of a sensor.
+        If a manifest is faulty, is of another vehicle, lacks the unit of a sensor's range, or has a
+        name that frames cannot have.
     ModelFileError
         If a suspension has no model, or the limits do not go together.
     """
@@ -43,12 +45,18 @@ def read_suspensions(
         if group.error:
             raise TripError(f"{group.folder}: {group.error}")
         manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        name = str(manifest.place)
+        if not name.isprintable() or len(name) > MOST_CHARACTERS:
+            raise TripError(
+                f"{manifest.path}: frames cannot name the suspension {name[:80]!r}; a name is "
+                f"plain text of at most {MOST_CHARACTERS} characters"
+            )
         fitting = models_of(models, group.place)
         settings.limits_of(fitting)
-        if (name := fitting[0].vehicle.name) != manifest.vehicle:
+        if (vehicle := fitting[0].vehicle.name) != manifest.vehicle:
             raise TripError(
                 f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, the model was "
-                f"trained for {name!r}"
+                f"trained for {vehicle!r}"
             )
         found.append(LiveSuspension(manifest, fitting, settings.trips, live))
     return found

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from monitor_frames import AtOnce, ListSource, all_frames, by_time, mileage_frame, trip_frames
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, small_fleet
@@ -20,7 +21,7 @@ from suspnet.live.suspension import Job, LiveSettings, LiveSuspension
 from suspnet.live.suspensions import read_suspensions
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import read_manifest
-from suspnet.recordings.manifest import Place
+from suspnet.recordings.manifest import Place, TripError
 from suspnet.stream import Frame, decode, encode
 from suspnet.stream.assembler import OrderSettings
 from suspnet.stream.sections import MOST_OPEN
@@ -143,9 +144,7 @@ def test_a_trip_is_one_wherever_it_begins(tmp_path, fleet, section_s):
             assert abs(found.estimates[name] - expected.estimates[name]) < 0.03
 
 
-def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_silent(
-    tmp_path, fleet
-):
+def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_silent(tmp_path, fleet):
     frames, now_s = frames_of_trips(fleet[:1]), [0.0]
     source = ListSource([])
     rounds = [frames, [], [], []]
@@ -584,6 +583,29 @@ def test_manifests_of_a_folder_need_no_files(tmp_path, fleet):
     (tmp_path / "live.yaml").write_text(manifest)
     (found,) = read_suspensions(tmp_path, [model_at()], SETTINGS, LIVE)
     assert found.name == str(read_manifest(fleet[0]).place)
+
+
+@pytest.mark.parametrize("name", ["a\x1b[2J", "a" * 300])
+def test_manifest_of_a_name_that_no_frame_can_have_is_refused(tmp_path, fleet, name):
+    content = yaml.safe_load(fleet[0].read_text()) | {"suspension": name}
+    (tmp_path / "live.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(TripError, match="frames cannot name the suspension") as error:
+        read_suspensions(tmp_path, [model_at()], SETTINGS, LIVE)
+    assert str(error.value).isprintable()
+
+
+@pytest.mark.parametrize("name", ["..", "../../x", "/etc", ".", "a/../.."])
+def test_events_of_a_suspension_stay_in_their_folder(tmp_path, fleet, name):
+    (one,) = suspensions(fleet, suspension=name)
+    (folder := tmp_path / "events").mkdir()
+    with History(tmp_path / "fleet.db") as store:
+        results = Results(store, SETTINGS, lambda *_: None, folder)
+        results._log(one.name)
+        results.close()
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["events"]
+    (inside,) = folder.iterdir()
+    assert inside.parent == folder
+    assert inside.is_dir()
 
 
 def test_two_manifests_of_one_suspension_are_refused(fleet, tmp_path):
