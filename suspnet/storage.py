@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from suspnet import ledger
+
 try:
     import fcntl
 except ImportError:  # not a POSIX system
@@ -33,20 +35,31 @@ class DamagedFileError(ValueError):
     """A file is truncated, altered or of another format."""
 
 
-def write_atomically(path: Path, content: bytes | str) -> Path:
+def write_atomically(path: Path, content: bytes | str, force: bool = False) -> Path:
     """Write a file that has no name in its folder before it is whole and on the disk.
 
     Where the file system has no files without a name, a hidden one in the same folder is written
-    and renamed.
+    and renamed. In a folder of results it is entered in the ledger first.
+
+    Parameters
+    ----------
+    path : Path
+    content : bytes or str
+    force : bool
+        Whether it replaces a file of a folder of results that this package did not write.
 
     Raises
     ------
+    FileExistsError
+        If the folder is one of results and holds such a file that this package did not write.
     OSError
         If the folder cannot be written; nothing is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
+    token = secrets.token_hex(4)
+    temporary = path.parent / f".{path.name}.{token}"
+    ledger.note(path, data, token, force)
     try:
         handle, is_named = _opened(temporary)
         with os.fdopen(handle, "wb") as stream:

@@ -103,7 +103,6 @@ def compose(config: DictConfig) -> int:
         severities = [one.severity for one in found if isinstance(one, State)]
         return worst(ALARMS.get(one, FINE) for one in severities)
     runs, output = named_runs(config.run), program.run_folder()
-    folders.clear(output)
     program.save_config(config, output)
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]

@@ -7,6 +7,7 @@ called; `CheckedLoader` therefore checks each configuration as soon as it is com
 
 from __future__ import annotations
 
+import copy
 import functools
 import re
 from collections.abc import Iterator, Mapping
@@ -18,10 +19,11 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
@@ -77,9 +79,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "vehicles": ("suspnet.cli.configs.read_vehicles",),
 }
 """All that a configuration may build, by the key below which it may stand."""
+OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (
     "suspnet.cli.evaluate.WorstExitCode",
-    "suspnet.cli.folders.OwnFolder",
+    OWN_FOLDER,
     "suspnet.studies.sweeps.Ablation",
     "suspnet.studies.sweeps.Comparison",
     "suspnet.studies.sweeps.Jobs",
@@ -114,6 +117,9 @@ MAX_VALUES, MAX_DEPTH = 5_000, 50
 shipped it has fewer than 500 values, ten deep."""
 CLUSTER = "monitor.cluster"
 """Key of the scheduler whose workers unpickle, and so run, what they are sent."""
+PLACES = ("resume", "out", "data.cache_dir", "store", "journal", "tensorboard", "sink.folder")
+"""Keys that name where is written: a file of somebody else's may not choose the place."""
+OF_HYDRA = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that tell Hydra or Python's logging to call something."""
 
@@ -121,8 +127,8 @@ SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 class CheckedLoader(ConfigLoaderImpl):
     """Hydra's loader of configurations, which refuses one that would run foreign code."""
 
-    _is_cluster_typed: bool | None = None
-    """Whether the command line names the cluster; it is loaded before the jobs of a multirun."""
+    _typed: frozenset[str] | None = None
+    """Keys that the command line names; it is loaded before the jobs of a multirun."""
 
     def load_configuration(
         self,
@@ -143,16 +149,29 @@ class CheckedLoader(ConfigLoaderImpl):
             config_name, overrides, run_mode, from_shell, validate_sweep_overrides
         )
         check_configuration(config)
-        if self._is_cluster_typed is None:
+        if self._typed is None:
             typed = OverridesParser.create().parse_overrides(overrides)
-            self._is_cluster_typed = any(one.key_or_group == CLUSTER for one in typed)
-        if not self._is_cluster_typed:
+            self._typed = frozenset(one.key_or_group for one in typed)
+        if CLUSTER not in self._typed:
             _check_cluster(config)
+        _check_places(config, self._typed)
         foreign = any(source.provider == "command-line" for source in self.get_sources())
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
             # the sweeper would write a file before it composes the jobs
             for job in _jobs(config, self):
                 self.load_sweep_config(config, job)
+        return config
+
+    def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
+        """Compose and check the configuration of a job of a multirun.
+
+        Raises
+        ------
+        ValueError
+            If it asks for what is not trusted, or its folder would not lie in that of the multirun.
+        """
+        config = super().load_sweep_config(master_config, sweep_overrides)
+        _check_subfolder(config)
         return config
 
     def _process_config_searchpath(
@@ -288,6 +307,63 @@ def _check_cluster(config: DictConfig) -> None:
         )
 
 
+def _check_places(config: DictConfig, typed: frozenset[str]) -> None:
+    """Raise ValueError if a file, and not the command line, says where is written."""
+    for key in (*PLACES, *OF_HYDRA):
+        above, _, last = key.rpartition(".")
+        node = OmegaConf.select(config, above) if above else config
+        if key in typed or not isinstance(node, DictConfig) or last not in node:
+            continue
+        written = OmegaConf.to_container(node, resolve=False)
+        assert isinstance(written, dict)
+        value = written[last]
+        if value not in _shipped_places(key) and (value is not None or key in OF_HYDRA):
+            raise ValueError(
+                f"`{key}` can be named on the command line only, as files are written there; got "
+                f"{value!r}"
+            )
+        if key in PLACES and not OmegaConf.is_missing(node, last) and value is not None:
+            place = Path(str(node[last]))
+            if place.is_absolute() or ".." in place.parts:
+                raise ValueError(
+                    f"`{key}` leads to {place}: what its name is made of must be plain names; "
+                    f"{key}= on the command line names another place"
+                )
+
+
+@functools.cache
+def _shipped_places(key: str) -> list[Any]:
+    """Return the values of a key in the configurations as shipped, as written."""
+    found = []
+    group, _, rest = key.partition(".")
+    for file in Path(CONFIGS).rglob("*.yaml"):
+        content = OmegaConf.load(file)
+        parts = rest.split(".") if file.parent.name == group else key.split(".")
+        value: Any = OmegaConf.to_container(content, resolve=False)
+        for part in parts:
+            value = value.get(part) if isinstance(value, dict) else None
+        if value is not None:
+            found.append(value)
+    return found
+
+
+def _check_subfolder(config: DictConfig) -> None:
+    """Raise ValueError unless the folder of a job lies directly in that of its multirun."""
+    probe = copy.deepcopy(config)
+    with read_write(probe.hydra), open_dict(probe.hydra):
+        probe.hydra.job.num, probe.hydra.job.id = 0, "0"  # Hydra numbers the jobs later
+    before = HydraConfig.instance().cfg
+    HydraConfig.instance().set_config(probe)
+    try:
+        name = str(probe.hydra.sweep.subdir)
+    finally:
+        HydraConfig.instance().cfg = before
+    if name in ("", ".", "..") or Path(name).name != name:
+        raise ValueError(
+            f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
+        )
+
+
 def _check_hydra(hydra: dict[str, Any]) -> None:
     """Check Hydra's own block: as shipped but for folders, numbers, words, what is swept."""
     rest = dict(hydra)
@@ -301,16 +377,20 @@ def _check_hydra(hydra: dict[str, Any]) -> None:
     for key in ("env_set", "env_copy"):
         if job.get(key):
             raise ValueError(f"`hydra.job.{key}` cannot be set; set the variables in your shell")
-    for name, value in (
-        ("job.name", job.get("name", "job")),
-        ("output_subdir", rest.get("output_subdir") or "none"),
-    ):
-        if not isinstance(value, str) or not FILE_NAME.fullmatch(value):
-            raise ValueError(f"`hydra.{name}` must be a plain name, got {value!r}")
+    name = job.get("name", "job")
+    if not isinstance(name, str) or not FILE_NAME.fullmatch(name):
+        raise ValueError(f"`hydra.job.name` must be a plain name, got {name!r}")
+    if rest.get("output_subdir") not in (None, ".hydra"):
+        raise ValueError(
+            f"`hydra.output_subdir` must be .hydra or null, got {rest['output_subdir']!r}"
+        )
 
 
 def _check_callbacks(callbacks: Any) -> None:
-    """Raise ValueError unless all callbacks are ours."""
+    """Raise ValueError unless all callbacks are ours, among them that which guards folders."""
+    folders = _block("hydra.callbacks", callbacks).get("folders")
+    if not isinstance(folders, dict) or folders.get("_target_") != OWN_FOLDER:
+        raise ValueError(f"`hydra.callbacks.folders` must be as shipped, got {folders!r}")
     for name, one in _block("hydra.callbacks", callbacks).items():
         if one is None:
             continue

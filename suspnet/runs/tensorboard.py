@@ -56,6 +56,8 @@ SECTIONS = {
 class RunLog:
     """One run's TensorBoard events, in the run's own folder; a context manager.
 
+    Events that an earlier run left there stay, but TensorBoard shows these in their place.
+
     Parameters
     ----------
     folder : Path
@@ -63,7 +65,7 @@ class RunLog:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._writer = SummaryWriter(str(folder))
+        self._writer = SummaryWriter(str(folder), purge_step=0)
 
     def __enter__(self) -> Self:
         return self
