@@ -119,6 +119,13 @@ def remove(path: Path) -> None:
         path.unlink()
 
 
+def discard(folder: Path) -> None:
+    """Remove the ledger of a folder in which nothing else is."""
+    file = folder / LEDGER
+    if _root(folder) == _absolute(folder) and list(_files(folder)) == [file]:
+        file.unlink()
+
+
 def free_name(path: Path) -> Path:
     """Return `path`, or `path` with _2, _3, ... before its suffix if there is such a file."""
     number, found = 1, path

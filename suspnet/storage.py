@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -29,6 +30,11 @@ else:
 
 DESCRIPTORS = "/proc/self/fd"
 """Where Linux shows a process the files that it has open."""
+
+
+UNPRINTABLE = re.compile(
+    "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ud800-\\udfff]"
+)
 
 
 class DamagedFileError(ValueError):
@@ -224,8 +230,12 @@ def content_hash(description: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text that every file can hold; the bytes of a name that are not UTF-8 stand in hex."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    """Return text that every file can hold and that moves nothing on a terminal.
+
+    Control characters but ends of lines and tabs, marks that turn the direction of writing, and
+    bytes of a name that are not UTF-8 stand as escapes.
+    """
+    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def _finite(content: Any) -> Any:

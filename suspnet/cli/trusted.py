@@ -145,16 +145,20 @@ class CheckedLoader(ConfigLoaderImpl):
         ValueError
             If it asks for what is not trusted.
         """
-        config = super().load_configuration(
-            config_name, overrides, run_mode, from_shell, validate_sweep_overrides
-        )
+        try:
+            config = super().load_configuration(
+                config_name, overrides, run_mode, from_shell, validate_sweep_overrides
+            )
+        except AttributeError as error:  # Hydra asks of null what its own block holds
+            raise ValueError("`hydra` must be a mapping, as shipped, or be left out") from error
         check_configuration(config)
+        keys = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
         if self._typed is None:
-            typed = OverridesParser.create().parse_overrides(overrides)
-            self._typed = frozenset(one.key_or_group for one in typed)
+            self._typed = frozenset(keys)
         if CLUSTER not in self._typed:
             _check_cluster(config)
-        _check_places(config, self._typed)
+        # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose
+        _check_places(config, self._typed | {key for key in keys if key.startswith("hydra.")})
         foreign = any(source.provider == "command-line" for source in self.get_sources())
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
             # the sweeper would write a file before it composes the jobs
@@ -377,6 +381,8 @@ def _check_hydra(hydra: dict[str, Any]) -> None:
     for key in ("env_set", "env_copy"):
         if job.get(key):
             raise ValueError(f"`hydra.job.{key}` cannot be set; set the variables in your shell")
+    if not isinstance(rest.get("verbose", False), bool | str | list):
+        raise ValueError(f"`hydra.verbose` must be true, false or names, got {rest['verbose']!r}")
     name = job.get("name", "job")
     if not isinstance(name, str) or not FILE_NAME.fullmatch(name):
         raise ValueError(f"`hydra.job.name` must be a plain name, got {name!r}")
