@@ -120,10 +120,9 @@ def remove(path: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Remove the ledger of a folder in which nothing else is."""
-    file = folder / LEDGER
-    if _root(folder) == _absolute(folder) and list(_files(folder)) == [file]:
-        file.unlink()
+    """Remove the ledger of a folder in which nothing is written any more."""
+    if _root(folder) == _absolute(folder):
+        (folder / LEDGER).unlink()
 
 
 def free_name(path: Path) -> Path:

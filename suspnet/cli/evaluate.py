@@ -15,7 +15,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import folders, program
+from suspnet.cli import program
 from suspnet.cli.named_runs import named_runs
 from suspnet.depot.state import State
 from suspnet.history import History

@@ -33,9 +33,9 @@ _to_go_on: list[str] = []
 class OwnFolder(Callback):
     """Gives each run and multirun a folder of its own, or the one that `resume` names.
 
-    A folder that is named, by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume``, must be empty or
-    hold nothing but results: see `suspnet.ledger`. A multirun one of whose jobs failed ends with
-    exit code 1 after the others.
+    A folder that is named, by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume``, must be empty
+    or hold nothing but results: see `suspnet.ledger`. A multirun one of whose jobs failed ends
+    with exit code 1 after the others.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -102,7 +102,7 @@ def _choose(config: DictConfig, kind: str) -> None:
         goes_on = ledger.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
-    changed = {f"hydra.{kind}.dir": str(folder)}
+    changed: dict[str, str | None] = {f"hydra.{kind}.dir": str(folder)}
     if goes_on:  # Hydra would write its own files again, and add to the log
         name = f"{config.hydra.job.name}_{datetime.now():%Y-%m-%d_%H-%M-%S}"
         changed |= {"hydra.output_subdir": None, "hydra.job.name": name}

@@ -71,7 +71,9 @@ def parser() -> ArgumentParser:
     seen.add_argument("--by", required=True, metavar="NAME", help="who has seen them [text]")
     seen.add_argument("--words", default="", help="what is done about it [text]")
     export = does.add_parser("export", help="write all of it as Parquet and CSV")
-    export.add_argument("folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]")
+    export.add_argument(
+        "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
+    )
     return found
 
 

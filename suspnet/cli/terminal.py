@@ -15,7 +15,7 @@ MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
 
 
 class _Visible:
-    """A text stream to which control characters are written as escapes, such as ``\\x1b``.
+    """A text stream to which control characters are written as escapes, such as x1b.
 
     A carriage return at the begin of what is written, by which a progress bar replaces its line,
     is written as it is.

@@ -166,7 +166,9 @@ class CheckedLoader(ConfigLoaderImpl):
                 self.load_sweep_config(config, job)
         return config
 
-    def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
+    def load_sweep_config(
+        self, master_config: DictConfig, sweep_overrides: list[str]
+    ) -> DictConfig:
         """Compose and check the configuration of a job of a multirun.
 
         Raises

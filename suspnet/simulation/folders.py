@@ -103,9 +103,11 @@ def unfinished(
     except BaseException:
         if not _holds_trips(folder):
             ledger.remove(mark)
-            ledger.discard(folder)
+            if [path.name for path in folder.iterdir()] == [ledger.LEDGER]:
+                ledger.discard(folder)
         raise
     ledger.remove(mark)
+    ledger.discard(folder)
 
 
 def _holds_trips(folder: Path) -> bool:

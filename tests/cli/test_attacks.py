@@ -9,7 +9,6 @@ import json
 import os
 import shutil
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
 from cli_runner import SMALL, typed
@@ -17,7 +16,7 @@ from cli_runner import SMALL, typed
 from suspnet import ledger
 from suspnet.cli import check, evaluate, history, replay, simulate, train
 
-TRAIN = ["model=linear", "data.n_calibrate=null", *(o for o in SMALL if "calibrate" not in o)]
+TRAIN = ["model=linear", "data.n_calibrate=null", *SMALL[:2], *SMALL[4:]]
 SIMULATE = ["fleet.n_trips=1", "fleet.minutes=2", "progress=false"]
 EVALUATE = ["run=no_run", "trips=no_trips"]
 REPLAY = ["trips=no_trips", "sink=folder"]
@@ -217,7 +216,8 @@ CONFIGURATIONS = [
     Attack("sink", ("sink=evil",), {"sink/evil.yaml": "_target_: suspnet.live.sinks.Folder\n"
             "_convert_: all\nfolder: HOME\nbytes_a_file: 1000"}, "replay"),
     Attack("no_guard", ("--config-name=evil",), {"evil.yaml": "hydra: {run: {dir: HOME}}"}),
-    Attack("null_hydra", ("--config-name=evil",), {"evil.yaml": "defaults: [train]\nhydra: null"}),
+    Attack("null_hydra", ("--config-name=evil",),
+           {"evil.yaml": "defaults: [train, _self_]\nhydra: null"}),
 ]  # fmt: skip
 
 
