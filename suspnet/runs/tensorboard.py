@@ -56,16 +56,17 @@ SECTIONS = {
 class RunLog:
     """One run's TensorBoard events, in the run's own folder; a context manager.
 
-    Events that an earlier run left there stay, but TensorBoard shows these in their place.
-
     Parameters
     ----------
     folder : Path
         Where the event file goes.
+    is_new : bool
+        Whether TensorBoard shows these events in the place of those that an earlier run left in the
+        folder, whose file stays.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._writer = SummaryWriter(str(folder), purge_step=0)
+    def __init__(self, folder: Path, is_new: bool = False) -> None:
+        self._writer = SummaryWriter(str(folder), purge_step=0 if is_new else None)
 
     def __enter__(self) -> Self:
         return self
