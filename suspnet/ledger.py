@@ -38,6 +38,8 @@ MAX_BYTES = 2**28
 UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
 UNTOUCHED_FOLDERS = (".hydra", ".submitit")
 """Files and folders of ours without a hash."""
+MULTIRUN = "multirun.yaml"
+"""File that Hydra writes once more, not atomically, so that an empty one may be left of it."""
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 Listed = dict[str, set[str]]
 """Hashes by name; a temporary name has none."""
@@ -187,12 +189,12 @@ def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
 
 
 def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file holds what a ledger lists; an empty one holds nothing."""
+    """Return whether a regular file holds what a ledger lists."""
     hashes = listed.get(_name(path, root))
     state = path.lstat()
     if not hashes or not stat.S_ISREG(state.st_mode):
         return False
-    if state.st_size == 0:  # Hydra writes multirun.yaml again, and not atomically
+    if state.st_size == 0 and path.name == MULTIRUN:
         return True
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest() in hashes

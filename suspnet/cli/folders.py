@@ -62,7 +62,7 @@ class OwnFolder(Callback):
         for old in folder.glob(f"*/{ERROR}"):
             ledger.remove(old)
         # Hydra writes the same bytes again, which the ledger then knows
-        write_atomically(folder / "multirun.yaml", OmegaConf.to_yaml(config))
+        write_atomically(folder / ledger.MULTIRUN, OmegaConf.to_yaml(config))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Exit with 1 if a job failed: it comes last, as Hydra asks callbacks in reverse."""

@@ -167,7 +167,8 @@ CONFIGURATIONS = [
         packaged(f"resume_sweep_{i}", f"resume: '{p}'\nhydra: {{{SWEEP}}}")
         for i, p in enumerate(BELOW[:5])
     ],
-    *[packaged(f"job_{i}", f"job: '{p}'") for i, p in enumerate(("../../home", "../new", ".."))],
+    *[packaged(f"job_{i}", f"job: '{p}'", words="which is not below outputs", small=i == 0)
+      for i, p in enumerate(("../../home", "../new", ".."))],
     *[
         packaged(f"name_in_a_folder_{i}", f"protocol: {{name: '{p}'}}\nhydra: {{{m}}}")
         for i, (p, m) in enumerate((("x/../../../../home", "mode: RUN"), ("x/../../y", SWEEP)))
@@ -217,7 +218,11 @@ CONFIGURATIONS = [
             "_convert_: all\nfolder: HOME\nbytes_a_file: 1000"}, "replay"),
     Attack("no_guard", ("--config-name=evil",), {"evil.yaml": "hydra: {run: {dir: HOME}}"}),
     Attack("null_hydra", ("--config-name=evil",),
-           {"evil.yaml": "defaults: [train, _self_]\nhydra: null"}),
+           {"evil.yaml": "defaults: [train, _self_]\nhydra: null"},
+           words="error: `hydra` must be a mapping, as shipped, or be left out", small=True),
+    packaged("unclosed", "model: {C: '${data.n_train'}", small=True,
+             words="error: `model.C` holds an interpolation that has no end: '${data.n_train'"),
+    packaged("empty_list", "hydra: []"),
 ]  # fmt: skip
 
 
