@@ -84,7 +84,8 @@ def test_programs_print_hostile_names_as_escapes(module, arguments, tmp_path):
     trips = tmp_path / "trips"
     (tmp_path / "experiment").mkdir()
     (tmp_path / "experiment" / "evil.yaml").write_text(
-        '# @package _global_\nprotocol: {name: "a\\e[31mb"}\ngroup: "\\e]0;x\\a"\nmodel: {C: "\\e[2J"}'
+        '# @package _global_\nprotocol: {name: "a\\e[31mb"}\ngroup: "\\e]0;x\\a"\n'
+        'model: {C: "\\e[2J"}'
     )
     trips.mkdir()
     words = 'vehicle: "\\e[31mred"\nsuspension: "\\e]0;x\\a"\nchannels: {"\\e[2J": {file: "\\r"}}\n'
