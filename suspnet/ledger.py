@@ -2,12 +2,12 @@
 
 A folder of results holds ``written.jsonl``. Before a file is written below that folder, its name
 relative to the folder and the SHA-256 of its content are appended. A file is ours only if it is a
-regular file whose bytes have a hash that stands beside its name. A ledger that somebody else wrote
-therefore gives away no file whose content that person does not know, and names that lead elsewhere
-(absolute ones, ``..``, links) stand for no file of the folder.
+regular file whose bytes have a hash that the ledger lists for its name. A forged ledger therefore
+exposes no file whose content its author does not know, and names that lead elsewhere (absolute
+ones, ``..``, links) match no file of the folder.
 
-Logs and TensorBoard's events grow, and Hydra writes its own files, so that they have no hash: they
-may be there, but are never opened again.
+Logs and TensorBoard's events grow, and Hydra writes its own files, so these have no hash: they may
+be there, but are never opened again.
 """
 
 from __future__ import annotations
