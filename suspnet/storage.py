@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from suspnet import ledger
 from suspnet.plain_files import MOST_BYTES, MOST_TEXT_BYTES, NotPlainError, read_plain
 
 try:
@@ -31,24 +33,40 @@ DESCRIPTORS = "/proc/self/fd"
 """Where Linux shows a process the files that it has open."""
 
 
+UNPRINTABLE = re.compile(
+    "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ud800-\\udfff]"
+)
+
+
 class DamagedFileError(ValueError):
     """A file is truncated, altered or of another format."""
 
 
-def write_atomically(path: Path, content: bytes | str) -> Path:
+def write_atomically(path: Path, content: bytes | str, force: bool = False) -> Path:
     """Write a file that has no name in its folder before it is whole and on the disk.
 
     Where the file system has no files without a name, a hidden one in the same folder is written
-    and renamed.
+    and renamed. In a folder of results it is entered in the ledger first.
+
+    Parameters
+    ----------
+    path : Path
+    content : bytes or str
+    force : bool
+        Whether it replaces a file of a folder of results that this package did not write.
 
     Raises
     ------
+    FileExistsError
+        If the folder is one of results and holds such a file that this package did not write.
     OSError
         If the folder cannot be written; nothing is left behind.
     """
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}"
+    token = secrets.token_hex(4)
+    temporary = path.parent / f".{path.name}.{token}"
+    ledger.note(path, data, token, force)
     try:
         handle, is_named = _opened(temporary)
         with os.fdopen(handle, "wb") as stream:
@@ -230,8 +248,12 @@ def content_hash(description: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text that every file can hold; the bytes of a name that are not UTF-8 stand in hex."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    """Return text that every file can hold and that moves nothing on a terminal.
+
+    Control characters but ends of lines and tabs, marks that turn the direction of writing, and
+    bytes of a name that are not UTF-8 stand as escapes.
+    """
+    return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def _finite(content: Any) -> Any:

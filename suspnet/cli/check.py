@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from suspnet import ledger
 from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.cli.configs import read_vehicles
@@ -63,7 +64,7 @@ def parser() -> ArgumentParser:
         "--output",
         type=Path,
         metavar="DIR",
-        help="folder of page, JSON and pictures, made where there is none [path; "
+        help="folder of page, JSON and pictures: a new one, or that of an earlier check [path; "
         "outputs/check/TIME if not given]",
     )
     found.add_argument(
@@ -155,10 +156,10 @@ def picture_names(paths: Sequence[Path]) -> dict[Path, str]:
 
 def _folder(wanted: Path | None) -> Path:
     """Make and return the folder of the output: the one wanted, or a new one named by the time."""
-    if wanted is not None:
-        wanted.mkdir(parents=True, exist_ok=True)
-        return wanted
-    return new_folder(Path("outputs/check") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+    if wanted is None:
+        wanted = new_folder(Path(f"outputs/check/{datetime.now():%Y-%m-%d_%H-%M-%S}"))
+    ledger.begin(wanted)
+    return wanted
 
 
 def main() -> None:

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
 from tqdm import tqdm
 
+from suspnet import ledger
 from suspnet.checks import check_number
 from suspnet.cli import folders, program
 from suspnet.data.parallel import quiet
@@ -103,7 +104,7 @@ def train_fleet(
     failed = {group.name: group.error for group in groups if group.error}
     runs = [_run(config, group, folder) for group in groups if not group.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
-    (folder / folders.FLEET).unlink(missing_ok=True)
+    folders.start_again(folder)
     program.save_config(config, folder)
     kept = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
     log.info("%d suspensions in %s%s", len(groups), config.healthy, kept)
@@ -147,7 +148,7 @@ def _run(config: DictConfig, group: Group, folder: Path) -> Run:
 
 def _trained(run: Run, train_one: TrainOne) -> Told:
     """Train the model of one suspension, with a log of its own; tell what went wrong."""
-    folders.clear(run.folder)
+    folders.start_again(run.folder)
     with _own_log(run.folder / LOG) as warnings:
         try:
             train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
@@ -167,9 +168,10 @@ def _trained(run: Run, train_one: TrainOne) -> Told:
 def _own_log(file: Path) -> Iterator[list[str]]:
     """Send what this package logs to a file only, and yield its warnings as they come."""
     file.parent.mkdir(parents=True, exist_ok=True)
+    file = ledger.free_name(file)  # that of an earlier try stays
     logger, warnings = logging.getLogger("suspnet"), _Warnings()
     before = logger.level, logger.propagate
-    handlers = [logging.FileHandler(file, mode="w", encoding="utf-8"), warnings]
+    handlers = [logging.FileHandler(file, mode="x", encoding="utf-8"), warnings]
     logger.setLevel(logging.INFO)
     logger.propagate = False
     for handler in handlers:

@@ -15,7 +15,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import folders, program
+from suspnet.cli import program
 from suspnet.cli.named_runs import named_runs
 from suspnet.depot.state import State
 from suspnet.history import History
@@ -103,7 +103,6 @@ def compose(config: DictConfig) -> int:
         severities = [one.severity for one in found if isinstance(one, State)]
         return worst(ALARMS.get(one, FINE) for one in severities)
     runs, output = named_runs(config.run), program.run_folder()
-    folders.clear(output)
     program.save_config(config, output)
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
 import sys
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from suspnet.storage import new_folder
+from suspnet import ledger
+from suspnet.storage import new_folder, write_atomically
 
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
@@ -24,7 +25,6 @@ FLEET = "fleet.json"
 """File that is written last where the models are those of several suspensions."""
 FINISHED = ("metrics.json", "speeds.json", FLEET)
 """Files of a training that are written last; the second is that of several speeds."""
-EVENTS = "events.out.tfevents.*"
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
 """Keys that change no number, so that a run that differs in them alone is the same."""
 _to_go_on: list[str] = []
@@ -33,8 +33,9 @@ _to_go_on: list[str] = []
 class OwnFolder(Callback):
     """Gives each run and multirun a folder of its own, or the one that `resume` names.
 
-    A folder that the command line names, ``hydra.run.dir`` or ``hydra.sweep.dir``, is taken as it
-    is. A multirun one of whose jobs failed ends with exit code 1 after the others.
+    A folder that is named, by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume``, must be empty
+    or hold nothing but results: see `suspnet.ledger`. A multirun one of whose jobs failed ends
+    with exit code 1 after the others.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -55,14 +56,13 @@ class OwnFolder(Callback):
                 "error: a multirun cannot be spread by torchrun: start it with python, and "
                 "hydra/launcher=joblib or hydra/launcher=slurm for several jobs at a time"
             )
-        chosen = _choose(config, "sweep")
-        if chosen is not None:
-            quoted = str(chosen).replace("\\", "\\\\").replace("'", "\\'")
-            with read_write(config.hydra), open_dict(config.hydra):
-                config.hydra.overrides.hydra.append(f"hydra.sweep.dir='{quoted}'")
-        _to_go_on[:] = [config.hydra.sweep.dir]
-        for old in Path(config.hydra.sweep.dir).glob(f"*/{ERROR}"):
-            old.unlink()
+        _choose(config, "sweep")
+        folder = Path(config.hydra.sweep.dir)
+        _to_go_on[:] = [str(folder)]
+        for old in folder.glob(f"*/{ERROR}"):
+            ledger.remove(old)
+        # Hydra writes the same bytes again, which the ledger then knows
+        write_atomically(folder / ledger.MULTIRUN, OmegaConf.to_yaml(config))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Exit with 1 if a job failed: it comes last, as Hydra asks callbacks in reverse."""
@@ -84,24 +84,52 @@ def how_to_go_on() -> str:
     return "start again at any time"
 
 
-def _choose(config: DictConfig, kind: str) -> Path | None:
-    """Set the folder of a run or a "sweep" and return it; None if the command line names it."""
+def _choose(config: DictConfig, kind: str) -> None:
+    """Set the folder of a run or a "sweep", for the jobs of a sweep too, and begin its ledger."""
     _to_go_on.clear()
     named = OmegaConf.select(config, "resume")
-    if named is not None:
-        folder = Path(str(named))
-        if not folder.is_dir():  # an exception of a callback would end as a warning
-            raise SystemExit(f"error: resume={folder} is no folder; give that of the earlier run")
-    elif any(str(o).startswith(f"hydra.{kind}.dir=") for o in config.hydra.overrides.hydra):
-        return None
-    else:
-        try:
-            folder = new_folder(Path(config.hydra[kind].dir))
-        except OSError as error:
-            raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
+    try:
+        if named is not None:
+            folder = Path(str(named))
+            if not folder.is_dir():  # an exception of a callback would end as a warning
+                raise SystemExit(
+                    f"error: resume={folder} is no folder; give that of the earlier run"
+                )
+        elif any(str(o).startswith(f"hydra.{kind}.dir=") for o in config.hydra.overrides.hydra):
+            folder = Path(config.hydra[kind].dir)
+        else:
+            folder = new_folder(_below_outputs(Path(config.hydra[kind].dir)))
+        goes_on = ledger.begin(folder)
+    except OSError as error:
+        raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
+    changed: dict[str, str | None] = {f"hydra.{kind}.dir": str(folder)}
+    if goes_on:  # Hydra would write its own files again, and add to the log
+        name = f"{config.hydra.job.name}_{datetime.now():%Y-%m-%d_%H-%M-%S}"
+        changed |= {"hydra.output_subdir": None, "hydra.job.name": name}
     with read_write(config.hydra), open_dict(config.hydra):
-        config.hydra[kind].dir = str(folder)
+        for key, value in changed.items():
+            OmegaConf.update(config, key, value)
+            if kind == "sweep":
+                config.hydra.overrides.hydra.append(f"{key}={_quoted(value)}")
+
+
+def _below_outputs(folder: Path) -> Path:
+    """Return the folder of a run that nobody typed; SystemExit if it lies elsewhere."""
+    if folder.parts[:1] != ("outputs",) or ".." in folder.parts:
+        raise SystemExit(
+            f"error: results would go to {folder}, which is not below outputs: `job` and what else "
+            "its name is made of must be plain names; hydra.run.dir= on the command line names "
+            "another folder"
+        )
     return folder
+
+
+def _quoted(value: str | None) -> str:
+    """Return a value as Hydra's command line takes it."""
+    if value is None:
+        return "null"
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
 
 
 def is_job() -> bool:
@@ -112,25 +140,21 @@ def is_job() -> bool:
 def finished_run(config: DictConfig, folder: Path) -> Path | None:
     """Return the folder of a finished training of the same configuration, if the run goes on.
 
-    In a multirun it may be that of another job, as jobs are numbered anew if others were added. The
-    folder that the job then does not need is removed.
+    In a multirun it may be that of another job, as jobs are numbered again if others were added.
+    The folder of this one then holds no more than a log that says so.
 
     Raises
     ------
     ValueError
         If the folder holds a finished training of another configuration.
     """
-    if not is_job() and OmegaConf.select(config, "resume") is None:
-        return None
     if is_finished(config, folder):
-        return folder
+        return folder if is_job() or OmegaConf.select(config, "resume") is not None else None
     if not is_job():
         return None
     wanted = _wanted(config)
     for other in sorted(path.parent for path in folder.parent.glob("*/config.yaml")):
         if other != folder and _is_finished(other) and _saved(other) == wanted:
-            if not (folder / "config.yaml").exists():
-                shutil.rmtree(folder)
             return other
     return None
 
@@ -150,12 +174,10 @@ def is_finished(config: DictConfig, folder: Path) -> bool:
     return True
 
 
-def clear(folder: Path) -> None:
-    """Remove what an interrupted run left in its folder and a new one would not replace."""
-    for pattern in (EVENTS, ERROR, ".*.????????"):
-        for path in folder.rglob(pattern):
-            if path.is_file():
-                path.unlink()
+def start_again(folder: Path) -> None:
+    """Remove what an earlier run wrote in its folder to say that it failed, or that it ended."""
+    for name in (ERROR, *FINISHED):
+        ledger.remove(folder / name)
 
 
 def _is_finished(folder: Path) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
+from suspnet import ledger
 from suspnet.cli import program
 from suspnet.dynamics import PARAMETERS
 from suspnet.history import Event, History, HistoryError
@@ -70,7 +71,9 @@ def parser() -> ArgumentParser:
     seen.add_argument("--by", required=True, metavar="NAME", help="who has seen them [text]")
     seen.add_argument("--words", default="", help="what is done about it [text]")
     export = does.add_parser("export", help="write all of it as Parquet and CSV")
-    export.add_argument("folder", type=Path, metavar="DIR", help="where to [path]")
+    export.add_argument(
+        "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
+    )
     return found
 
 
@@ -183,6 +186,7 @@ def _export(store: History, arguments: Namespace) -> str:
         for name in list(tables)[1:]:
             kept = getattr(store, name)(vehicle, place)
             tables[name] += [where | _plain(one) for one in kept]
+    ledger.begin(arguments.folder)
     for name, rows in tables.items():
         if rows:
             write_table(pa.Table.from_pylist(rows), arguments.folder / name)

@@ -75,7 +75,7 @@ def init(arguments: Namespace) -> None:
         raise ValueError("; ".join(error.problems)) from error
     signals = [one for found, _ in seen for one in found]
     found = template(signals, path, [how for _, how in seen if how])
-    write_atomically(path, found.text)
+    write_atomically(path, found.text, force=arguments.force)
     print(
         f"-> {path}: {len(signals)} columns of {len(files)} files\n"
         f"fill in: {', '.join(found.blanks)}\n"

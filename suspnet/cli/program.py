@@ -25,16 +25,17 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.checks import check_number
 from suspnet.cli import configs, folders, naming, reference
+from suspnet.cli.terminal import visible
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.cli.values import read_values
 from suspnet.dynamics.limits import DEFAULT_LIMITS, read_limits
 from suspnet.learning import ranks
-from suspnet.storage import write_atomically
+from suspnet.storage import printable, write_atomically
 from suspnet.workers import LostWorkerError, end_with_parent, guard_joblib
 
 CONFIGS = configs.CONFIGS
@@ -68,15 +69,21 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     guard_joblib()
     try:
         with (
+            visible(),
             _terminable() if unwinds else nullcontext(),
             _one_writer(),
             _whole_errors(),
             _checked_loader(),
         ):
             main()
+    except SystemExit as ended:
+        if isinstance(ended.code, str):
+            ended.code = printable(ended.code)
+        raise
     except (KeyboardInterrupt, _Terminated) as ended:
         verb, code = ("terminated", 143) if isinstance(ended, _Terminated) else ("interrupted", 130)
-        print(f"{verb}: nothing was half-written; {folders.how_to_go_on()}", file=sys.stderr)
+        how = printable(folders.how_to_go_on())
+        print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
         sys.exit(code)
     except BrokenPipeError:
         sys.exit(_output_ended())
@@ -241,9 +248,13 @@ def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig]
 def one_line(error: BaseException) -> str:
     """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
     # a cause was raised before its error, so the chain has an end
-    while isinstance(error, InstantiationException) and isinstance(error.__cause__, MISTAKES):
+    while isinstance(error.__cause__, MISTAKES) and (
+        isinstance(error, InstantiationException) or not str(error)
+    ):
         error = error.__cause__
     words = str(error)
+    if isinstance(error, GrammarParseError) and error.full_key:
+        words = f"`{error.full_key}` holds an interpolation that has no end: {error.value!r}"
     if isinstance(error, RecursionError):
         words = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
@@ -260,7 +271,7 @@ def one_line(error: BaseException) -> str:
             )
     if isinstance(error, OSError) and error.filename is not None:
         words = f"{error.filename}: {error.strerror}"
-    return "error: " + " ".join(words.split())
+    return printable("error: " + " ".join(words.split()))
 
 
 def build(config: DictConfig, key: str, **options: Any) -> Any:

@@ -60,7 +60,7 @@ def compose(config: DictConfig) -> None:
         check_generator(program.build(one, "generator"))
         train_fleet(config, folder, groups, _run)
         return
-    folders.clear(folder)
+    folders.start_again(folder)
     _run(config, folder, varied=naming.varied(config), draw=naming.is_first_of_its_vehicle())
 
 

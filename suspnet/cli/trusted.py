@@ -7,6 +7,7 @@ called; `CheckedLoader` therefore checks each configuration as soon as it is com
 
 from __future__ import annotations
 
+import copy
 import functools
 import re
 from collections.abc import Iterator, Mapping
@@ -18,10 +19,11 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
@@ -82,9 +84,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "vehicles": ("suspnet.cli.configs.read_vehicles",),
 }
 """All that a configuration may build, by the key below which it may stand."""
+OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (
     "suspnet.cli.evaluate.WorstExitCode",
-    "suspnet.cli.folders.OwnFolder",
+    OWN_FOLDER,
     "suspnet.studies.sweeps.Ablation",
     "suspnet.studies.sweeps.Comparison",
     "suspnet.studies.sweeps.Jobs",
@@ -143,7 +146,7 @@ class CheckedLoader(ConfigLoaderImpl):
     """Hydra's loader of configurations, which refuses one that would run foreign code."""
 
     _typed: frozenset[str] | None = None
-    """Keys of the command line, which is loaded before the jobs of a multirun."""
+    """Keys that the command line names; it is loaded before the jobs of a multirun."""
 
     def load_configuration(
         self,
@@ -164,21 +167,39 @@ class CheckedLoader(ConfigLoaderImpl):
         for source in self.get_sources():
             if source.provider == "command-line" and source.scheme() == "file":
                 _check_files(Path(source.path))
-        config = super().load_configuration(
-            config_name, overrides, run_mode, from_shell, validate_sweep_overrides
-        )
+        try:
+            config = super().load_configuration(
+                config_name, overrides, run_mode, from_shell, validate_sweep_overrides
+            )
+        except AttributeError as error:  # Hydra asks of null what its own block holds
+            raise ValueError("`hydra` must be a mapping, as shipped, or be left out") from error
         check_configuration(config)
+        keys = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
         if self._typed is None:
-            typed = OverridesParser.create().parse_overrides(overrides)
-            self._typed = frozenset(one.key_or_group for one in typed)
+            self._typed = frozenset(keys)
         if CLUSTER not in self._typed:
             _check_cluster(config)
-        check_typed(config, self._typed)
+        # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose
+        check_typed(config, self._typed | {key for key in keys if key.startswith("hydra.")})
         foreign = any(source.provider == "command-line" for source in self.get_sources())
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
             # the sweeper would write a file before it composes the jobs
             for job in _jobs(config, self):
                 self.load_sweep_config(config, job)
+        return config
+
+    def load_sweep_config(
+        self, master_config: DictConfig, sweep_overrides: list[str]
+    ) -> DictConfig:
+        """Compose and check the configuration of a job of a multirun.
+
+        Raises
+        ------
+        ValueError
+            If it asks for what is not trusted, or its folder would not lie in that of the multirun.
+        """
+        config = super().load_sweep_config(master_config, sweep_overrides)
+        _check_subfolder(config)
         return config
 
     def _process_config_searchpath(
@@ -314,6 +335,23 @@ def _check_cluster(config: DictConfig) -> None:
         )
 
 
+def _check_subfolder(config: DictConfig) -> None:
+    """Raise ValueError unless the folder of a job lies directly in that of its multirun."""
+    probe = copy.deepcopy(config)
+    with read_write(probe.hydra), open_dict(probe.hydra):
+        probe.hydra.job.num, probe.hydra.job.id = 0, "0"  # Hydra numbers the jobs later
+    before = HydraConfig.instance().cfg
+    HydraConfig.instance().set_config(probe)
+    try:
+        name = str(probe.hydra.sweep.subdir)
+    finally:
+        HydraConfig.instance().cfg = before
+    if name in ("", ".", "..") or Path(name).name != name:
+        raise ValueError(
+            f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
+        )
+
+
 def _check_hydra(hydra: dict[str, Any]) -> None:
     """Check Hydra's own block: as shipped but for folders, numbers, words, what is swept."""
     rest = dict(hydra)
@@ -327,16 +365,22 @@ def _check_hydra(hydra: dict[str, Any]) -> None:
     for key in ("env_set", "env_copy"):
         if job.get(key):
             raise ValueError(f"`hydra.job.{key}` cannot be set; set the variables in your shell")
-    for name, value in (
-        ("job.name", job.get("name", "job")),
-        ("output_subdir", rest.get("output_subdir") or "none"),
-    ):
-        if not isinstance(value, str) or not FILE_NAME.fullmatch(value):
-            raise ValueError(f"`hydra.{name}` must be a plain name, got {value!r}")
+    if not isinstance(rest.get("verbose", False), bool | str | list):
+        raise ValueError(f"`hydra.verbose` must be true, false or names, got {rest['verbose']!r}")
+    name = job.get("name", "job")
+    if not isinstance(name, str) or not FILE_NAME.fullmatch(name):
+        raise ValueError(f"`hydra.job.name` must be a plain name, got {name!r}")
+    if rest.get("output_subdir") not in (None, ".hydra"):
+        raise ValueError(
+            f"`hydra.output_subdir` must be .hydra or null, got {rest['output_subdir']!r}"
+        )
 
 
 def _check_callbacks(callbacks: Any) -> None:
-    """Raise ValueError unless all callbacks are ours."""
+    """Raise ValueError unless all callbacks are ours, among them that which guards folders."""
+    folders = _block("hydra.callbacks", callbacks).get("folders")
+    if not isinstance(folders, dict) or folders.get("_target_") != OWN_FOLDER:
+        raise ValueError(f"`hydra.callbacks.folders` must be as shipped, got {folders!r}")
     for name, one in _block("hydra.callbacks", callbacks).items():
         if one is None:
             continue

@@ -1,7 +1,8 @@
-"""What a configuration may not decide: with which machines a program speaks, and who hears it.
+"""What a configuration may not decide: where files are written, and which machines hear of them.
 
-A configuration may come from someone else. The hosts that samples, estimates and credentials go to
-are therefore named by the user: on the command line, or in an environment variable.
+A configuration may come from someone else. The folders and stores that are written, and the hosts
+that samples, estimates and credentials go to, are therefore named by the user: on the command line,
+a broker's host also in an environment variable.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ from suspnet.live.broker import HOST_VARIABLE, LOCAL
 
 BROKERS = ("source", "sink")
 """Groups whose options speak with a broker, which they describe below `broker`."""
+PLACES = ("resume", "out", "data.cache_dir", "store", "journal", "tensorboard", "sink.folder")
+"""Keys that name where is written: a file of somebody else's may not choose the place."""
+OF_HYDRA = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 
 
 def check_typed(config: DictConfig, typed: Collection[str]) -> None:
-    """Raise unless the user has named each machine that a configuration would speak with.
+    """Raise unless the user has named each place and machine that a configuration would write to.
 
     Parameters
     ----------
@@ -34,20 +38,16 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
     Raises
     ------
     ValueError
-        If the settings of a broker are not as shipped, and its host is named by neither the command
-        line nor the environment; if a store is the URL of a server, or pages are opened to the
-        network, and the command line does not say so.
+        If a place where files are written is neither as shipped nor on the command line; if the
+        settings of a broker are not as shipped, and its host is named by neither the command line
+        nor the environment; if pages are opened to the network and the command line does not say so.
     """
+    _check_places(config, typed)
     written = OmegaConf.to_container(config, resolve=False)
     assert isinstance(written, dict)
     for group in BROKERS:
         if group in written:
             _check_broker(group, written[group], typed)
-    store = written.get("store")
-    if "store" not in typed and not _is_local(store):
-        raise ValueError(
-            f"`store` is {store!r}: a server is named on the command line only, store=URL"
-        )
     if written.get("open_to_network", False) is not False and "open_to_network" not in typed:
         raise ValueError(
             "pages are opened to the network on the command line only: open_to_network=true"
@@ -92,6 +92,41 @@ def _shipped_broker() -> dict[str, Any]:
     return {str(key): value for key, value in shipped.items()}
 
 
-def _is_local(store: Any) -> bool:
-    """Return whether a store as written is none or a file; an interpolation may be anything."""
-    return store is None or (isinstance(store, str) and "://" not in store and "${" not in store)
+def _check_places(config: DictConfig, typed: Collection[str]) -> None:
+    """Raise ValueError if a file, and not the command line, says where is written."""
+    for key in (*PLACES, *OF_HYDRA):
+        above, _, last = key.rpartition(".")
+        node = OmegaConf.select(config, above) if above else config
+        if key in typed or not isinstance(node, DictConfig) or last not in node:
+            continue
+        written = OmegaConf.to_container(node, resolve=False)
+        assert isinstance(written, dict)
+        value = written[last]
+        if value not in _shipped_places(key) and (value is not None or key in OF_HYDRA):
+            raise ValueError(
+                f"`{key}` can be named on the command line only, as files are written there; got "
+                f"{value!r}"
+            )
+        if key in PLACES and not OmegaConf.is_missing(node, last) and value is not None:
+            place = Path(str(node[last]))
+            if place.is_absolute() or ".." in place.parts:
+                raise ValueError(
+                    f"`{key}` leads to {place}: what its name is made of must be plain names; "
+                    f"{key}= on the command line names another place"
+                )
+
+
+@functools.cache
+def _shipped_places(key: str) -> list[Any]:
+    """Return the values of a key in the configurations as shipped, as written."""
+    found = []
+    group, _, rest = key.partition(".")
+    for file in Path(CONFIGS).rglob("*.yaml"):
+        content = OmegaConf.load(file)
+        parts = rest.split(".") if file.parent.name == group else key.split(".")
+        value: Any = OmegaConf.to_container(content, resolve=False)
+        for part in parts:
+            value = value.get(part) if isinstance(value, dict) else None
+        if value is not None:
+            found.append(value)
+    return found

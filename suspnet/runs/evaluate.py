@@ -67,7 +67,7 @@ def evaluate(
         "seconds": outcome.seconds,
         "run": str(folder),
     }
-    with RunLog(output) as run_log:
+    with RunLog(output, is_new=True) as run_log:
         log_hyperparameters(run_log, metrics, model.training["parameters"])
         draw_predictions(problem, model.name, outcome, run_log, output / "figures")
     write_json(output / "metrics.json", metrics)

@@ -60,10 +60,13 @@ class RunLog:
     ----------
     folder : Path
         Where the event file goes.
+    is_new : bool
+        Whether TensorBoard shows these events in the place of those that an earlier run left in the
+        folder, whose file stays.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._writer = SummaryWriter(str(folder))
+    def __init__(self, folder: Path, is_new: bool = False) -> None:
+        self._writer = SummaryWriter(str(folder), purge_step=0 if is_new else None)
 
     def __enter__(self) -> Self:
         return self

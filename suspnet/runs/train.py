@@ -92,7 +92,7 @@ def train(
     if not ranks.is_rank_zero():
         fit(problem, estimator, None)
         return {}
-    with RunLog(folder) as run_log:
+    with RunLog(folder, is_new=True) as run_log:
         run_log.config(config or {})
         found = None
         if search is not None:

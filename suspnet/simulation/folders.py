@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from suspnet import ledger
 from suspnet._version import __version__
 from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
@@ -81,26 +82,32 @@ def unfinished(
     ------
     FolderTakenError
         If it holds trips of another simulation.
+    FileExistsError
+        If it holds a file that no simulation wrote there.
     """
     mark = folder / UNFINISHED
     if not mark.exists():
         if _holds_trips(folder):
             raise FolderTakenError(f"{folder} already holds trips; give another folder")
+        ledger.begin(folder)
         write_json(mark, {f"n_{what}": n_all, "made_from": made_from})
     elif read_json(mark).get("made_from") != made_from:
         raise FolderTakenError(
             f"{folder} already holds trips; give another folder, or the settings of that "
             "unfinished simulation to go on with it"
         )
-    elif n_missing < n_all:
+    elif ledger.begin(folder) and n_missing < n_all:
         log.info("%d of %d %s are there, going on", n_all - n_missing, n_all, what)
     try:
         yield
     except BaseException:
         if not _holds_trips(folder):
-            mark.unlink(missing_ok=True)
+            ledger.remove(mark)
+            if [path.name for path in folder.iterdir()] == [ledger.LEDGER]:
+                ledger.discard(folder)
         raise
-    mark.unlink()
+    ledger.remove(mark)
+    ledger.discard(folder)
 
 
 def _holds_trips(folder: Path) -> bool:

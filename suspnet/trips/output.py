@@ -182,7 +182,7 @@ def write_pages(
         "signals": figures.trip_signals(done[-1] if done else results[-1]),
         "quality": figures.quality(results),
     }
-    with RunLog(output) as run_log:
+    with RunLog(output, is_new=True) as run_log:
         for i, result in enumerate(done):
             values = result.estimates | {"n_averages": result.quality.n_averages}
             step = i if np.isnan(result.mileage_km) else round(result.mileage_km)

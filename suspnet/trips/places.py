@@ -8,11 +8,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from suspnet.ledger import LEDGER
 from suspnet.recordings.manifest import Place
 from suspnet.recordings.manifest_files import find_manifests, read_place
 
 log = logging.getLogger(__name__)
-TAKEN = ("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures")
+TAKEN = (
+    *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
+    *("fleet.json", "error.txt", LEDGER),
+)
 """Names of files in the output that no suspension's folder may have."""
 
 

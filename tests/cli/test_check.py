@@ -26,6 +26,7 @@ from suspnet.inspection.check import CheckSettings, check_trip
 from suspnet.inspection.figures import trip_figure
 from suspnet.inspection.manifests import find_trips
 from suspnet.inspection.records import PROBLEM, READY, TOO_LITTLE
+from suspnet.ledger import LEDGER
 from suspnet.recordings.apart import LIMIT, apart
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import read_manifest
@@ -94,7 +95,7 @@ def test_good_trips_are_ready_and_drawn(fleet, manifests):
     page = (output / "check.html").read_text(encoding="utf-8")
     assert all(f'src="{path.stem}.png"' in page for path in manifests)
     assert sorted(path.name for path in output.iterdir()) == sorted(
-        ["check.html", "check.json", *(f"{path.stem}.png" for path in manifests)]
+        ["check.html", "check.json", LEDGER, *(f"{path.stem}.png" for path in manifests)]
     )
 
 

@@ -10,6 +10,7 @@ from commissioned_example import commissioned_example
 from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
+from suspnet import ledger
 from suspnet.cli import commission_fleet, folders, train
 from suspnet.commissioning import run
 from suspnet.commissioning.page import as_json
@@ -173,6 +174,7 @@ def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_pa
     kept = removed.read_text()
     removed.unlink()
     folder = tmp_path / "run"
+    ledger.begin(folder)
     assert trained(folder, fleet) != 0
     before = stamps(folder / "one")
     removed.write_text(kept)
@@ -188,7 +190,7 @@ def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_pa
     saved = (folder / "config.yaml").read_text()
     said = trained(folder, fleet, "seed=9")
     assert (folder / "config.yaml").read_text() == saved
-    assert "one holds a finished run of other settings; give another folder" in said
+    assert "run holds a finished run of other settings; give another folder" in said
 
 
 def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests, tmp_path):

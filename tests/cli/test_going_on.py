@@ -12,12 +12,15 @@ from hydra import compose, initialize_config_dir
 from hydra.core import utils
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import open_dict, read_write
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from suspnet import ledger
 from suspnet.cli import evaluate, folders, program, simulate, train
 from suspnet.cli.program import CONFIGS
 from suspnet.storage import read_json
 from suspnet.studies.sweeps import job_rows
 
+EVENTS = "events.out.tfevents.*"
 LINEAR = ["model=linear", "data.n_calibrate=null", *(o for o in SMALL if "calibrate" not in o)]
 
 
@@ -46,24 +49,24 @@ class Noon(datetime):
 
 
 @pytest.mark.parametrize("kind", ["run", "sweep"])
-def test_folder_is_reserved_unless_the_command_line_names_it(tmp_path, kind):
+def test_folder_is_reserved_unless_the_command_line_names_it(tmp_path, kind, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     start = {"run": "on_run_start", "sweep": "on_multirun_start"}[kind]
     found = []
-    for overrides in ([], [], [f"hydra.{kind}.dir={tmp_path / 'named'}"], [f"resume={tmp_path}"]):
+    for overrides in ([], [], [f"hydra.{kind}.dir=named"], ["resume=named"]):
         with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
             config = compose("train", overrides=overrides, return_hydra_config=True)
         HydraConfig.instance().set_config(config)
         if not overrides:
             with read_write(config.hydra), open_dict(config.hydra):
-                config.hydra[kind].dir = str(tmp_path / "it's noon")
+                config.hydra[kind].dir = "outputs/it's noon"
         getattr(folders.OwnFolder(), start)(config)
         found.append(config.hydra[kind].dir)
         told = [o for o in config.hydra.overrides.hydra if "it\\'s noon" in o]
         assert len(told) == (kind == "sweep" and not overrides)
-    assert found == [str(tmp_path / name) for name in ("it's noon", "it's noon_2", "named")] + [
-        str(tmp_path)
-    ]
-    assert not (tmp_path / "named").exists()
+    assert found == ["outputs/it's noon", "outputs/it's noon_2", "named", "named"]
+    ours = {path.name for path in tmp_path.rglob("*") if path.is_file()}
+    assert ours == {ledger.LEDGER} | ({"multirun.yaml"} if kind == "sweep" else set())
 
 
 def test_two_trainings_in_the_same_second_get_two_folders(tmp_path, monkeypatch):
@@ -134,7 +137,9 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     (unfinished,) = sweep.glob("0_*")  # as if killed before the end
     kept = {path: time for path, time in begun.items() if path.parent != unfinished}
     (unfinished / "metrics.json").unlink()
-    (unfinished / ".model.json.0123abcd").touch()
+    (begun_event,) = unfinished.glob(EVENTS)
+    ledger.note(unfinished / "model.json", b"", "0123abcd")
+    (unfinished / ".model.json.0123abcd").write_text("{")  # half of it
     seeds = "seed=3,0,2,4,1"  # one is added, so that the number of the last job changes
     cwd = sweep.parents[2]
     ended = typed(train, "-m", seeds, *LINEAR, f"resume={sweep}", "threads=1", cwd=cwd)
@@ -152,9 +157,12 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert results(sweep) == results(whole)
     assert len(finished(sweep)) == 5
-    assert not list(sweep.rglob(".*.????????"))
+    assert (unfinished / ".model.json.0123abcd").read_text() == "{"
     assert not list(sweep.glob("*/error.txt"))
-    assert all(len(list(path.parent.glob(folders.EVENTS))) == 1 for path in finished(sweep))
+    assert begun_event.exists()
+    for path in finished(sweep):  # TensorBoard shows each number once
+        shown = EventAccumulator(str(path.parent)).Reload()
+        assert {len(shown.Scalars(tag)) for tag in shown.Tags()["scalars"] if "final" in tag} == {1}
     again = typed(train, "-m", seeds, *LINEAR, f"hydra.sweep.dir={sweep}", cwd=cwd)
     assert again.stdout.count("finished before: ") == 5
     assert again.returncode == 0

@@ -1,0 +1,210 @@
+"""Ledger of a folder: what this package wrote there, so that no other file is replaced or removed.
+
+A folder of results holds ``written.jsonl``. Before a file is written below that folder, its name
+relative to the folder and the SHA-256 of its content are appended. A file is ours only if it is a
+regular file whose bytes have a hash that the ledger lists for its name. A forged ledger therefore
+exposes no file whose content its author does not know, and names that lead elsewhere (absolute
+ones, ``..``, links) match no file of the folder.
+
+Logs and TensorBoard's events grow, and Hydra writes its own files, so these have no hash: they may
+be there, but are never opened again.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import suppress
+from fnmatch import fnmatch
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    HAS_LOCKS = False
+else:
+    HAS_LOCKS = True
+
+LEDGER = "written.jsonl"
+"""Name of the ledger in a folder of results."""
+HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a temporary name."\n'
+"""First line of a ledger; a file of that name without it is somebody else's."""
+MAX_BYTES = 2**28
+"""Size beyond which a file is no ledger: a million files take half of it."""
+UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
+UNTOUCHED_FOLDERS = (".hydra", ".submitit")
+"""Files and folders of ours without a hash."""
+MULTIRUN = "multirun.yaml"
+"""File that Hydra writes once more, not atomically, so that an empty one may be left of it."""
+NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
+Listed = dict[str, set[str]]
+"""Hashes by name; a temporary name has none."""
+
+
+def begin(folder: Path) -> bool:
+    """Make a folder for results, or go on in one that holds nothing but results.
+
+    Returns
+    -------
+    bool
+        Whether there are results already.
+
+    Raises
+    ------
+    FileExistsError
+        If the folder holds a file that is not ours, which is named.
+    OSError
+        If it cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    root = _root(folder)
+    listed = {} if root is None else _read(root)
+    goes_on = False
+    for path in _files(folder):
+        if path == folder / LEDGER and (root == _absolute(folder) or not path.lstat().st_size):
+            continue  # an empty one: the program was killed before it wrote the first line
+        goes_on = True
+        if root is None or not (_is_untouched(path, root, listed) or _is_ours(path, root, listed)):
+            words = "suspnet did not write it here, or it was changed since: give a new folder"
+            raise FileExistsError(errno.EEXIST, words, str(path))
+    if root is None:
+        handle = os.open(folder / LEDGER, os.O_CREAT | os.O_APPEND | os.O_WRONLY | NO_LINKS, 0o666)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(HEADER)
+            stream.flush()
+            os.fsync(stream.fileno())
+    return goes_on
+
+
+def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
+    """Enter a file that is going to be written, if its folder or one above has a ledger.
+
+    Parameters
+    ----------
+    path : Path
+    content : bytes
+    token : str
+        End of the name under which it appears before it is renamed, ``.NAME.TOKEN``.
+    force : bool
+        Whether a file that is not ours is replaced, as the user asked for.
+
+    Raises
+    ------
+    FileExistsError
+        If there is such a file and it is not ours.
+    """
+    root = _root(path.parent)
+    if root is None:
+        return
+    if not force and os.path.lexists(path) and not _is_ours(path, root, _read(root)):
+        words = "suspnet did not write it here, or it was changed since: it is left as it is"
+        raise FileExistsError(errno.EEXIST, words, str(path))
+    entry = [hashlib.sha256(content).hexdigest(), _name(path, root), token]
+    handle = os.open(root / LEDGER, os.O_APPEND | os.O_WRONLY | NO_LINKS)
+    with os.fdopen(handle, "wb") as stream:
+        if HAS_LOCKS:  # network file systems append at the end that they know of
+            with suppress(OSError):  # the file system has no locks
+                fcntl.flock(stream, fcntl.LOCK_EX)
+        stream.write(b"\n" + json.dumps(entry).encode())  # whole after a line that was cut off
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is ours; leave it otherwise."""
+    root = _root(path.parent)
+    if root is not None and os.path.lexists(path) and _is_ours(path, root, _read(root)):
+        path.unlink()
+
+
+def discard(folder: Path) -> None:
+    """Remove the ledger of a folder in which nothing is written any more."""
+    if _root(folder) == _absolute(folder):
+        (folder / LEDGER).unlink()
+
+
+def free_name(path: Path) -> Path:
+    """Return `path`, or `path` with _2, _3, ... before its suffix if there is such a file."""
+    number, found = 1, path
+    while os.path.lexists(found):  # ends: there are fewer files than numbers
+        number += 1
+        found = path.with_stem(f"{path.stem}_{number}")
+    return found
+
+
+def _root(folder: Path) -> Path | None:
+    """Return the nearest folder with a ledger that can be written: this one or one above."""
+    start = _absolute(folder)
+    for one in (start, *start.parents):
+        file = one / LEDGER
+        with suppress(OSError):
+            if stat.S_ISREG(file.lstat().st_mode) and os.access(file, os.W_OK):
+                with file.open("rb") as stream:
+                    if stream.read(len(HEADER)) == HEADER:
+                        return one
+    return None
+
+
+def _read(root: Path) -> Listed:
+    """Return what a ledger lists; lines that are cut off or of another form list nothing."""
+    found: Listed = {}
+    with (root / LEDGER).open("rb") as stream:
+        lines = stream.read(MAX_BYTES).splitlines()
+    for line in lines[1:]:
+        try:
+            sha256, name, token = json.loads(line)
+            where, _, last = name.rpartition("/")
+            temporary = f"{where}{'/' * bool(where)}.{last}.{token}"
+        except (ValueError, TypeError, AttributeError, RecursionError):
+            continue
+        found.setdefault(name, set()).add(str(sha256))
+        found.setdefault(temporary, set())
+    return found
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield all that is no folder in a folder and those below it."""
+
+    def refuse(error: OSError) -> None:
+        raise error
+
+    for where, folders, names in os.walk(folder, onerror=refuse):
+        links = [name for name in folders if os.path.islink(os.path.join(where, name))]
+        for name in sorted([*names, *links]):
+            yield Path(where, name)
+
+
+def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
+    """Return whether a regular file is one that may be there, but is never opened again."""
+    name = _name(path, root)
+    return stat.S_ISREG(path.lstat().st_mode) and (
+        any(fnmatch(path.name, pattern) for pattern in UNTOUCHED_FILES)
+        or any(part in UNTOUCHED_FOLDERS for part in Path(name).parts[:-1])
+        or listed.get(name) == set()
+    )
+
+
+def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
+    """Return whether a regular file holds what a ledger lists."""
+    hashes = listed.get(_name(path, root))
+    state = path.lstat()
+    if not hashes or not stat.S_ISREG(state.st_mode):
+        return False
+    if state.st_size == 0 and path.name == MULTIRUN:
+        return True
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest() in hashes
+
+
+def _name(path: Path, root: Path) -> str:
+    """Return the name of a file relative to the folder of the ledger."""
+    return _absolute(path).relative_to(root).as_posix()
+
+
+def _absolute(path: Path) -> Path:
+    """Return an absolute path without ``..``."""
+    return Path(os.path.abspath(path))

@@ -1,0 +1,406 @@
+"""No configuration, folder or ledger of somebody else's makes a program remove or replace a file.
+
+A home with files of a user lies beside the folder in which the programs run. Both are compared
+with what they were, name by name and byte by byte.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import dataclass, field
+
+import pytest
+from cli_runner import SMALL, typed
+
+from suspnet import ledger
+from suspnet.cli import check, evaluate, history, replay, simulate, train
+
+TRAIN = ["model=linear", "data.n_calibrate=null", *SMALL[:2], *SMALL[4:]]
+SIMULATE = ["fleet.n_trips=1", "fleet.minutes=2", "progress=false"]
+EVALUATE = ["run=no_run", "trips=no_trips"]
+REPLAY = ["trips=no_trips", "sink=folder"]
+PROGRAMS = {
+    "train": (train, TRAIN),
+    "evaluate": (evaluate, EVALUATE),
+    "simulate": (simulate, SIMULATE),
+    "replay": (replay, REPLAY),
+    "check": (check, ["no_trips"]),
+    "history": (history, []),
+}
+USERS = {
+    ".env.template": "PASSWORD=",
+    ".bashrc.original": "alias",
+    ".config.yaml.0123abcd": "mine",
+    "config.yaml": "mine: true",
+    "metrics.json": "{}",
+    "model.json": "{}",
+    "multirun.yaml": "mine: true",
+    "train.log": "mine",
+    "error.txt": "mine",
+    "fleet.json": "[]",
+    "exit_code": "9",
+    "report.html": "<html>",
+    "check.html": "<html>",
+    "check.json": "{}",
+    "trips.csv": "a,b",
+    "truth.json": "{}",
+    "unfinished.json": '{"made_from": "x"}',
+    "trip_001.yaml.bak": "mine",
+    "sub/error.txt": "mine",
+    "sub/config.yaml": "mine",
+    "experiment/best.yaml": "mine",
+    "events.out.tfevents.1.host.2.3": "events of another project",
+    ".hydra/config.yaml": "mine",
+    ".hydra/overrides.yaml": "[]",
+    "empty": "",
+}
+"""Files of a user with the names of what the programs write, or once removed."""
+
+
+@dataclass(frozen=True)
+class Attack:
+    """What is tried: files of a folder for --config-dir, what is laid out, and a command line.
+
+    HOME stands for the user's folder, LINK for a link to it.
+    """
+
+    name: str
+    arguments: tuple[str, ...] = ()
+    files: dict[str, str] = field(default_factory=dict)
+    program: str = "train"
+    ledger: tuple[str, ...] | None = None
+    words: str = ""
+    small: bool = False
+
+
+def tree(folder):
+    """Return all that is below a folder, but for results in new folders of the programs."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if name.startswith(("cwd/outputs/", "cwd/.cache")) or name == "cwd/outputs":
+            continue
+        if path.is_symlink():
+            found[name] = f"link to {os.readlink(path)}"
+        elif path.is_file():
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        else:
+            found[name] = "folder"
+    return found
+
+
+def lay_out(attack, folder):
+    """Write the user's files and the attacker's; return the command line."""
+    home, cwd = folder / "home", folder / "cwd"
+    for where in (home, home / "deep" / "er"):
+        for name, text in USERS.items():
+            (where / name).parent.mkdir(parents=True, exist_ok=True)
+            (where / name).write_text(text)
+    cwd.mkdir()
+    (folder / "link").symlink_to(home)
+    (cwd / "here").symlink_to(home)
+    places = {"HOME": str(home), "LINK": str(folder / "link")}
+
+    def filled(text):
+        for word, place in places.items():
+            text = text.replace(word, place)
+        return text
+
+    for name, text in attack.files.items():
+        file = folder / "theirs" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(filled(text))
+    if attack.ledger is not None:
+        lines = [filled(line) for line in attack.ledger]
+        (home / ledger.LEDGER).write_text("\n".join(lines))
+    theirs = [f"--config-dir={folder / 'theirs'}"] if attack.files else []
+    given = [*theirs, *map(filled, attack.arguments), *PROGRAMS[attack.program][1]]
+    return sorted(given, key=lambda one: not one.startswith("-")) if theirs else given
+
+
+def is_harmless(attack, folder):
+    """Run an attack and assert that it is refused in one line and nothing has changed."""
+    given = lay_out(attack, folder)
+    before = tree(folder)
+    cwd = folder / ("home" if attack.name.startswith("in_home") else "cwd")
+    ended = typed(PROGRAMS[attack.program][0], *given, cwd=cwd)
+    after = tree(folder)
+    assert before == {name: after.get(name) for name in before}, "removed or replaced"
+    assert after == before, "written elsewhere"
+    assert ended.returncode == 1, ended.stdout + ended.stderr
+    assert [line[:7] for line in ended.stderr.splitlines()] == ["error: "], ended.stderr
+    assert attack.words in ended.stderr
+
+
+def packaged(name, text, *arguments, program="train", **options):
+    """Return an attack by an option that changes the whole configuration."""
+    group = {"train": "experiment", "evaluate": "study", "simulate": "scenario"}[program]
+    head = "# @package _global_\n"
+    if program == "simulate":
+        head += "defaults: [/scenario/healthy]\n"
+    given = (f"{group}=evil", *arguments)
+    return Attack(name, given, {f"{group}/evil.yaml": head + text}, program, **options)
+
+
+SWEEP = "mode: MULTIRUN, sweeper: {params: {seed: '1,2'}}"
+BELOW = ("HOME", "../home", "LINK", "here", "HOME/deep/er", "HOME/new", "~/x", "../new")
+CONFIGURATIONS = [
+    packaged(
+        "of_the_issue",
+        "resume: HOME\ndata: {cache_dir: deep}\n"
+        "hydra: {mode: MULTIRUN, sweep: {subdir: '${data.cache_dir}'}}",
+        words="can be named on the command line only",
+        small=True,
+    ),
+    *[packaged(f"run_dir_{i}", f"hydra: {{run: {{dir: '{p}'}}}}") for i, p in enumerate(BELOW)],
+    *[
+        packaged(f"sweep_dir_{i}", f"hydra: {{sweep: {{dir: '{p}'}}, {SWEEP}}}")
+        for i, p in enumerate(BELOW)
+    ],
+    *[
+        packaged(f"subdir_{i}", f"hydra: {{sweep: {{subdir: '{p}'}}, {SWEEP}}}")
+        for i, p in enumerate(BELOW)
+    ],
+    *[packaged(f"resume_{i}", f"resume: '{p}'") for i, p in enumerate(BELOW[:5])],
+    *[
+        packaged(f"resume_sweep_{i}", f"resume: '{p}'\nhydra: {{{SWEEP}}}")
+        for i, p in enumerate(BELOW[:5])
+    ],
+    *[packaged(f"job_{i}", f"job: '{p}'", words="which is not below outputs", small=i == 0)
+      for i, p in enumerate(("../../home", "../new", ".."))],
+    *[
+        packaged(f"name_in_a_folder_{i}", f"protocol: {{name: '{p}'}}\nhydra: {{{m}}}")
+        for i, (p, m) in enumerate((("x/../../../../home", "mode: RUN"), ("x/../../y", SWEEP)))
+    ],
+    *[packaged(f"cache_{i}", f"data: {{cache_dir: '{p}'}}") for i, p in enumerate(BELOW)],
+    packaged("cache_elsewhere", "x: {cache_dir: HOME}\ndata: '${x}'"),
+    packaged("resolved", "hydra: {run: {dir: '${now:HOME}'}}"),
+    packaged("referred", "x: HOME\nhydra: {run: {dir: '${x}'}}", small=True),
+    packaged("referred_resume", "x: HOME\nresume: '${x}'"),
+    packaged("swept_resume", "hydra: {mode: MULTIRUN, sweeper: {params: {resume: HOME}}}"),
+    packaged("swept_cache", "hydra: {mode: MULTIRUN, sweeper: {params: {data.cache_dir: HOME}}}"),
+    packaged("unguarded", "hydra: {callbacks: {folders: null}, run: {dir: HOME}}"),
+    packaged(
+        "unguarded_by_another",
+        "hydra: {callbacks: {folders: {_target_: suspnet.studies.sweeps.Jobs}}}",
+    ),
+    packaged("output_subdir", "hydra: {output_subdir: sub}", "hydra.run.dir=HOME"),
+    packaged("job_name", "hydra: {job: {name: ../../home/train}}"),
+    packaged("log_file", "hydra: {job_logging: {handlers: {file: {filename: HOME/train.log}}}}"),
+    packaged("environment", "hydra: {job: {env_set: {HOME: HOME}}}"),
+    *[
+        packaged(f"study_{i}", f"study: null\n{text}", program="evaluate")
+        for i, text in enumerate(
+            (
+                "resume: HOME",
+                "store: HOME/fleet.db",
+                "hydra: {run: {dir: HOME}}",
+                "job: ../../home",
+                "resume: HOME\nhydra: {mode: MULTIRUN, sweep: {subdir: deep}}",
+            )
+        )
+    ],
+    *[
+        packaged(f"out_{i}", text, program="simulate")
+        for i, text in enumerate(
+            (
+                "out: HOME",
+                "out: HOME/new",
+                "out: ../new",
+                "scenario: {name: ../../home}",
+                "hydra: {run: {dir: HOME}}",
+                "job: ../../home",
+            )
+        )
+    ],
+    Attack("sink", ("sink=evil",), {"sink/evil.yaml": "_target_: suspnet.live.sinks.Folder\n"
+            "_convert_: all\nfolder: HOME\nbytes_a_file: 1000"}, "replay"),
+    Attack("no_guard", ("--config-name=evil",), {"evil.yaml": "hydra: {run: {dir: HOME}}"}),
+    Attack("null_hydra", ("--config-name=evil",),
+           {"evil.yaml": "defaults: [train, _self_]\nhydra: null"},
+           words="error: `hydra` must be a mapping, as shipped, or be left out", small=True),
+    packaged("unclosed", "model: {C: '${data.n_train'}", small=True,
+             words="error: `model.C` holds an interpolation that has no end: '${data.n_train'"),
+    packaged("empty_list", "hydra: []"),
+]  # fmt: skip
+
+
+def entry(name, text=None, token="0123abcd"):
+    """Return a line of a forged ledger: with the right hash if a text is given."""
+    sha256 = hashlib.sha256((text or "of another file").encode()).hexdigest()
+    return json.dumps([sha256, name, token])
+
+
+HEAD = ledger.HEADER.decode().strip()
+EVERY = tuple(entry(name) for name in USERS)
+FORGED = {
+    "none": None,
+    "empty": (HEAD,),
+    "no_head": EVERY,
+    "other_hashes": (HEAD, *EVERY),
+    "absolute": (HEAD, *(entry(f"HOME/{name}", text) for name, text in USERS.items())),
+    "dots": (HEAD, *(entry(f"../home/{name}", text) for name, text in USERS.items())),
+    "dot": (HEAD, *(entry(f"./{name}", text) for name, text in USERS.items())),
+    "links": (HEAD, *(entry(f"here/{name}", text) for name, text in USERS.items())),
+    "patterns": (HEAD, entry("*"), entry("**/*"), entry(".*.????????")),
+    "temporary": (HEAD, entry("config.yaml"), entry("env", token="template"), *EVERY),
+    "nothing": (HEAD, "[]", "{}", "null", "[1, 2, 3]", '["a", {}, "b"]', "[" * 50_000, "\0"),
+    "null_hash": (HEAD, *(json.dumps([None, name, "x"]) for name in USERS)),
+}
+NAMED = [
+    *[
+        Attack(f"{key}_{i}_{place}", (*(("-m", "seed=1,2") if "sweep" in key else ()),
+               f"{key}={place}"), words="suspnet did not write it here", small=place == "HOME")
+        for key in ("hydra.run.dir", "hydra.sweep.dir", "resume")
+        for i, place in enumerate(("HOME", "../home", "LINK", "here", "HOME/deep/..", "../link/."))
+    ],
+    *[
+        Attack(f"forged_{name}_{i}", given, ledger=lines)
+        for name, lines in FORGED.items()
+        for i, given in enumerate((("hydra.run.dir=HOME",), ("-m", "seed=1,2", "resume=HOME")))
+    ],
+    Attack("in_home", ("hydra.run.dir=.",), words="suspnet did not write it here", small=True),
+    Attack("in_home_resume", ("resume=.",)),
+    Attack("in_home_sweep", ("-m", "seed=1,2", "hydra.sweep.dir=.")),
+    *[
+        Attack(f"subdir_{i}", ("-m", "seed=1,2", f"hydra.sweep.subdir={place}"))
+        for i, place in enumerate(("HOME", "../../../../home", ".", "..", "a/../../x", "LINK"))
+    ],
+    *[Attack(f"job_{i}", (f"job={p}",)) for i, p in enumerate(("../../home", "../../new", ".."))],
+    *[
+        Attack(f"evaluate_{i}", given, program="evaluate")
+        for i, given in enumerate((("hydra.run.dir=HOME",), ("resume=HOME",), ("resume=LINK",)))
+    ],
+    *[
+        Attack(f"out_{i}", (f"out={place}",), program="simulate", ledger=lines, small=i == 0)
+        for i, (place, lines) in enumerate(
+            (("HOME", None), ("LINK", None), ("HOME", FORGED["absolute"]), ("HOME", FORGED["dots"]))
+        )
+    ],
+]  # fmt: skip
+ALL = {f"{kind}: {a.name}": a for kind, several in (
+    ("configuration", CONFIGURATIONS), ("named", NAMED)) for a in several}  # fmt: skip
+
+
+def chosen(small):
+    return [
+        pytest.param(attack, id=name, marks=() if attack.small else pytest.mark.slow)
+        for name, attack in ALL.items()
+        if attack.small or not small
+    ]
+
+
+def test_there_are_enough_attacks():
+    assert len(CONFIGURATIONS) >= 60
+    assert len(NAMED) >= 50
+    assert len(ALL) == len(CONFIGURATIONS) + len(NAMED)
+
+
+@pytest.mark.parametrize("attack", chosen(small=False))
+def test_attack_is_refused_in_one_line_and_changes_nothing(attack, tmp_path):
+    is_harmless(attack, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Return a folder in which a training ended."""
+    folder = tmp_path_factory.mktemp("ours")
+    ended = typed(train, *TRAIN, "hydra.run.dir=run", cwd=folder)
+    assert ended.returncode == 0, ended.stderr
+    return folder / "run"
+
+
+def put(path, text="mine"):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    path.write_text(text)
+
+
+def linked(path):
+    path.unlink(missing_ok=True)
+    path.symlink_to("elsewhere")
+
+
+def states(folder):
+    """Return inode, size and times of change of all that is in a folder."""
+    found = {path: path.lstat() for path in folder.rglob("*")}
+    return {path: (s.st_ino, s.st_size, s.st_mtime_ns, s.st_ctime_ns) for path, s in found.items()}
+
+
+CHANGES = {
+    "a note": lambda run: put(run / "notes.txt"),
+    "another configuration": lambda run: put(run / "config.yaml"),
+    "a model": lambda run: put(run / "model.json"),
+    "a longer one": lambda run: put(run / "metrics.json", (run / "metrics.json").read_text() + " "),
+    "a link": lambda run: linked(run / "config.yaml"),
+    "a folder elsewhere": lambda run: (run / "figures").symlink_to(run.parent),
+    "a pipe": lambda run: os.mkfifo(run / "speeds.json"),
+    "a second ledger": lambda run: put(run / "sub" / ledger.LEDGER, HEAD),
+    "a link to the log": lambda run: linked(run / "train.log"),
+}
+
+
+@pytest.mark.parametrize("resume", [True, False])
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_what_the_user_put_into_a_run_since_stays(trained, tmp_path, change, resume):
+    run = tmp_path / "cwd" / "run"
+    shutil.copytree(trained, run)  # a copy of a run is a run
+    change(run)
+    before = states(run)
+    given = "resume=run" if resume else "hydra.run.dir=run"
+    ended = typed(train, *TRAIN, given, cwd=run.parent)
+    assert states(run) == before
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("error: run/")
+    assert "suspnet did not write it here, or it was changed since: give a new" in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_same_command_again_replaces_what_it_wrote(trained, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    kept = {path for path in run.rglob("*") if path.name.endswith(".log") or "events" in path.name}
+    bytes_before = {path: path.read_bytes() for path in kept | {run / "model.safetensors"}}
+    ended = typed(train, *TRAIN, "hydra.run.dir=run", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert {path: path.read_bytes() for path in bytes_before} == bytes_before
+    assert len(list(run.glob("train*.log"))) == 2
+    other = typed(train, *TRAIN, "seed=3", "hydra.run.dir=run", cwd=tmp_path)
+    assert other.returncode == 1
+    assert other.stderr == (
+        f"error: {run} holds a finished run of other settings; give another folder\n"
+    )
+
+
+def test_file_put_into_a_running_run_is_left(tmp_path, monkeypatch):
+    def interfering(*_, **__):
+        put(tmp_path / "run" / "environment.json")
+        return {"a": 1}
+
+    monkeypatch.setattr("suspnet.runs.train.environment", interfering)
+    ended = typed(train, *TRAIN, "hydra.run.dir=run", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert "environment.json: suspnet did not write it here" in ended.stderr
+    assert (tmp_path / "run" / "environment.json").read_text() == "mine"
+
+
+def test_output_of_check_and_export_goes_to_folders_of_their_own(tmp_path):
+    lay_out(Attack("home"), tmp_path)
+    (tmp_path / "trips").mkdir()
+    (tmp_path / "trips" / "trip_1.yaml").write_text("vehicle: 1")
+    before = tree(tmp_path)
+    ended = typed(check, "trips", "-o", "home", "--no-pictures", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("error: home/.bashrc.original: suspnet did not write it here")
+    assert tree(tmp_path) == before
+    for _ in range(2):
+        ended = typed(check, "trips", "-o", "new", "--no-pictures", cwd=tmp_path)
+        assert ended.returncode == 1
+        assert "-> new/check.html" in ended.stdout
+    history.History(str(tmp_path / "fleet.db")).close()
+    before = tree(tmp_path)
+    ended = typed(history, "fleet.db", "export", "home", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("error: home/.bashrc.original: suspnet did not write it here")
+    assert tree(tmp_path) == before
