@@ -40,7 +40,8 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
     ValueError
         If a place where files are written is neither as shipped nor on the command line; if the
         settings of a broker are not as shipped, and its host is named by neither the command line
-        nor the environment; if pages are opened to the network and the command line does not say so.
+        nor the environment; if pages are opened to the network, and the command line does not say
+        so.
     """
     _check_places(config, typed)
     written = OmegaConf.to_container(config, resolve=False)
