@@ -14,7 +14,7 @@ from suspnet.depot.state import State
 from suspnet.dynamics import PARAMETERS
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.limits import N_LAST
-from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.schedule import Plan, joined
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.overview import finding
@@ -75,7 +75,7 @@ def write_page(
         rows=rows,
         finding=finding(rows),
         plan=plan,
-        jobs=plan.rows(),
+        jobs=joined(plan.rows()),
         calendar=data_uri(figure),
         sisters=[[rows[i] for i in one] for one in sisters],
         parameters=[name for name in PARAMETERS if name != PAYLOAD],
@@ -110,6 +110,8 @@ def _row(
         "life_low_km": shortest[1].interval_km()[0] if shortest else np.nan,
         "life_median_km": shortest[1].quantile_km(0.5) if shortest else np.nan,
         "life_high_km": shortest[1].interval_km()[1] if shortest else np.nan,
+        "life_unknown": ", ".join(state.unknown),
+        "life_unknown_why": "; ".join(dict.fromkeys(state.unknown.values())),
         **{f"{name}_last": _last(column[used]) for name, column in series.estimates.items()},
         "last_mileage_km": state.last_km,
         "n_trips": len(series.trip),

@@ -13,7 +13,7 @@ from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.forecast import remaining_lives, trips_of_life
+from suspnet.maintenance.forecast import remaining_lives, trips_of_life, why_unknown
 from suspnet.maintenance.life import Life, learn_fleet
 from suspnet.maintenance.limits import N_LAST, Limits, Severity
 from suspnet.maintenance.sisters import SisterSettings
@@ -35,11 +35,14 @@ class State:
     watched : Watched
     lives : dict of Life
         Of each parameter with limits, until its act limit; without those of too few trips.
+    limited : tuple of str
+        Parameters with limits.
     """
 
     series: Series
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
+    limited: tuple[str, ...] = ()
 
     @property
     def key(self) -> Key:
@@ -66,6 +69,26 @@ class State:
         if not len(flagged):
             return "no trip with an estimate"
         return f"all of the last {len(flagged)} trips are flagged" if flagged.all() else ""
+
+    @cached_property
+    def unknown(self) -> dict[str, str]:
+        """Parameters with limits whose remaining life is unknown, or not to be relied on, and why.
+
+        That is so if there are too few trips, or if the suspension cannot be judged now.
+        """
+        series, used = self.series, self.series.recent
+        reasons = {
+            name: self.unjudged
+            or why_unknown(
+                series.mileage_km[used],
+                series.estimates[name][used],
+                series.half_widths[name][used],
+                series.flagged[used],
+            )
+            for name in self.limited
+            if name not in self.watched.passed
+        }
+        return {name: why for name, why in reasons.items() if why}
 
     @cached_property
     def shortest(self) -> tuple[str, Life] | None:
@@ -100,7 +123,7 @@ def watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSettin
         settings,
         maintenance_km=[event.mileage_km for event in series.events],
     )
-    return State(series, found)
+    return State(series, found, limited=tuple(name for name in limits if name in names))
 
 
 def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:

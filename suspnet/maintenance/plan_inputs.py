@@ -148,6 +148,9 @@ class Part:
     severity : Severity
         Of its alarm.
     car : str
+    unknown : str
+        Why its remaining life is unknown, or not to be relied on; empty if it is known. Its visits
+        are then those of its alarm, unless there are samples.
     """
 
     train: str
@@ -157,6 +160,7 @@ class Part:
     mileage_km: float
     severity: Severity = Severity.NONE
     car: str = ""
+    unknown: str = ""
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples_km, dtype=float)
