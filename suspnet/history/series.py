@@ -121,7 +121,7 @@ def read_series(connection: Connection, keys: Collection[Key] | None = None) -> 
                 vehicle,
                 place,
                 texts[0][part],
-                np.array([_time(text) for text in texts[1][part]], dtype="datetime64[s]"),
+                np.array([utc(text) for text in texts[1][part]], dtype="datetime64[s]"),
                 flagged,
                 estimates=values[0],
                 half_widths=values[1],
@@ -158,7 +158,7 @@ def _columns(
     return np.concatenate(blocks), [np.concatenate(one) for one in texts]
 
 
-def _time(text: str) -> datetime | None:
+def utc(text: str) -> datetime | None:
     """Return a start without its zone: in UTC, if it has one."""
     if not text:
         return None

@@ -65,7 +65,7 @@ def make_plan(
     unknown = tuple(job for found in planned for job in found[2])
     n_jobs = sum(len(visit.jobs) for visit in visits)
     n_quiet = len(parts) - n_jobs - len(waiting) - len(unknown)
-    objective, bound = (sum(found[i] for found in planned) for i in (3, 4))
+    objective, bound = sum(found[3] for found in planned), sum(found[4] for found in planned)
     horizon = today + timedelta(days=settings.horizon_days)
     shown = (unknown, visits, waiting, n_quiet)
     return _sorted(Plan(today, horizon, *shown, objective, bound, settings.level))

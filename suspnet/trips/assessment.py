@@ -62,7 +62,11 @@ class Assessment:
     alarms : tuple of Alarm
         That stand.
     life : Life, optional
-        Mileage until the act limit; None if too few trips tell it.
+        Mileage until the act limit; None if it is unknown.
+    now : float, [-]
+        Median of the last trips (``present``).
+    unknown_life : str
+        Why the remaining life is unknown, or not to be relied on; empty if it is known.
     """
 
     trend: Trend
@@ -71,6 +75,8 @@ class Assessment:
     limited: bool = True
     alarms: tuple[Alarm, ...] = ()
     life: Life | None = None
+    now: float = math.nan
+    unknown_life: str = ""
 
     @property
     def parameter(self) -> str:

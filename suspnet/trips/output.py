@@ -205,7 +205,7 @@ def write_pages(
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
-            | {"life": _life_row(one.life)}
+            | {"now": one.now, "life": _life_row(one.life), "unknown_life": one.unknown_life}
             for one in assessments
         ],
         "commissionings": [asdict(one) for one in states],

@@ -59,7 +59,7 @@ class Evaluated:
         """Return the suspension as one flat row of the overview."""
         worst = next(iter(worst_first(self.assessments)), None)
         done = [r for r in self.results if r.status == OK]
-        last = done[-1].estimates if done else {}
+        last = {one.parameter: one.now for one in self.assessments}
         reason = worst.words if worst else overall(self.assessments)[1]
         return {
             "suspension": self.place.suspension or self.name,

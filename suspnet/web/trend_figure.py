@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from suspnet.depot.state import State
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import N_LAST, Limits, Severity
+from suspnet.maintenance.limits import Limits, Severity
+from suspnet.trips.lives import present
 from suspnet.trips.report import NAMES
 from suspnet.trips.templates import thousands
 from suspnet.trips.trend import PAYLOAD
@@ -166,11 +167,10 @@ def _bars(up: FloatArray, down: FloatArray) -> dict[str, Any]:
 
 def _level(state: State, name: str, limits: Limits | None) -> float | None:
     """Return the act limit that a parameter is nearer to, [%]; None if it is not near any."""
-    used = state.series.recent & np.isfinite(state.series.estimates[name])
-    last = state.series.estimates[name][used][-N_LAST:]
-    if limits is None or len(last) == 0:
+    now = present(state.series, name)
+    if limits is None or np.isnan(now):
         return None
-    limit = limits.act[0] if np.median(last) < 1 else limits.act[1]
+    limit = limits.act[0] if now < 1 else limits.act[1]
     life = state.lives.get(name)
     is_passing = life is not None and np.isfinite(_crossing(life)[0])
     is_alarm = any(one.parameter == name and one.severity == Severity.ACT for one in state.alarms)
