@@ -14,7 +14,7 @@ from suspnet.history import History
 from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import Place
 from suspnet.runs.tensorboard import RunLog
-from suspnet.trips import fleet
+from suspnet.trips import fleet, report
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
 K_AND_C = ("k_p", "c_p", "k_s", "c_s")
@@ -63,6 +63,7 @@ def outcomes(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fleet, "evaluate_trip", read)
         patch.setattr(RunLog, "figure", lambda *_: None)
+        patch.setattr(report, "data_uri", lambda _: "")
         with History(store) as history:
             given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
             evaluate_fleet(*given)
@@ -132,8 +133,7 @@ def test_unknown_lives_are_the_same_in_the_plan(outcomes):
             assert told[key] == one["unknown_life"]
 
 
-def test_report_of_one_suspension_says_that_no_fleet_is_known(outcomes, tmp_path):
-    folder, _ = outcomes
+def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):
     model = model_at()
     only = made_up(Place("worn"), model.vehicle.name)
     (tmp_path / "trips").mkdir()
@@ -142,6 +142,7 @@ def test_report_of_one_suspension_says_that_no_fleet_is_known(outcomes, tmp_path
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fleet, "evaluate_trip", lambda path, *_, **__: only[int(path.stem[-3:])])
         patch.setattr(RunLog, "figure", lambda *_: None)
+        patch.setattr(report, "data_uri", lambda _: "")
         settings = FleetSettings(TripSettings())
         evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
     text = (tmp_path / "out" / "report.html").read_text()
