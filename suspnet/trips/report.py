@@ -18,7 +18,7 @@ from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.limits import Limits
 from suspnet.storage import write_atomically
-from suspnet.trips.assessment import Assessment, overall, worst_first
+from suspnet.trips.assessment import Assessment, joined, overall, worst_first
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.sides import sides_finding
 from suspnet.trips.templates import KILO, SEVERITIES, render, thousands, with_unit
@@ -138,7 +138,7 @@ def write_report(
     """
     trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
     severity, finding = overall(assessments)
-    told = worst_first(assessments)
+    told = joined(worst_first(assessments))
     doubts, sides = _doubts(trips), sides_finding(trips)
     table = trip_table(trips, outputs, level)
     shown = {
@@ -155,7 +155,7 @@ def write_report(
         doubts=doubts,
         sides=sides,
         told=told,
-        assessments=assessments,
+        assessments=joined(assessments),
         limits=limits or {},
         alarms=[
             (one, newest_of(one, seen))
