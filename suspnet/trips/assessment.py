@@ -262,7 +262,9 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
 
 def _not_judged(trend: Trend, last: LastTrips) -> str:
     """Return why nothing is judged where flagged trips alone lie within the limits."""
-    why = ALL_FLAGGED if last.all_flagged else f"all of the last {len(last.values)} trips are flagged"
+    why = (
+        ALL_FLAGGED if last.all_flagged else f"all of the last {len(last.values)} trips are flagged"
+    )
     if last.all_flagged and len(last.values) == 1:
         why = ONE_FLAGGED
     return "; ".join([f"not judged, as {why}", *([_change(trend)] if trend.changed else [])])

@@ -13,6 +13,7 @@ from tabulate import tabulate
 
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.schedule import count
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
 from suspnet.trips.assessment import Assessment, overall, worst_first
@@ -115,4 +116,4 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
         Severity.NONE: "without alarm",
     }
     told = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
-    return f"{len(rows)} suspensions: {told}."
+    return f"{count(len(rows), 'suspension')}: {told}."

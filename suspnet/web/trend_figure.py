@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from suspnet.depot.state import State
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits, Severity
+from suspnet.trips.health_figure import on_axis
 from suspnet.trips.lives import present
 from suspnet.trips.report import NAMES
 from suspnet.trips.templates import thousands
@@ -112,7 +113,8 @@ def _parameter(
         half = np.exp(series.half_widths[name][known])
     up, down = values * (half - 1), values * (1 - 1 / half)
     level = _level(state, name, limits)
-    low, high = _span(values[~flagged], up[~flagged], down[~flagged], level)
+    ends = np.concatenate([values[~flagged] + up[~flagged], values[~flagged] - down[~flagged]])
+    low, high = _span(on_axis(values, flagged), ends, level)
     traces = [
         _trips(km, values, trips, ~flagged, (low, high)) | _bars(up[~flagged], down[~flagged]),
         _trips(km, values, trips, flagged, (low, high), is_flagged=True),
@@ -177,17 +179,14 @@ def _level(state: State, name: str, limits: Limits | None) -> float | None:
     return 100 * limit if (is_passing or is_alarm) and 0 < limit < np.inf else None
 
 
-def _span(
-    values: FloatArray, up: FloatArray, down: FloatArray, level: float | None
-) -> tuple[float, float]:
-    """Return the range of an axis, [%]: unflagged trips, 100 % and a limit that is near.
+def _span(values: FloatArray, ends: FloatArray, level: float | None) -> tuple[float, float]:
+    """Return the range of an axis, [%]: values of ``on_axis``, 100 % and a limit that is near.
 
-    Intervals widen it by half of that on each side at most.
+    The ends of intervals widen it by half of that on each side at most.
     """
     base = np.array([100.0, *values] + ([] if level is None else [level]))
     low, high = float(base.min()), float(base.max())
     most = max(high - low, LEAST_SPAN) / 2
-    ends = np.concatenate([values + up, values - down])
     ends = np.clip(ends[np.isfinite(ends)], low - most, high + most)
     low, high = min([low, *ends]), max([high, *ends])
     pad = max(MARGIN * (high - low), (LEAST_SPAN - (high - low)) / 2)

@@ -18,7 +18,7 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 from suspnet.trips.models import models_of
-from suspnet.trips.overview import Evaluated, write_overview
+from suspnet.trips.overview import Evaluated, finding, write_overview
 
 SETTINGS = FleetSettings(TripSettings())
 
@@ -238,3 +238,8 @@ def test_page_links_each_report_and_escapes_names(tmp_path):
     assert page.links == ["a%20b%23%3F/report.html"]
     assert page.rows == [None, "plain", "plain"]
     assert "nan" not in text.lower().split()
+
+
+@pytest.mark.parametrize(("n", "words"), [(1, "1 suspension: 1 "), (2, "2 suspensions: 2 ")])
+def test_number_of_suspensions_fits_its_noun(n, words):
+    assert finding([{"severity": "none"}] * n).startswith(words)
