@@ -9,6 +9,7 @@ from datetime import date
 import numpy as np
 
 from suspnet.depot.state import State
+from suspnet.dynamics import PARAMETERS
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.plan_inputs import Part, Train, km_per_day
 
@@ -17,9 +18,8 @@ def parts_of(states: Sequence[State]) -> list[Part]:
     """Return each parameter of each suspension that has an alarm or limits."""
     found = []
     for state in states:
-        for name in sorted(
-            {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
-        ):
+        named = {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
+        for name in (one for one in PARAMETERS if one in named):
             life = state.lives.get(name)
             severity = max(
                 (one.severity for one in state.alarms if one.parameter == name),

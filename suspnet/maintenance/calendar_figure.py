@@ -83,7 +83,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     axis.grid(True, axis="x", alpha=0.3)
     for row in range(1, len(shown), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
-    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="y", length=0, pad=9)  # a mark of today reaches out of the axis
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
     title = (
         f"Plan of {plan.today}: {count(len(plan.visits), 'visit')}, {count(n_jobs, 'job')} "

@@ -101,7 +101,7 @@ def _sorted(plan: Plan) -> Plan:
     """Return a plan with unknown parts, visits and waiting jobs in order."""
     return replace(
         plan,
-        unknown=tuple(sorted(plan.unknown, key=lambda job: str(job.part))),
+        unknown=tuple(sorted(plan.unknown, key=lambda job: job.part.place)),
         visits=tuple(
             sorted(
                 plan.visits,

@@ -173,6 +173,11 @@ class Part:
         object.__setattr__(self, "severity", Severity(self.severity))
 
     @property
+    def place(self) -> tuple[str, str, str]:
+        """Train, car and suspension."""
+        return self.train, self.car, self.suspension
+
+    @property
     def is_passed(self) -> bool:
         """Whether the limit is passed already, for sure."""
         return bool((self.samples_km == 0).all())

@@ -96,8 +96,8 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
         return ""
     have = "has" if n_found == 1 else "have"
     return (
-        f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first {n_reference} are to say "
-        "it (lower monitor.n_reference, or take monitor.reference=vehicle)"
+        f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first "
+        f"{n_reference} are to say it (lower monitor.n_reference, or take monitor.reference=vehicle)"
     )
 
 

@@ -248,7 +248,7 @@ def _wear(read: Sequence[_Read], store: History | None) -> Wear:
     found = [one.series for one in read]
     if store is not None:
         found = [one for one in store.series() if one.vehicle == read[0].vehicle]
-    return learn_wear(found, read[0].limits, "this folder" if store is None else "the history")
+    return learn_wear(found, read[0].limits, is_history=store is not None)
 
 
 def _read_group(

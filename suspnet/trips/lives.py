@@ -22,10 +22,8 @@ from suspnet.types import FloatArray
 
 MOST_LEARNT = 200
 """Largest number of suspensions from which a fleet's rates of wear are learnt, evenly chosen."""
-ALONE = (
-    "by this suspension alone, as no other of its vehicle is known here; with those of a history "
-    "(store=) the plan of a fleet may give other ones"
-)
+ALONE = "by this suspension alone, as no other of its vehicle shows how fast its kind wears"
+NO_STORE = "; with those of a history (store=) the plan of a fleet may give other ones"
 ONE_FLAGGED = "the only trip is flagged"
 
 
@@ -127,12 +125,12 @@ class Wear:
     words: str = ALONE
 
 
-def learn_wear(fleet: Sequence[Series], limits: Iterable[str], source: str) -> Wear:
-    """Return how fast the suspensions of one vehicle wear; `source` says where they are from."""
+def learn_wear(fleet: Sequence[Series], limits: Iterable[str], is_history: bool) -> Wear:
+    """Return how fast the suspensions of one vehicle wear, those of a history or those at hand."""
     priors = learn_priors(fleet, limits)
-    if not priors:
-        return Wear()
-    return Wear(priors, f"with the rates of wear of {len(fleet)} suspensions of {source}")
+    of_fleet = f"with the rates of wear of {len(fleet)} suspensions"
+    words = f"{of_fleet} of {'the history' if is_history else 'this folder'}" if priors else ALONE
+    return Wear(priors, words if is_history else words + NO_STORE)
 
 
 def lives_of(

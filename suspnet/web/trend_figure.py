@@ -218,7 +218,7 @@ def _levels(limits: Limits | None, axis: str) -> list[dict[str, Any]]:
 def _line(*, colour: str = HEALTHY, dash: str, **place: Any) -> dict[str, Any]:
     """Return a straight line behind the trips."""
     line = {"color": colour, "width": 1.2, "dash": dash}
-    return {"type": "line", "layer": "below", "line": line, "xref": "x", "yref": "y"} | place
+    return {"type": "line", "layer": "between", "line": line, "xref": "x", "yref": "y"} | place
 
 
 def _events(state: State) -> list[tuple[float, str]]:

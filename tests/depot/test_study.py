@@ -159,7 +159,7 @@ def test_what_cannot_be_computed_is_unknown_in_plan_overview_and_page(tmp_path):
         history.write(trips(well, 2))
     run_study(tmp_path / "fleet.db", tmp_path)
     jobs = rows_of(tmp_path / "plan.csv")
-    names = ["c_p", "c_s", "k_p", "k_s"]
+    names = ["k_p", "c_p", "k_s", "c_s"]
     assert [(row["suspension"], row["parameter"]) for row in jobs] == [
         *(("secondary, left", name) for name in names),
         *(("secondary, right", name) for name in names),

@@ -260,7 +260,7 @@ def test_part_of_unknown_life_is_unknown_and_comes_before_all_others():
     unseen = [never, replace(never, parameter="k_p")]
     looked_at = part([NEVER], "middle", Severity.NOTICE, unknown=WHY)
     found = planned(known, *unseen, looked_at)
-    assert [job.part.parameter for job in found.unknown] == ["c_p", "k_p"]
+    assert [job.part.parameter for job in found.unknown] == ["c_p", "k_p"]  # as they were given
     assert found.n_quiet == 0
     rows = found.rows()
     assert [row["urgency"] for row in rows] == ["unknown", "unknown", "unknown", "soon"]

@@ -376,7 +376,7 @@ def test_alarms_and_remaining_life_are_shown(tmp_path):
     assert "stands" in table
     plain = text.replace("\N{NO-BREAK SPACE}", " ")
     assert "150 000<small>110 000 to 190 000</small>" in plain
-    assert '<td class="n">passed</td>' in text
+    assert '<td class="n life">passed</td>' in text
 
 
 def test_one_sentence_for_all_parameters_is_written_once_above_and_once_in_the_table(tmp_path):
@@ -421,4 +421,4 @@ def test_unknown_remaining_life_says_why(tmp_path):
     given = [OUTPUTS, {"trend": small_figure()}, found, {}, 0.9, DEFAULT_LIMITS]
     report.write_report(tmp_path / "r.html", "Suspension report", measured(3), *given)
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert '<td class="n">unknown<small>too few trips (3 of 5)</small></td>' in text
+    assert '<td class="n life">unknown<small>too few trips (3 of 5)</small></td>' in text
