@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
@@ -96,6 +97,7 @@ def number_ranges(found: Sequence[Number]) -> Figure:
     axis.set_yticks(places, [one.quantity.meaning for one in found], fontsize="x-small")
     ticks = (0.2, 0.5, 1, 2, 5)
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.axvline(1, color="0.4", lw=0.8)
     axis.grid(True, axis="x", alpha=0.3)
     figure.legend(loc="outside upper center", ncols=2)

@@ -177,7 +177,9 @@ class _Calendar:
             if part.unknown:
                 return Job(part, WORK[what], np.nan, (np.nan, np.nan), price)
             cost = price + float(table.failing[at])
-            return Job(part, WORK[what], float(table.passed[at]), passing, cost, unused)
+            # with what was passed before today, though the first visit is in time for its failure
+            probability = float((samples <= pace * self.days[at]).mean())
+            return Job(part, WORK[what], probability, passing, cost, unused)
         if part.unknown:
             return Job(part, UNKNOWN, np.nan, (np.nan, np.nan), np.nan)
         horizon_km = pace * settings.horizon_days

@@ -54,6 +54,11 @@ class Job:
     unused_km: float = np.nan
     plan_again_km: float = np.nan
 
+    @property
+    def is_passed(self) -> bool:
+        """Whether the limit has been passed already, for sure."""
+        return self.part.is_passed or self.passing_days == (0.0, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Visit:
@@ -154,7 +159,7 @@ class Plan:
             "urgency": urgency,
             "severity": str(part.severity),
             "unknown": part.unknown,
-            "passed": part.is_passed,
+            "passed": job.is_passed,
             "day": visit.day.isoformat() if visit else "",
             "latest": visit.latest.isoformat() if visit else "",
             "decide_by": visit.decide_by.isoformat() if visit else "",

@@ -97,7 +97,8 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     have = "has" if n_found == 1 else "have"
     return (
         f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first "
-        f"{n_reference} are to say it (lower monitor.n_reference, or take monitor.reference=vehicle)"
+        f"{n_reference} are to say it (lower monitor.n_reference, or take "
+        "monitor.reference=vehicle)"
     )
 
 

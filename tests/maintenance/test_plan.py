@@ -311,7 +311,18 @@ def test_alarm_to_act_on_is_seen_to_on_the_first_day_and_takes_others_along():
 
 def test_limit_passed_without_an_alarm_is_seen_to_on_the_first_day():
     (visit,) = planned(part([0.0] * 10)).visits
-    assert (visit.urgency, visit.jobs[0].what, visit.jobs[0].probability) == ("now", "replace", 0)
+    assert (visit.urgency, visit.jobs[0].what, visit.jobs[0].probability) == ("now", "replace", 1)
+
+
+def test_limit_passed_since_the_last_trip_is_no_failure_before_0_percent():
+    """20,000 km have been run since the last trip, which had 5,000 km to go."""
+    later = replace(TRAIN, mileage_km=120_000.0)
+    found = planned(part(np.linspace(4_000, 6_000, 9)), trains=(later,))
+    (job,) = found.visits[0].jobs
+    assert job.probability == 1.0
+    assert "| passed " in str(found)
+    half = planned(part([5_000.0] * 5 + [NEVER] * 5), trains=(later,))
+    assert half.visits[0].jobs[0].probability == 0.5
 
 
 def test_notice_without_a_predicted_passing_is_looked_at_in_time_and_in_company():
