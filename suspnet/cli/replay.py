@@ -33,8 +33,8 @@ def compose(config: DictConfig) -> None:
         n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
     sink.close()
     words = (
-        f"{count(n_frames, 'frame')} with {n_samples} samples of {count(replay.n_trips, 'trip')} of "
-        f"{count(replay.n_suspensions, 'suspension')} in {time.monotonic() - begin_s:.1f} s"
+        f"{count(n_frames, 'frame')} with {n_samples} samples of {count(replay.n_trips, 'trip')} "
+        f"of {count(replay.n_suspensions, 'suspension')} in {time.monotonic() - begin_s:.1f} s"
     )
     for reason, n in sink.counts.items():
         words += f"; {reason}: {n}"
