@@ -13,6 +13,7 @@ from tqdm import tqdm
 from suspnet.cli import program
 from suspnet.live.replay import Pace, Replay
 from suspnet.live.sinks import Sink
+from suspnet.maintenance.schedule import count
 
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="replay")
@@ -32,8 +33,8 @@ def compose(config: DictConfig) -> None:
         n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
     sink.close()
     words = (
-        f"{n_frames} frames with {n_samples} samples of {replay.n_trips} trips of "
-        f"{replay.n_suspensions} suspensions in {time.monotonic() - begin_s:.1f} s"
+        f"{count(n_frames, 'frame')} with {n_samples} samples of {count(replay.n_trips, 'trip')} "
+        f"of {count(replay.n_suspensions, 'suspension')} in {time.monotonic() - begin_s:.1f} s"
     )
     for reason, n in sink.counts.items():
         words += f"; {reason}: {n}"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from suspnet.commissioning.fit import Commissioned
 from suspnet.commissioning.healthy import HealthyTrips
@@ -61,8 +62,9 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
         for values, label, style in curves:
             one = values[group, link]
             magnitude.semilogy(frequencies_hz, np.abs(one), label=label, **style)
-            like = one if values is outcome.nominal else outcome.fitted[group, link]
-            phase.plot(frequencies_hz, _phase(one, like), **style)
+            is_smooth = values is not outcome.observed
+            like = outcome.fitted[group, link]
+            phase.plot(frequencies_hz, _phase(one, like, is_smooth), **style)
         _residuals(below, frequencies_hz, left[:, link])
     for axis in axes.flat:
         axis.margins(x=0)
@@ -95,6 +97,7 @@ def number_ranges(found: Sequence[Number]) -> Figure:
     axis.set_yticks(places, [one.quantity.meaning for one in found], fontsize="x-small")
     ticks = (0.2, 0.5, 1, 2, 5)
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.axvline(1, color="0.4", lw=0.8)
     axis.grid(True, axis="x", alpha=0.3)
     figure.legend(loc="outside upper center", ncols=2)
@@ -117,10 +120,17 @@ def _band(
     axis.fill_between(frequencies_hz, low, high, color=MEASURED, alpha=0.4, lw=0, label="95 % band")
 
 
-def _phase(response: ComplexArray, like: ComplexArray) -> FloatArray:
-    """Return a phase [degrees] within half a turn of a smooth response's continuous one."""
+def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:
+    """Return a phase [degrees] in the turn of a smooth response's continuous one.
+
+    A smooth one is continuous itself, and lies within half a turn of the other in the median; each
+    bin of a measured one lies within half a turn.
+    """
     base = np.unwrap(np.angle(like))
-    return np.asarray(np.degrees(base + np.angle(response / like)))
+    if not is_smooth:
+        return np.asarray(np.degrees(base + np.angle(response / like)))
+    phase = np.unwrap(np.angle(response))
+    return np.asarray(np.degrees(phase) - 360 * np.round(np.median(phase - base) / (2 * np.pi)))
 
 
 def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:

@@ -14,6 +14,7 @@ from suspnet.commissioning.healthy import HealthyTrips
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
+from suspnet.maintenance.schedule import count
 from suspnet.uncertainty.physics import INCOMPLETE
 
 LEAST_AGREEING = 2
@@ -174,8 +175,8 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
     stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
     explains = "explains" if is_explained(outcome) else "does not explain"
     return (
-        f"The vehicle {explains} its healthy trips ({n_trips} trips{stretches}): the misfit is "
-        f"{outcome.misfit:.2f} times the noise, 1 is noise alone."
+        f"The vehicle {explains} its healthy trips ({count(n_trips, 'trip')}{stretches}): the "
+        f"misfit is {outcome.misfit:.2f} times the noise, 1 is noise alone."
     )
 
 
@@ -193,6 +194,8 @@ def reference(outcome: Commissioned) -> str:
         if f"healthy_{name}" in told
     ]
     shown = f": 100 % is {', '.join(values)}" if values else ""
+    if "±" in shown:
+        shown += " (± one standard deviation)"
     return f"Healthy from now on is what these trips showed{shown}."
 
 

@@ -12,8 +12,6 @@ import numpy as np
 from suspnet.depot.sisters import Key, car_of
 from suspnet.depot.state import (
     State,
-    learn_priors,
-    lives_of,
     sister_alarms,
     watched,
     with_alarms,
@@ -26,6 +24,7 @@ from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits
 from suspnet.maintenance.sisters import SisterSettings
+from suspnet.trips.lives import learn_priors, lives_of
 
 NEW_SHARE = 0.1
 """Share of a vehicle's trips that must be new before its rates of wear are learnt again: then all
@@ -140,7 +139,8 @@ class Fleet:
         for state in [one for one in self._sorted() if one.key in self._waiting]:
             vehicle = state.series.vehicle
             prior = self._priors[vehicle]
-            self._lives[state.key] = lives_of(state, self.limits_of(vehicle), prior, self.seed)
+            limits, passed = self.limits_of(vehicle), state.watched.passed
+            self._lives[state.key] = lives_of(state.series, limits, passed, prior, self.seed)
             self._waiting.discard(state.key)
             self._states.pop(state.key, None)
             if time.monotonic() > end:
@@ -156,7 +156,8 @@ class Fleet:
             n_trips = sum(len(state.series.trip) for state in states)
             if vehicle in self._priors and self._n_new[vehicle] <= NEW_SHARE * n_trips:
                 continue
-            self._priors[vehicle] = learn_priors(states, self.limits_of(vehicle))
+            series = [state.series for state in states]
+            self._priors[vehicle] = learn_priors(series, self.limits_of(vehicle))
             self._n_new[vehicle] = 0
             self._waiting |= {state.key for state in states}
 

@@ -13,10 +13,10 @@ from tabulate import tabulate
 from suspnet.depot.state import State
 from suspnet.dynamics import PARAMETERS
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
-from suspnet.maintenance.limits import N_LAST
-from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.schedule import Plan, joined
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
+from suspnet.trips.lives import present
 from suspnet.trips.overview import finding
 from suspnet.trips.report import data_uri
 from suspnet.trips.templates import render
@@ -75,7 +75,7 @@ def write_page(
         rows=rows,
         finding=finding(rows),
         plan=plan,
-        jobs=plan.rows(),
+        jobs=joined(plan.rows()),
         calendar=data_uri(figure),
         sisters=[[rows[i] for i in one] for one in sisters],
         parameters=[name for name in PARAMETERS if name != PAYLOAD],
@@ -91,7 +91,6 @@ def _row(
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get((series.vehicle, place), ()))
     shortest = state.shortest
-    used = series.recent & series.done
     return {
         "vehicle": series.vehicle,
         "where": str(place),
@@ -110,7 +109,9 @@ def _row(
         "life_low_km": shortest[1].interval_km()[0] if shortest else np.nan,
         "life_median_km": shortest[1].quantile_km(0.5) if shortest else np.nan,
         "life_high_km": shortest[1].interval_km()[1] if shortest else np.nan,
-        **{f"{name}_last": _last(column[used]) for name, column in series.estimates.items()},
+        "life_unknown": ", ".join(state.unknown),
+        "life_unknown_why": "; ".join(dict.fromkeys(state.unknown.values())),
+        **{f"{name}_last": present(series, name) for name in series.estimates},
         "last_mileage_km": state.last_km,
         "n_trips": len(series.trip),
         "n_estimated": int(series.done.sum()),
@@ -124,9 +125,3 @@ def _quiet(state: State) -> str:
         return state.unjudged
     why = state.watched.changes.why_not
     return f"alarms of changes not armed yet: {why}" if why else ""
-
-
-def _last(values: Any) -> float:
-    """Return the median of the last trips with an estimate, NaN if there is none."""
-    known = values[np.isfinite(values)][-N_LAST:]
-    return float(np.median(known)) if len(known) else np.nan

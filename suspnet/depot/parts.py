@@ -9,15 +9,17 @@ from datetime import date
 import numpy as np
 
 from suspnet.depot.state import State
+from suspnet.dynamics import PARAMETERS
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.plan_inputs import Part, Train, km_per_day
 
 
 def parts_of(states: Sequence[State]) -> list[Part]:
-    """Return each parameter of each suspension that has an alarm or a remaining life."""
+    """Return each parameter of each suspension that has an alarm or limits."""
     found = []
     for state in states:
-        for name in sorted({*state.lives, *(one.parameter for one in state.alarms)}):
+        named = {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
+        for name in (one for one in PARAMETERS if one in named):
             life = state.lives.get(name)
             severity = max(
                 (one.severity for one in state.alarms if one.parameter == name),
@@ -31,9 +33,10 @@ def parts_of(states: Sequence[State]) -> list[Part]:
                     suspension_of(state),
                     name,
                     samples,
-                    state.last_km,
+                    float(np.nan_to_num(state.last_km)),  # 0 counts only where nothing is known
                     severity,
                     place.car,
+                    state.unknown.get(name, "" if life else "it has no limits"),
                 )
             )
     return found
@@ -42,7 +45,8 @@ def parts_of(states: Sequence[State]) -> list[Part]:
 def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -> list[Train]:
     """Return each train, with the mileage of its newest trip and how far it runs in a day.
 
-    A trip without a start is taken as of today.
+    A trip without a start is taken as of today. A train without any mileage is at 0 km: nothing is
+    known of its parts, so that it has no visits.
     """
     of_train = defaultdict(list)
     for state in states:
@@ -53,6 +57,7 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
         starts = np.concatenate([one.start for one in several])
         order = np.argsort(km, kind="stable")[: int(np.isfinite(km).sum())]
         if not len(order):
+            found.append(Train(name, 0.0, today, default_km_per_day))
             continue
         km, starts = km[order], starts[order]
         day = today if np.isnat(starts[-1]) else starts[-1].item().date()

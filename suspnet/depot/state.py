@@ -12,16 +12,12 @@ from suspnet.depot.sisters import Key, alarms_of_sisters
 from suspnet.history import Series
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.forecast import remaining_lives, trips_of_life
-from suspnet.maintenance.life import Life, learn_fleet
-from suspnet.maintenance.limits import N_LAST, Limits, Severity
+from suspnet.maintenance.life import Life
+from suspnet.maintenance.limits import Limits, Severity
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.watch import Watched, watch
+from suspnet.trips.lives import unjudged, unknown_lives
 from suspnet.trips.trend import PAYLOAD
-
-MOST_LEARNT = 200
-"""Largest number of suspensions from which a fleet's rates of wear are learnt, evenly chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +31,14 @@ class State:
     watched : Watched
     lives : dict of Life
         Of each parameter with limits, until its act limit; without those of too few trips.
+    limited : tuple of str
+        Parameters with limits.
     """
 
     series: Series
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
+    limited: tuple[str, ...] = ()
 
     @property
     def key(self) -> Key:
@@ -61,11 +60,13 @@ class State:
     @property
     def unjudged(self) -> str:
         """Why it cannot be judged by its last trips; empty if it can be."""
-        used = self.series.recent & self.series.done
-        flagged = self.series.flagged[used][-N_LAST:]
-        if not len(flagged):
-            return "no trip with an estimate"
-        return f"all of the last {len(flagged)} trips are flagged" if flagged.all() else ""
+        return unjudged(self.series)
+
+    @cached_property
+    def unknown(self) -> dict[str, str]:
+        """Parameters with limits whose remaining life is unknown, and why (``unknown_lives``)."""
+        passed = self.watched.passed
+        return unknown_lives(self.series, [name for name in self.limited if name not in passed])
 
     @cached_property
     def shortest(self) -> tuple[str, Life] | None:
@@ -100,7 +101,7 @@ def watched(series: Series, limits: Mapping[str, Limits], settings: ChangeSettin
         settings,
         maintenance_km=[event.mileage_km for event in series.events],
     )
-    return State(series, found)
+    return State(series, found, limited=tuple(name for name in limits if name in names))
 
 
 def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:
@@ -119,47 +120,6 @@ def with_alarms(state: State, more: Sequence[Alarm]) -> State:
     alarms = [*state.watched.alarms, *more]
     alarms.sort(key=lambda one: (one.begin_km, one.parameter))
     return replace(state, watched=replace(state.watched, alarms=alarms))
-
-
-def learn_priors(states: Sequence[State], limits: Mapping[str, Limits]) -> dict[str, FleetPrior]:
-    """Return what the suspensions of one vehicle show together of each parameter."""
-    found = {}
-    for name in limits:
-        trips = [
-            trips_of_life(
-                one.series.mileage_km[one.series.recent],
-                one.series.estimates[name][one.series.recent],
-                one.series.half_widths[name][one.series.recent],
-                one.series.flagged[one.series.recent],
-            )
-            for one in states
-        ]
-        known = [one for one in trips if one is not None]
-        if len(known) > 1:
-            every = -(-len(known) // MOST_LEARNT)
-            found[name] = learn_fleet(known[::every])
-    return found
-
-
-def lives_of(
-    state: State, limits: Mapping[str, Limits], fleet: Mapping[str, FleetPrior], seed: int
-) -> dict[str, Life]:
-    """Return the remaining life of each parameter of a suspension."""
-    series, used = state.series, state.series.recent
-    values, half_widths = (
-        {name: column[used] for name, column in part.items()}
-        for part in (series.estimates, series.half_widths)
-    )
-    return remaining_lives(
-        series.mileage_km[used],
-        values,
-        half_widths,
-        series.flagged[used],
-        limits,
-        state.watched.passed,
-        fleet,
-        seed,
-    )
 
 
 def worst_first(state: State) -> tuple[int, float, str, str]:

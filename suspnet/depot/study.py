@@ -108,7 +108,9 @@ def write_maintenance(
             "n_visits": len(planned.visits),
             "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
             "n_waiting": len(planned.waiting),
+            "n_unknown": len(planned.unknown),
             "objective": planned.objective,
+            "gap": planned.gap,
         },
     )
     log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)

@@ -203,11 +203,11 @@ def _block(rows: Sequence[Any]) -> Block:
             raise ValueError(f"`{name}` must not be {wrong[0]:g}")
     if not all(isinstance(text, str) for several in texts for text in several):
         raise TypeError("name and start must be text")
-    start = np.array([_time(text) for text in texts[1]], dtype="datetime64[s]")
+    start = np.array([utc(text) for text in texts[1]], dtype="datetime64[s]")
     return numbers, np.array(texts[0], dtype=str), start
 
 
-def _time(text: str) -> datetime | None:
+def utc(text: str) -> datetime | None:
     """Return a start without its zone: in UTC, if it has one."""
     if not text:
         return None

@@ -12,10 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from suspnet.maintenance.schedule import URGENCIES, Job, Plan, Visit, count
+from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit, count
 
-COLOURS = dict(zip(URGENCIES, ("tab:red", "tab:orange", "tab:blue"), strict=True))
+COLOURS = dict(zip(URGENCIES, ("tab:purple", "tab:red", "tab:orange", "tab:blue"), strict=True))
 WORDS = {
+    UNKNOWN: "remaining life unknown",
     "now": "visit on the first possible day",
     "soon": "visit to be decided on within a month",
     "later": "later visit",
@@ -34,10 +35,11 @@ PASSING = "passing"
 
 
 def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
-    """Trains as rows, the most urgent on top, with their visits along the time.
+    """Trains as rows, unknown ones and then the most urgent on top, with their visits.
 
     A mark is a visit with the number of its jobs, the line behind it reaches until its latest day.
-    A thin bar is the interval in which one part passes its limit if it is left alone. Trains
+    A thin bar is the interval in which one part passes its limit if it is left alone. A question
+    mark is a train with a part of unknown remaining life; a visit for one has its colour. Trains
     without a visit and without a part that waits are left out, and so are those after the first
     ``MOST_TRAINS``; the title counts them.
 
@@ -52,7 +54,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     for visit in plan.visits:
         visits[visit.train].append(visit)
         jobs[visit.train] += visit.jobs
-    for job in plan.waiting:
+    for job in (*plan.unknown, *plan.waiting):
         jobs[job.part.train].append(job)
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))
     shown = names[:MOST_TRAINS]
@@ -62,6 +64,8 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     axis: Axes = figure.subplots()
     for row, name in enumerate(shown):
         _draw_passing(axis, plan, row, jobs[name])
+        if any(job.part.unknown for job in jobs[name]):
+            _draw_mark(axis, float(mdates.date2num(plan.today)), row, UNKNOWN, "?")
         for visit in visits[name]:
             _draw_visit(axis, row, visit)
     if not shown:
@@ -79,12 +83,14 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     axis.grid(True, axis="x", alpha=0.3)
     for row in range(1, len(shown), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
-    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="y", length=0, pad=9)  # a mark of today reaches out of the axis
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
     title = (
         f"Plan of {plan.today}: {count(len(plan.visits), 'visit')}, {count(n_jobs, 'job')} "
         f"until {plan.horizon}"
     )
+    if plan.unknown:
+        title += f", {count(len(plan.unknown), 'part')} unknown"
     if len(names) > len(shown):
         title += f"\n{len(shown)} trains of {len(names)}, the most urgent"
     axis.set_title(title, fontsize="medium")
@@ -95,19 +101,25 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
 def _urgency(visits: Sequence[Visit], jobs: Sequence[Job], name: str) -> tuple[Any, ...]:
     """Return what trains are sorted by: the first visit, then the first that waits."""
     first = min(((URGENCIES.index(v.urgency), v.day.toordinal()) for v in visits), default=(9, 0))
-    passed = max(job.probability for job in jobs)
-    return (*first, -passed, name)
+    known = [job.probability for job in jobs if not job.part.unknown]
+    return (len(known) == len(jobs), *first, -max(known, default=0.0), name)
 
 
 def _draw_visit(axis: Axes, row: int, visit: Visit) -> None:
     """Draw a visit, how many jobs it has and until when it may be put off."""
-    colour = COLOURS[visit.urgency]
+    urgency = visit.urgency_of(visit.jobs[0])
+    colour = COLOURS[urgency]
     day, latest = (float(mdates.date2num(one)) for one in (visit.day, visit.latest))
     axis.plot([day, latest], [row, row], color=colour, lw=2, alpha=0.6, solid_capstyle="butt")
+    _draw_mark(axis, day, row, urgency, f"{len(visit.jobs)}")
+
+
+def _draw_mark(axis: Axes, day: float, row: int, urgency: str, text: str) -> None:
+    """Draw a mark with a short text in the colour of its urgency."""
     style: dict[str, Any] = {"ms": 11, "mec": "white", "clip_on": False, "zorder": 3}
-    axis.plot(day, row, "o", color=colour, label=WORDS[visit.urgency], **style)
-    text: dict[str, Any] = {"ha": "center", "va": "center", "color": "white", "zorder": 4}
-    axis.text(day, row, f"{len(visit.jobs)}", fontsize=6.5, clip_on=False, **text)
+    axis.plot(day, row, "o", color=COLOURS[urgency], label=WORDS[urgency], **style)
+    place: dict[str, Any] = {"ha": "center", "va": "center", "color": "white", "zorder": 4}
+    axis.text(day, row, text, fontsize=6.5, clip_on=False, **place)
 
 
 def _draw_passing(axis: Axes, plan: Plan, row: int, jobs: Sequence[Job]) -> None:

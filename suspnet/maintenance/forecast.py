@@ -60,6 +60,25 @@ def remaining_lives(
     return found
 
 
+def why_unknown(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
+) -> str:
+    """Return why these trips say nothing about a parameter's remaining life; empty if they do."""
+    if trips_of_life(mileage_km, values, half_widths, flagged) is not None:
+        return ""
+    known, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
+    n_known, n_clear = int(known.sum()), int((known & ~doubtful).sum())
+    if not n_known:
+        return "no trip with an estimate"
+    if not n_clear:
+        return "all trips are flagged" if n_known > 1 else "the only trip is flagged"
+    if n_clear < MIN_TRIPS:
+        return (
+            f"too few trips ({n_clear} of {MIN_TRIPS}{' without a flag' if doubtful.any() else ''})"
+        )
+    return "too few trips with a mileage and an estimate that is certain enough"
+
+
 def trips_of_life(
     mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
 ) -> Trips | None:

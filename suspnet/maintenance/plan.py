@@ -11,7 +11,7 @@ import numpy as np
 
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
-from suspnet.maintenance.schedule import SLACK, SOON_DAYS, URGENCIES, Job, Plan, Visit
+from suspnet.maintenance.schedule import SLACK, SOON_DAYS, UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.maintenance.visits import REPLACE, PartCosts, choose_dates, part_costs
 from suspnet.types import FloatArray
 
@@ -62,12 +62,14 @@ def make_plan(
     planned = [_plan_train(named[name], groups[name], settings, today) for name in sorted(groups)]
     visits = tuple(visit for found in planned for visit in found[0])
     waiting = tuple(job for found in planned for job in found[1])
-    n_quiet = len(parts) - sum(len(visit.jobs) for visit in visits) - len(waiting)
-    objective = sum(found[2] for found in planned)
+    unknown = tuple(job for found in planned for job in found[2])
+    n_jobs = sum(len(visit.jobs) for visit in visits)
+    n_quiet = len(parts) - n_jobs - len(waiting) - len(unknown)
+    objective, bound = sum(found[3] for found in planned), sum(found[4] for found in planned)
     horizon = today + timedelta(days=settings.horizon_days)
     assumed = tuple(one for one in trains if one.is_assumed)
-    whole = Plan(today, horizon, visits, waiting, n_quiet, objective, settings.level, assumed)
-    return _sorted(whole)
+    shown = (unknown, visits, waiting, n_quiet)
+    return _sorted(Plan(today, horizon, *shown, objective, bound, settings.level, assumed))
 
 
 def join_plans(plans: Sequence[Plan]) -> Plan:
@@ -85,10 +87,12 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
         Plan(
             first.today,
             first.horizon,
+            tuple(job for plan in plans for job in plan.unknown),
             tuple(visit for plan in plans for visit in plan.visits),
             tuple(job for plan in plans for job in plan.waiting),
             sum(plan.n_quiet for plan in plans),
             sum(plan.objective for plan in plans),
+            sum(plan.bound for plan in plans),
             first.level,
             tuple(train for plan in plans for train in plan.assumed),
         )
@@ -96,10 +100,16 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
 
 
 def _sorted(plan: Plan) -> Plan:
-    """Return a plan with visits and waiting jobs in order."""
+    """Return a plan with unknown parts, visits and waiting jobs in order."""
     return replace(
         plan,
-        visits=tuple(sorted(plan.visits, key=lambda visit: (visit.day, visit.train))),
+        unknown=tuple(sorted(plan.unknown, key=lambda job: job.part.place)),
+        visits=tuple(
+            sorted(
+                plan.visits,
+                key=lambda one: (one.urgency_of(one.jobs[0]) != UNKNOWN, one.day, one.train),
+            )
+        ),
         waiting=tuple(sorted(plan.waiting, key=lambda job: (job.plan_again_km, str(job.part)))),
     )
 
@@ -166,8 +176,14 @@ class _Calendar:
             if what == REPLACE:
                 left = np.minimum(samples, costs.usual_life_km) - pace * self.days[at]
                 price, unused = costs.replacement, float(np.clip(left, 0, None).mean())
+            if part.unknown:
+                return Job(part, WORK[what], np.nan, (np.nan, np.nan), price)
             cost = price + float(table.failing[at])
-            return Job(part, WORK[what], float(table.passed[at]), passing, cost, unused)
+            # with what was passed before today, though the first visit is in time for its failure
+            probability = float((samples <= pace * self.days[at]).mean())
+            return Job(part, WORK[what], probability, passing, cost, unused)
+        if part.unknown:
+            return Job(part, UNKNOWN, np.nan, (np.nan, np.nan), np.nan)
         horizon_km = pace * settings.horizon_days
         safe = np.quantile(samples, settings.plan_again_risk, method="lower")
         again = float(np.clip(safe - pace * settings.lead_days, 0, horizon_km))
@@ -189,8 +205,8 @@ class _Calendar:
             self.train.mileage_at(day),
             self.train.mileage_at(last),
             decide_by,
-            URGENCIES[0 if at == 0 else 1 if soon else 2],
-            tuple(sorted(jobs, key=lambda job: (-job.probability, str(job.part)))),
+            URGENCIES[1 if at == 0 else 2 if soon else 3],
+            tuple(sorted(jobs, key=_likeliest_first)),
             self.settings.visit + sum(job.expected_cost for job in jobs),
         )
 
@@ -214,23 +230,31 @@ def _calendar(
 
 def _plan_train(
     train: Train, parts: Sequence[Part], settings: PlanSettings, today: date
-) -> tuple[list[Visit], list[Job], float]:
-    """Return visits, waiting jobs and objective of one train."""
+) -> tuple[list[Visit], list[Job], list[Job], float, float]:
+    """Return visits, waiting and unknown jobs, objective and lower bound of one train."""
     calendar = _calendar(train, parts, settings, today)
     tables = [calendar.table(part) for part in parts]
     costs = np.stack(
         [calendar.allowed(one, part.severity) for one, part in zip(tables, parts, strict=True)]
     )
-    dates, served = choose_dates(costs, calendar.prices)
+    dates, served, bound = choose_dates(costs, calendar.prices)
     jobs = [calendar.job(*one) for one in zip(parts, tables, served, strict=True)]
     visits = []
     for at in (one for one in dates if one < calendar.n_near):
         chosen = [j for j, one in enumerate(served) if one == at]
         visits.append(calendar.visit(at, [jobs[j] for j in chosen], costs[chosen]))
+    left = [job for job, at in zip(jobs, served, strict=True) if at >= calendar.n_near]
+    unknown = [job for job in left if job.part.unknown]
     waiting = [
         job
-        for job, at in zip(jobs, served, strict=True)
-        if at >= calendar.n_near and (job.probability or job.part.severity >= Severity.NOTICE)
+        for job in left
+        if not job.part.unknown and (job.probability or job.part.severity >= Severity.NOTICE)
     ]
     objective = calendar.prices[dates].sum() + costs[np.arange(len(parts)), served].sum()
-    return visits, waiting, float(objective)
+    return visits, waiting, unknown, float(objective), bound
+
+
+def _likeliest_first(job: Job) -> tuple[bool, float, str]:
+    """Return what the jobs of a visit are sorted by: unknown ones first."""
+    probability = 0.0 if job.part.unknown else -job.probability
+    return not job.part.unknown, probability, str(job.part)

@@ -151,6 +151,9 @@ class Part:
     severity : Severity
         Of its alarm.
     car : str
+    unknown : str
+        Why its remaining life is unknown, or not to be relied on; empty if it is known. Its visits
+        are then those of its alarm, unless there are samples.
     """
 
     train: str
@@ -160,6 +163,7 @@ class Part:
     mileage_km: float
     severity: Severity = Severity.NONE
     car: str = ""
+    unknown: str = ""
 
     def __post_init__(self) -> None:
         samples = np.asarray(self.samples_km, dtype=float)
@@ -170,6 +174,11 @@ class Part:
         check_number(f"mileage_km of {self}", self.mileage_km)
         object.__setattr__(self, "samples_km", samples)
         object.__setattr__(self, "severity", Severity(self.severity))
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Train, car and suspension."""
+        return self.train, self.car, self.suspension
 
     @property
     def is_passed(self) -> bool:

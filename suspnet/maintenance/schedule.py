@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
 from typing import Any
@@ -11,11 +12,15 @@ from tabulate import tabulate
 
 from suspnet.maintenance.plan_inputs import Part, Train
 
-URGENCIES = ("now", "soon", "later")
-"""A visit on the first possible day; one to be decided on within ``SOON_DAYS``; any other."""
+URGENCIES = ("unknown", "now", "soon", "later")
+"""Nothing is known of a part's remaining life; a visit on the first possible day; one to be decided
+on within ``SOON_DAYS``; any other visit."""
+UNKNOWN = URGENCIES[0]
 SOON_DAYS = 30
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
+PROVEN = 1e-6
+"""Share of the objective up to which the solver's rounding is no gap."""
 SLACK = 0.1
 """Share of a visit's cost that it may cost more at its latest date than at its best."""
 
@@ -27,14 +32,16 @@ class Job:
     Attributes
     ----------
     part : Part
-    what : {"replace", "inspect", "plan again"}
+    what : {"replace", "inspect", "plan again", "unknown"}
+        The last is a part of unknown remaining life without a visit.
     probability : float
-        That the limit is passed before the visit, or, of a part that waits, before the horizon.
+        That the limit is passed before the visit, or, of a part that waits, before the horizon; NaN
+        if the remaining life is unknown.
     passing_days : (float, float)
-        Interval of the passing of the limit, in days from today; inf: never.
+        Interval of the passing of the limit, in days from today; inf: never, NaN: unknown.
     expected_cost : float
         Price of the work and cost of failures before it, without the visit; of a part that waits,
-        the cost of failures before the horizon.
+        the cost of failures before the horizon. Of an unknown remaining life, the price alone.
     unused_km : float, [km]
         Expected life, up to the usual one, that a replacement throws away; else NaN.
     plan_again_km : float, [km]
@@ -48,6 +55,11 @@ class Job:
     expected_cost: float
     unused_km: float = np.nan
     plan_again_km: float = np.nan
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether the limit has been passed already, for sure."""
+        return self.part.is_passed or self.passing_days == (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +77,7 @@ class Visit:
         `latest` less the lead time.
     urgency : {"now", "soon", "later"}
     jobs : tuple of Job
-        The likeliest failure first.
+        Parts of unknown remaining life first, then the likeliest failure.
     expected_cost : float
         Of the visit and its jobs.
     """
@@ -80,6 +92,10 @@ class Visit:
     jobs: tuple[Job, ...]
     expected_cost: float
 
+    def urgency_of(self, job: Job) -> str:
+        """Return the urgency of one of its jobs: unknown, unless that is seen to at once anyway."""
+        return UNKNOWN if job.part.unknown and self.urgency != "now" else self.urgency
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -88,8 +104,10 @@ class Plan:
     Attributes
     ----------
     today, horizon : date
+    unknown : tuple of Job
+        Parts without a visit whose remaining life is unknown.
     visits : tuple of Visit
-        Ascending days.
+        Those for a part of unknown remaining life first, then ascending days.
     waiting : tuple of Job
         Parts without a visit that have an alarm or may pass a limit before the horizon; the first
         to be planned again first.
@@ -97,6 +115,8 @@ class Plan:
         Other parts: nothing to be done.
     objective : float
         What the plan minimises, summed over trains: see ``choose_dates`` and ``part_costs``.
+    bound : float
+        No plan has a smaller objective.
     level : float
         Probability of ``Job.passing_days``.
     assumed : tuple of Train
@@ -105,10 +125,12 @@ class Plan:
 
     today: date
     horizon: date
+    unknown: tuple[Job, ...]
     visits: tuple[Visit, ...]
     waiting: tuple[Job, ...]
     n_quiet: int
     objective: float
+    bound: float
     level: float
     assumed: tuple[Train, ...] = ()
 
@@ -125,21 +147,37 @@ class Plan:
             "of the trips are unknown or too close."
         )
 
+    @property
+    def gap(self) -> float:
+        """Largest share of the objective that the best plan might save; 0: this one is proven best.
+
+        It is above 0 only where a search was ended after ``visits.MAX_SOLVE_S``.
+        """
+        excess = self.objective - self.bound
+        return excess / self.objective if excess > PROVEN * self.objective else 0.0
+
     def rows(self) -> list[dict[str, Any]]:
-        """Return one flat row for each job, visits first; days in ISO 8601, empty where none."""
+        """Return one flat row for each job; days in ISO 8601, empty where none.
+
+        What is unknown comes first, then visits, then parts that wait.
+        """
         jobs = [self._row(job, visit) for visit in self.visits for job in visit.jobs]
-        return jobs + [self._row(job, None) for job in self.waiting]
+        rest = (self._row(job, None) for job in self.waiting)
+        return [*(self._row(job, None) for job in self.unknown), *jobs, *rest]
 
     def _row(self, job: Job, visit: Visit | None) -> dict[str, Any]:
         part, ends = job.part, [self.day_after(days) for days in job.passing_days]
+        urgency = visit.urgency_of(job) if visit else UNKNOWN if part.unknown else ""
         return {
             "train": part.train,
             "car": part.car,
             "suspension": part.suspension,
             "parameter": part.parameter,
             "what": job.what,
-            "urgency": visit.urgency if visit else "",
+            "urgency": urgency,
             "severity": str(part.severity),
+            "unknown": part.unknown,
+            "passed": job.is_passed,
             "day": visit.day.isoformat() if visit else "",
             "latest": visit.latest.isoformat() if visit else "",
             "decide_by": visit.decide_by.isoformat() if visit else "",
@@ -157,26 +195,37 @@ class Plan:
         """Return the day after a time from today, or None if no calendar holds it."""
         return self.today + timedelta(days=days) if days < (date.max - self.today).days else None
 
-    def __str__(self) -> str:
-        """Return the plan as a table of visits, and what waits in one sentence."""
+    @property
+    def summary(self) -> str:
+        """What the plan holds, whether it is the best, and which mileages per day are assumed."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
-        lines = [
-            f"{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
-            f"{self.horizon}, {len(self.waiting)} parts wait, {self.n_quiet} need nothing.",
-            *([self.assumed_words] if self.assumed else []),
-        ]
-        if self.visits:
+        n_waiting = len(self.waiting)
+        unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
+        best = "No plan costs less."
+        if self.gap:
+            best = (
+                f"The search was ended: the best plan may cost up to {100 * self.gap:.2g} % less."
+            )
+        return (
+            f"{unknown}{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
+            f"{self.horizon}, {count(n_waiting, 'part')} wait{'s' * (n_waiting == 1)}, "
+            f"{self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. {best} {self.assumed_words}"
+        ).rstrip()
+
+    def __str__(self) -> str:
+        """Return the plan as a table, what is unknown first, and what waits in one sentence."""
+        lines, table, before = [self.summary], [], None
+        for row in joined(self.rows()):
+            if row["what"] == "plan again":
+                break
+            km = f"{row['mileage_km']:.0f}" if row["day"] else ""
+            visit = [row["train"], row["urgency"], row["day"], row["latest"], km]
+            failure = "passed" if row["passed"] else f"{100 * row['probability']:.1f} %"
+            shown = visit if visit != before else [""] * len(visit)
+            table.append([*shown, _words(row), UNKNOWN if row["unknown"] else failure])
+            before = visit
+        if table:
             head = ("train", "urgency", "best day", "latest", "at km", "what", "failure before")
-            table = [
-                [
-                    *((visit.train, visit.urgency, visit.day, visit.latest) if first else [""] * 4),
-                    f"{visit.mileage_km:.0f}" if first else "",
-                    _words(job),
-                    "passed" if job.part.is_passed else f"{100 * job.probability:.1f} %",
-                ]
-                for visit in self.visits
-                for first, job in zip([True] + [False] * len(visit.jobs), visit.jobs, strict=False)
-            ]
             lines.append(tabulate(table, head, tablefmt="github", disable_numparse=True))
         if self.waiting:
             first = self.waiting[0]
@@ -190,7 +239,23 @@ def count(n: int, noun: str) -> str:
     return f"{n} {noun}{'s' * (n != 1)}"
 
 
-def _words(job: Job) -> str:
-    """Return what is done to which part, without its train."""
-    car = f"car {job.part.car}" if job.part.car else ""
-    return f"{job.what} " + ", ".join(filter(None, (car, job.part.suspension, job.part.parameter)))
+def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows of a plan, those of one suspension that are unknown for one reason as one row.
+
+    Each has its parameters as "parameters", a list.
+    """
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for i, row in enumerate(rows):
+        where = row["train"], row["car"], row["suspension"]
+        alike = (*where, row["unknown"], row["severity"], row["day"]) if row["unknown"] else i
+        one = found.setdefault((alike,), {**row, "parameters": []})
+        one["parameters"].append(row["parameter"])
+    return list(found.values())
+
+
+def _words(row: Mapping[str, Any]) -> str:
+    """Return what is done to which part, without its train, and why its life is unknown."""
+    car = f"car {row['car']}" if row["car"] else ""
+    where = ", ".join(filter(None, (car, row["suspension"], *row["parameters"])))
+    what = "" if row["what"] == UNKNOWN else f"{row['what']} "
+    return f"{what}{where}" + (f": {row['unknown']}" if row["unknown"] else "")

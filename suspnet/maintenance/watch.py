@@ -169,14 +169,18 @@ def _beyond(
     )
     found = []
     for begin, worst, end in _spans(severity.tolist()):
-        if end is None and severity[-1] == severity[worst]:
-            worst = len(severity) - 1  # the newest level
-        side, level = int(judged.side[worst]), Severity(int(severity[worst]))
+        newest = len(severity) - 1
+        at = newest if end is None and severity[newest] == severity[worst] else worst
+        side, level = int(judged.side[at]), Severity(int(severity[at]))
         limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
-        words = (
-            f"{beside(centre[worst], limit)} of healthy, {'above' if side > 0 else 'below'} the "
-            f"{level} limit of {100 * limit:g} %"
-        )
+        is_out = side * (centre - limit) > 0
+        beyond = f"{'above' if side > 0 else 'below'} the {level} limit of {100 * limit:g} %"
+        words = f"the last trip is {beside(centre[newest], limit)} of healthy, {beyond}"
+        if end is not None or not is_out[newest]:  # it is elsewhere now
+            out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
+            words = f"was {beside(centre[out], limit)} of healthy, {beyond}, at {km_words(km[out])}"
+            if end is None:
+                words += f"; the last trip is {beside(centre[newest], limit)}"
         until = np.nan if end is None else float(km[end])
         found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, words))
     return found
@@ -198,7 +202,7 @@ def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> A
     before = float(np.nanmedian(values[: max(change.onset, 1)]))
     now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
     if change.end is None and abs(now) > GOES_ON * abs(change.percent):
-        words += f", by {abs(now):.2g} % by now"
+        words += f", by {abs(now):.2g} % on the last {N_LAST} trips"
     end = np.nan if change.end is None else float(km[change.end])
     return Alarm(name, Cause.CHANGE, Severity.NOTICE, float(km[change.begin]), end, words)
 

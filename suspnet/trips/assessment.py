@@ -13,6 +13,7 @@ from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
 from suspnet.maintenance.watch import beside, km_words
+from suspnet.trips.lives import ONE_FLAGGED
 from suspnet.trips.trend import PAYLOAD, Shape, Step, Trend
 from suspnet.types import BoolArray, FloatArray
 
@@ -22,9 +23,7 @@ TOLD_PERCENT = 2.0
 """Distance of the last trip from the last trips' median, in % of healthy, from which it is
 named."""
 FLAGGED = "flagged and may be wrong"
-ALL_FLAGGED = (
-    "all trips are flagged, so that none of these numbers is to be relied on; the flags say why"
-)
+ALL_FLAGGED = "all trips are flagged"
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,11 @@ class Assessment:
     alarms : tuple of Alarm
         That stand.
     life : Life, optional
-        Mileage until the act limit; None if too few trips tell it.
+        Mileage until the act limit; None if it is unknown.
+    now : float, [-]
+        Median of the last trips (``present``).
+    unknown_life : str
+        Why the remaining life is unknown, or not to be relied on; empty if it is known.
     """
 
     trend: Trend
@@ -71,6 +74,8 @@ class Assessment:
     limited: bool = True
     alarms: tuple[Alarm, ...] = ()
     life: Life | None = None
+    now: float = math.nan
+    unknown_life: str = ""
 
     @property
     def parameter(self) -> str:
@@ -146,12 +151,22 @@ def _assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
         return Assessment(trend, Severity.NONE, _joined(_calm(trend, last), trend, last), False)
     judged = judge(last.values, last.low, last.high, last.flagged, limits)
     severity = Severity(int(judged.severity))
+    if severity == Severity.NONE and last.flagged.all():
+        return Assessment(trend, Severity.UNKNOWN, _not_judged(trend, last))
     parts = _calm(trend, last, limits) if severity == Severity.NONE else []
     if severity > Severity.NONE:
         parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
     if last.all_flagged:
-        severity = min(max(severity, Severity.UNKNOWN), Severity.NOTICE)
+        severity = min(severity, Severity.NOTICE)
     return Assessment(trend, severity, _joined(parts, trend, last))
+
+
+def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
+    """Return assessments in their order, those of one severity and one reason together."""
+    found: dict[tuple[Severity, str], list[Assessment]] = {}
+    for one in assessments:
+        found.setdefault((one.severity, one.words), []).append(one)
+    return list(found.values())
 
 
 def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
@@ -161,7 +176,10 @@ def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
 
 def spoken(assessments: Sequence[Assessment]) -> str:
     """Return severity, sentence and reasons as lines for a terminal."""
-    lines = [f"  {a.severity!s:7s}  {a.parameter}: {a.words}" for a in worst_first(assessments)]
+    lines = [
+        f"  {group[0].severity!s:7s}  {', '.join(a.parameter for a in group)}: {group[0].words}"
+        for group in joined(worst_first(assessments))
+    ]
     return "\n".join([overall(assessments)[1], *lines])
 
 
@@ -242,6 +260,16 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
     return [f"not clear against the spread of {_percent(trend.spread_percent)}"]
 
 
+def _not_judged(trend: Trend, last: LastTrips) -> str:
+    """Return why nothing is judged where flagged trips alone lie within the limits."""
+    why = (
+        ALL_FLAGGED if last.all_flagged else f"all of the last {len(last.values)} trips are flagged"
+    )
+    if last.all_flagged and len(last.values) == 1:
+        why = ONE_FLAGGED
+    return "; ".join([f"not judged, as {why}", *([_change(trend)] if trend.changed else [])])
+
+
 def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
     """Return how the parameter develops where no limit is crossed, or there is none."""
     change, median = _change(trend), float(np.median(last.values))
@@ -288,7 +316,8 @@ def _change_words(trend: Trend) -> str:
     verb, going_on = ("falls", "falling") if change < 0 else ("rises", "rising")
     amount = f"{verb} by {_percent(change)}"
     if abs(change) >= LARGE_PERCENT:
-        amount = f"{verb} to {100 * trend.last_median:.0f} % of healthy"
+        level = f"{100 * trend.last_median:.0f} % of healthy"
+        amount = f"{verb} to {level} (median of the last {trend.n_ends} trips)"
     if trend.shape == Shape.STEADY:
         return f"{amount}, steadily along the mileage"
     if trend.step is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -10,6 +11,7 @@ from suspnet._version import __version__
 from suspnet.dynamics.limits import limits_words
 from suspnet.history.records import TripResult, first_trips
 from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.schedule import count
 from suspnet.model import TrainedModel
 from suspnet.model.from_spectra import trip_settings
 from suspnet.storage import printable
@@ -47,7 +49,7 @@ def report_details(
     reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
     if n_reference is not None:
         first_ones = first_trips(results, n_reference)
-        reference = f"the median of the first {len(first_ones)} trips (k and c)"
+        reference = f"the median of the first {count(len(first_ones), 'trip')} (k and c)"
         flagged = sum(bool(r.flags) for r in first_ones)
         if flagged:
             reference += f", {flagged} of them flagged"
@@ -67,7 +69,22 @@ def report_details(
         "healthy is": reference,
         "intervals": _interval_words(first, level),
         "limits": limits_words(limits),
-    }
+    } | files_read_as(results)
+
+
+def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
+    """Return how the files of trips were read, as a detail; empty where all was known.
+
+    Trips that were read alike are one remark, with their number if others were not.
+    """
+    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
+    if not counts:
+        return {}
+    remarks = [
+        words if n == len(results) else f"{words} ({count(n, 'trip')})"
+        for words, n in counts.most_common()
+    ]
+    return {"files read as": " · ".join(remarks)}
 
 
 def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
@@ -77,9 +94,11 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     n_found = len(first_trips(results, n_reference))
     if n_found == n_reference:
         return ""
+    have = "has" if n_found == 1 else "have"
     return (
-        f"{UNKNOWN_HEALTHY}: {n_found} trips have an estimate, the first {n_reference} are to say "
-        "it (lower monitor.n_reference, or take monitor.reference=vehicle)"
+        f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first "
+        f"{n_reference} are to say it (lower monitor.n_reference, or take "
+        "monitor.reference=vehicle)"
     )
 
 
@@ -90,7 +109,7 @@ def healthy_words(model: TrainedModel) -> str:
         return "the vehicle file's drawing"
     first, last = (f"{km:,.0f}".replace(",", " ") for km in found["mileage_km"])
     span = f"at {first} km" if first == last else f"from {first} to {last} km"
-    return f"what {found['n_trips']} trips {span} showed"
+    return f"what {count(found['n_trips'], 'trip')} {span} showed"
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:

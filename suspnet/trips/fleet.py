@@ -7,6 +7,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,11 +17,10 @@ from tqdm import tqdm
 from suspnet.checks import check_choice, check_number
 from suspnet.data.parallel import quiet
 from suspnet.dynamics.limits import PARAMETERS, TIGHTEST
-from suspnet.history import Event, History
+from suspnet.history import Event, History, Series
 from suspnet.history.records import ERROR, TripResult, relative_to_first
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.forecast import remaining_lives
 from suspnet.maintenance.limits import Limits, Severity, read_limits
 from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.model import TrainedModel
@@ -30,6 +30,7 @@ from suspnet.recordings.manifest_files import partial_words, read_manifest
 from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
 from suspnet.trips.commissionings import (
+    Commissioning,
     check_one_reference,
     commissionings,
     eras,
@@ -39,6 +40,7 @@ from suspnet.trips.commissionings import (
 from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details
 from suspnet.trips.earlier import between, with_earlier
 from suspnet.trips.finished import FinishedTrips
+from suspnet.trips.lives import Wear, learn_wear, lives_of, present, series_of, unknown_lives
 from suspnet.trips.models import models_of
 from suspnet.trips.output import summary, write_pages, write_tables
 from suspnet.trips.overview import Evaluated, write_overview
@@ -134,6 +136,7 @@ def evaluate_fleet(
     settings: FleetSettings,
     progress: bool = True,
     store: History | None = None,
+    seed: int = 0,
 ) -> list[Evaluated]:
     """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
 
@@ -154,6 +157,8 @@ def evaluate_fleet(
     progress : bool
     store : History, optional
         Keeps the trips; those of earlier folders that it holds are in tables, trend and report.
+    seed : int
+        Of the remaining lives.
 
     Returns
     -------
@@ -172,23 +177,34 @@ def evaluate_fleet(
     settings.limits_of(models)
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
-        return [_evaluate_group(groups[0], models, output, settings, progress, store)]
+        one = _read_group(groups[0], models, output, settings, progress, store)
+        return [_report(one, settings, store, _wear([one], store), seed)]
     for model in models:
         trip_settings(model)
     if partial := partial_words(folder):
         log.warning("%s is %s; the same simulation again writes the others", folder, partial)
-    done = []
+    done: list[Evaluated] = []
+
+    def lose(group: Group, error: str) -> None:
+        done.append(Evaluated(group.name, group.place, error=error))
+        log.warning("%s is not read: %s", group.name, error)
+
+    read = []
     for group in groups:
         if group.error:
-            done.append(Evaluated(group.name, group.place, error=group.error))
-            log.warning("%s is not read: %s", group.name, group.error)
+            lose(group, group.error)
             continue
         try:
             where = output / group.name
-            done.append(_evaluate_group(group, models, where, settings, progress, store))
+            read.append(_read_group(group, models, where, settings, progress, store))
         except (ValueError, ArithmeticError) as error:
-            done.append(Evaluated(group.name, group.place, error=str(error)))
-            log.warning("%s is not read: %s", group.name, error)
+            lose(group, str(error))
+    wear = _wear(read, store)  # of all of them, so after the last is read
+    for one in read:
+        try:
+            done.append(_report(one, settings, store, wear, seed))
+        except (ValueError, ArithmeticError) as error:
+            lose(one.group, str(error))
     if all(one.error for one in done):
         reasons = "; ".join(f"{one.name}: {one.error}" for one in done)
         raise ValueError(f"{folder}: none of its {len(done)} suspensions can be read ({reasons})")
@@ -197,20 +213,57 @@ def evaluate_fleet(
     return done
 
 
-def _evaluate_group(
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """Trips of one suspension, with those that the store held before, and where they go."""
+
+    group: Group
+    models: Sequence[TrainedModel]
+    output: Path
+    limits: Mapping[str, Limits]
+    results: list[TripResult]
+    states: list[Commissioning]
+    events: list[Event]
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The parameters that the models estimate."""
+        return self.models[0].task.outputs
+
+    @property
+    def vehicle(self) -> str:
+        """Name of the vehicle."""
+        return self.models[0].vehicle.name
+
+    @cached_property
+    def series(self) -> Series:
+        """The same trips as arrays."""
+        return series_of(self.results, self.events)
+
+
+def _wear(read: Sequence[_Read], store: History | None) -> Wear:
+    """Return how the fleet of a store wears, or without one the suspensions that were just read."""
+    if not read:
+        return Wear()
+    found = [one.series for one in read]
+    if store is not None:
+        found = [one for one in store.series() if one.vehicle == read[0].vehicle]
+    return learn_wear(found, read[0].limits, is_history=store is not None)
+
+
+def _read_group(
     group: Group,
     models: Sequence[TrainedModel],
     output: Path,
     settings: FleetSettings,
     progress: bool,
     store: History | None,
-) -> Evaluated:
-    """Evaluate one suspension's trips and write tables, figures and report."""
+) -> _Read:
+    """Evaluate one suspension's trips, and keep them in the store."""
     fitting = models_of(models, group.place)
     limits = settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
-    outputs = fitting[0].task.outputs
     results = [
         replace(result, place=group.place)
         for result in _evaluated(group.manifests, fitting, output, settings, progress)
@@ -225,6 +278,15 @@ def _evaluate_group(
         results = [r for part in parts for r in relative_to_first(part, settings.n_reference)]
     states = commissionings(fitting, results)
     results = with_truth_of_each(results, states)
+    return _Read(group, fitting, output, limits, results, states, events)
+
+
+def _report(
+    read: _Read, settings: FleetSettings, store: History | None, wear: Wear, seed: int
+) -> Evaluated:
+    """Write tables, figures and report of one suspension."""
+    group, results, states, events = read.group, read.results, read.states, read.events
+    outputs, limits, output, fitting = read.outputs, read.limits, read.output, read.models
     write_tables(results, outputs, output)
     era = of_last_era(results, states)
     recent = between(events, era)[-1]
@@ -232,10 +294,19 @@ def _evaluate_group(
     watched = watch_trips(era, events, outputs, limits, settings.changes)
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
-        vehicle = fitting[0].vehicle.name
-        store.keep_alarms(vehicle, group.place, watched.alarms, OWN_CAUSES)
-        seen = store.acknowledgements(vehicle, group.place)
-    found = _assessments(recent, outputs, least, limits, watched)
+        store.keep_alarms(read.vehicle, group.place, watched.alarms, OWN_CAUSES)
+        seen = store.acknowledgements(read.vehicle, group.place)
+    lives = lives_of(read.series, limits, watched.passed, wear.priors, seed)
+    unknown = unknown_lives(read.series, [n for n in limits if n not in watched.passed])
+    found = [
+        replace(
+            one,
+            now=present(read.series, one.parameter),
+            life=lives.get(one.parameter),
+            unknown_life=unknown.get(one.parameter, ""),
+        )
+        for one in _assessments(recent, outputs, least, limits, watched)
+    ]
     missing = missing_reference(recent, settings.n_first)
     if missing:
         log.warning("%s: %s", group.folder, missing)
@@ -243,6 +314,7 @@ def _evaluate_group(
     details = report_details(
         group.folder, fitting, results, limits, settings.trips.level, settings.n_first
     )
+    details["remaining lives"] = wear.words
     details["alarms of changes"] = armed = detector_words(watched.changes, settings.changes)
     partial = partial_words(group.folder)
     if partial:
@@ -333,15 +405,12 @@ def _assessments(
     mileage = np.array([r.mileage_km for r in results])
     flagged = np.array([bool(r.flags) for r in results])
     estimates = {name: [r.estimates.get(name, np.nan) for r in results] for name in outputs}
-    half_widths = {name: [r.half_widths.get(name, np.nan) for r in results] for name in outputs}
-    lives = remaining_lives(mileage, estimates, half_widths, flagged, limits, watched.passed)
     found = []
     for name in outputs:
         values = np.array(estimates[name])
         trend = flagged_trend(name, mileage, values, flagged, least_percent=least_percent[name])
         last = last_trips(mileage, values, [r.interval(name) for r in results], flagged)
-        one = assess(trend, last, limits.get(name), watched.standing(name))
-        found.append(replace(one, life=lives.get(name)))
+        found.append(assess(trend, last, limits.get(name), watched.standing(name)))
     return found
 
 

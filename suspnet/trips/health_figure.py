@@ -18,7 +18,7 @@ from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
 from suspnet.trips.trend import PAYLOAD
-from suspnet.types import FloatArray
+from suspnet.types import BoolArray, FloatArray
 
 ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
 FLAGGED_COLOUR = "tab:purple"
@@ -47,10 +47,10 @@ def health_trend(
     """Each parameter in % of healthy along the mileage (Fig. 10).
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
-    hollow and has no interval. A red tick at the bottom is a trip without an estimate, a thin black
-    line the truth of simulated trips. Dashed lines are limits, where they lie on the axis. The axis
-    holds unflagged trips and the median; a trip more than their span beyond is cut off and marked
-    at the edge. Trips without a mileage are left out, and counted in the title.
+    hollow, and its interval is not drawn. A red tick at the bottom is a trip without an estimate, a
+    thin black line the truth of simulated trips. Dashed lines are limits, where they lie on the
+    axis. The axis holds the values of ``on_axis``; a trip more than their span beyond is cut off
+    and marked at the edge. Trips without a mileage are left out, and counted in the title.
 
     Parameters
     ----------
@@ -118,6 +118,21 @@ def running_median(values: FloatArray, window: int = 5) -> FloatArray:
     )
 
 
+def on_axis(values: FloatArray, flagged: BoolArray) -> FloatArray:
+    """Return the values that an axis must hold, so that one odd trip does not squeeze all others.
+
+    These are the unflagged trips, or all if all are flagged, and the median of neighbouring trips:
+    it follows a lasting change, be it flagged.
+
+    Parameters
+    ----------
+    values : array of shape (n_trips,)
+        In the order of the mileage, without NaN.
+    flagged : bool array of shape (n_trips,)
+    """
+    return np.append(values if flagged.all() else values[~flagged], running_median(values))
+
+
 def _draw(axis: Axes, trips: Sequence[TripResult], name: str, level: float) -> None:
     """Draw trips with an estimate, in ascending order, and set the axis to them."""
     mileage = np.array([r.mileage_km / 1000 for r in trips])
@@ -142,18 +157,17 @@ def _draw(axis: Axes, trips: Sequence[TripResult], name: str, level: float) -> N
         axis.plot(
             mileage, running_median(values), label="median of five neighbouring trips", **style
         )
-    usual = ~flagged if not flagged.all() else flagged
-    _limit(axis, values, limits[barred], np.append(values[usual], truth[usual]))
+    true = truth if flagged.all() else truth[~flagged]
+    base = np.append(on_axis(values, flagged), true[np.isfinite(true)])
+    _limit(axis, values, limits[barred], base)
     _mark_cut_off(axis, mileage, values)
 
 
-def _limit(axis: Axes, values: FloatArray, limits: FloatArray, usual: FloatArray) -> None:
-    """Set the axis to the `usual` values, so that one odd trip does not squeeze all others.
+def _limit(axis: Axes, values: FloatArray, limits: FloatArray, base: FloatArray) -> None:
+    """Set the axis to the values `base`, of ``on_axis``.
 
-    The median of neighbouring trips stays on the axis, and so does a lasting change. Other values,
-    and intervals `limits` (n, 2), widen it by up to its span on each side.
+    Other values, and intervals `limits` (n, 2), widen it by up to its span on each side.
     """
-    base = np.append(usual[np.isfinite(usual)], running_median(values))
     low, high = base.min(), base.max()
     span = max(high - low, LEAST_SPAN_PERCENT)
     near = values[(values >= low - span) & (values <= high + span)]

@@ -20,6 +20,7 @@ from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.schedule import count
 from suspnet.runs.tensorboard import RunLog
 from suspnet.storage import write_atomically, write_json
 from suspnet.trips import figures
@@ -62,7 +63,8 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     done = sum(r.status == OK for r in results)
     flagged = sum(bool(r.flags) for r in results)
     are = "is" if flagged == 1 else "are"
-    head = f"{done} of {len(results)} trips have an estimate, {flagged} {are} flagged"
+    have = "has" if done == 1 else "have"
+    head = f"{done} of {count(len(results), 'trip')} {have} an estimate, {flagged} {are} flagged"
     return "\n".join([head, table, *_reasons(results)])
 
 
@@ -205,7 +207,7 @@ def write_pages(
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
-            | {"life": _life_row(one.life)}
+            | {"now": one.now, "life": _life_row(one.life), "unknown_life": one.unknown_life}
             for one in assessments
         ],
         "commissionings": [asdict(one) for one in states],

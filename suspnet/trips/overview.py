@@ -13,9 +13,10 @@ from tabulate import tabulate
 
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.schedule import count
 from suspnet.recordings.manifest import Place
 from suspnet.storage import write_atomically
-from suspnet.trips.assessment import Assessment, overall, worst_first
+from suspnet.trips.assessment import Assessment, joined, overall, worst_first
 from suspnet.trips.output import write_table
 from suspnet.trips.templates import render
 
@@ -57,10 +58,10 @@ class Evaluated:
 
     def row(self, outputs: Sequence[str]) -> dict[str, Any]:
         """Return the suspension as one flat row of the overview."""
-        worst = next(iter(worst_first(self.assessments)), None)
+        worst = next(iter(joined(worst_first(self.assessments))), [])
         done = [r for r in self.results if r.status == OK]
-        last = done[-1].estimates if done else {}
-        reason = worst.words if worst else overall(self.assessments)[1]
+        last = {one.parameter: one.now for one in self.assessments}
+        reason = worst[0].words if worst else overall(self.assessments)[1]
         return {
             "suspension": self.place.suspension or self.name,
             "bogie": self.place.bogie,
@@ -68,7 +69,7 @@ class Evaluated:
             "train": self.place.train,
             "car": self.place.car,
             "severity": str(self.severity),
-            "parameter": worst.parameter if worst else "",
+            "parameter": ", ".join(one.parameter for one in worst),
             **{f"{name}_last": float(last.get(name, np.nan)) for name in outputs},
             "last_mileage_km": float(done[-1].mileage_km if done else np.nan),
             "n_trips": len(self.results),
@@ -115,4 +116,4 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
         Severity.NONE: "without alarm",
     }
     told = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
-    return f"{len(rows)} suspensions: {told}."
+    return f"{count(len(rows), 'suspension')}: {told}."

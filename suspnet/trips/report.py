@@ -7,6 +7,7 @@ import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.schedule import count
 from suspnet.storage import write_atomically
-from suspnet.trips.assessment import Assessment, overall, worst_first
+from suspnet.trips.assessment import Assessment, joined, overall, worst_first
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.sides import sides_finding
 from suspnet.trips.templates import KILO, SEVERITIES, render, thousands, with_unit
@@ -138,7 +140,7 @@ def write_report(
     """
     trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
     severity, finding = overall(assessments)
-    told = worst_first(assessments)
+    told = joined(worst_first(assessments))
     doubts, sides = _doubts(trips), sides_finding(trips)
     table = trip_table(trips, outputs, level)
     shown = {
@@ -155,7 +157,7 @@ def write_report(
         doubts=doubts,
         sides=sides,
         told=told,
-        assessments=assessments,
+        assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
         limits=limits or {},
         alarms=[
             (one, newest_of(one, seen))
@@ -166,6 +168,7 @@ def write_report(
         anew=_anew(states, events),
         healthy=_healthy(trips),
         level=table.level,
+        healthy_level=f"{100 * level:g}",
         names=NAMES,
         roles=ROLES,
         details=details,
@@ -216,7 +219,7 @@ def _doubts(trips: Sequence[TripResult]) -> str:
     if flagged == done > 1:
         return f"All {done} trips are flagged, and none of these numbers is to be relied on: {why}."
     are = "is" if flagged == 1 else "are"
-    return f"{flagged} of {done} trips {are} flagged, see the table; {why}."
+    return f"{flagged} of {count(done, 'trip')} {are} flagged, see the table; {why}."
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:

@@ -102,15 +102,20 @@ def thousands(value: float) -> str:
     return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
 
 
-def _to_go(life: Life | None) -> Markup:
-    """Return how far it is to the act limit, with the 80 % interval in small print; or a dash."""
+def _to_go(life: Life | None, unknown: str = "") -> Markup:
+    """Return how far it is to the act limit, with the 80 % interval in small print.
+
+    That is a dash without limits, and "unknown" with the reason if it is `unknown`.
+    """
+    if life is not None and life.interval_km()[1] == 0:
+        return Markup("passed")
+    if unknown:
+        return Markup("unknown<small>{}</small>").format(unknown)
     if life is None:
         return Markup(NO_NUMBER)
     low, high = life.interval_km()
     if not math.isfinite(low):
         return Markup("no end in sight")
-    if high == 0:
-        return Markup("passed")
     ends = [_rounded(km) for km in (life.quantile_km(0.5), low, high)]
     return Markup("{}<small>{} to {}</small>").format(*ends)
 

@@ -12,6 +12,7 @@ from suspnet.depot.state import State
 from suspnet.depot.view import FleetView
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.schedule import joined
 
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Sign of each severity, so that colour is not needed."""
@@ -131,7 +132,8 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
         if choice.holds(state)
     }
     jobs = [
-        (known.get((job["train"], job["car"], job["suspension"])), job) for job in view.plan.rows()
+        (known.get((job["train"], job["car"], job["suspension"])), job)
+        for job in joined(view.plan.rows())
     ]
     return [job | {"address": address(name)} for name, job in jobs if name]
 

@@ -12,6 +12,7 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.history.curves import TripResponses
 from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
+from suspnet.trips.details import files_read_as
 from suspnet.trips.report import NAMES
 from suspnet.trips.trip_table import trip_table
 from suspnet.web.response_figure import response_table
@@ -55,6 +56,7 @@ def suspension_values(
         "over": [(one, newest_of(one, seen)) for one in reversed(over)],
         "ranges": ranges(state),
         "trips": trip_table(newest, PARAMETERS, LEVEL),
+        "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),
         "first_km": _end(state.series.mileage_km, np.min),
         "newest_km": _end(state.series.mileage_km, np.max),

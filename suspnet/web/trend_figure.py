@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from suspnet.depot.state import State
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import N_LAST, Limits, Severity
+from suspnet.maintenance.limits import Limits, Severity
+from suspnet.trips.health_figure import on_axis
+from suspnet.trips.lives import present
 from suspnet.trips.report import NAMES
 from suspnet.trips.templates import thousands
 from suspnet.trips.trend import PAYLOAD
@@ -111,7 +113,8 @@ def _parameter(
         half = np.exp(series.half_widths[name][known])
     up, down = values * (half - 1), values * (1 - 1 / half)
     level = _level(state, name, limits)
-    low, high = _span(values[~flagged], up[~flagged], down[~flagged], level)
+    ends = np.concatenate([values[~flagged] + up[~flagged], values[~flagged] - down[~flagged]])
+    low, high = _span(on_axis(values, flagged), ends, level)
     traces = [
         _trips(km, values, trips, ~flagged, (low, high)) | _bars(up[~flagged], down[~flagged]),
         _trips(km, values, trips, flagged, (low, high), is_flagged=True),
@@ -166,28 +169,24 @@ def _bars(up: FloatArray, down: FloatArray) -> dict[str, Any]:
 
 def _level(state: State, name: str, limits: Limits | None) -> float | None:
     """Return the act limit that a parameter is nearer to, [%]; None if it is not near any."""
-    used = state.series.recent & np.isfinite(state.series.estimates[name])
-    last = state.series.estimates[name][used][-N_LAST:]
-    if limits is None or len(last) == 0:
+    now = present(state.series, name)
+    if limits is None or np.isnan(now):
         return None
-    limit = limits.act[0] if np.median(last) < 1 else limits.act[1]
+    limit = limits.act[0] if now < 1 else limits.act[1]
     life = state.lives.get(name)
     is_passing = life is not None and np.isfinite(_crossing(life)[0])
     is_alarm = any(one.parameter == name and one.severity == Severity.ACT for one in state.alarms)
     return 100 * limit if (is_passing or is_alarm) and 0 < limit < np.inf else None
 
 
-def _span(
-    values: FloatArray, up: FloatArray, down: FloatArray, level: float | None
-) -> tuple[float, float]:
-    """Return the range of an axis, [%]: unflagged trips, 100 % and a limit that is near.
+def _span(values: FloatArray, ends: FloatArray, level: float | None) -> tuple[float, float]:
+    """Return the range of an axis, [%]: values of ``on_axis``, 100 % and a limit that is near.
 
-    Intervals widen it by half of that on each side at most.
+    The ends of intervals widen it by half of that on each side at most.
     """
     base = np.array([100.0, *values] + ([] if level is None else [level]))
     low, high = float(base.min()), float(base.max())
     most = max(high - low, LEAST_SPAN) / 2
-    ends = np.concatenate([values + up, values - down])
     ends = np.clip(ends[np.isfinite(ends)], low - most, high + most)
     low, high = min([low, *ends]), max([high, *ends])
     pad = max(MARGIN * (high - low), (LEAST_SPAN - (high - low)) / 2)
@@ -219,7 +218,7 @@ def _levels(limits: Limits | None, axis: str) -> list[dict[str, Any]]:
 def _line(*, colour: str = HEALTHY, dash: str, **place: Any) -> dict[str, Any]:
     """Return a straight line behind the trips."""
     line = {"color": colour, "width": 1.2, "dash": dash}
-    return {"type": "line", "layer": "below", "line": line, "xref": "x", "yref": "y"} | place
+    return {"type": "line", "layer": "between", "line": line, "xref": "x", "yref": "y"} | place
 
 
 def _events(state: State) -> list[tuple[float, str]]:

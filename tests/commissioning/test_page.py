@@ -230,3 +230,26 @@ def test_values_show_two_digits_of_what_is_uncertain(median, deviation, scale, e
 )
 def test_values_that_may_be_absent_may_lie_about_0(low, high, expected):
     assert words._value(low, 0.03, high, 1.0) == expected
+
+
+def test_phases_of_drawing_and_commissioned_vehicle_lie_in_the_same_turn(commissioned):
+    """The first bin of the drawing is at +170 degrees, that of the commissioned one at -170."""
+    found, outcome = commissioned
+    n = len(outcome.frequencies_hz)
+    fitted = np.exp(1j * np.radians(np.linspace(-170, -260, n)))
+    nominal = fitted * np.exp(-1j * np.radians(20.0))
+    turned = replace(
+        outcome,
+        observed=np.broadcast_to(fitted * np.exp(0.2j), outcome.observed.shape),
+        nominal=np.broadcast_to(nominal, outcome.nominal.shape),
+        fitted=np.broadcast_to(fitted, outcome.fitted.shape),
+    )
+    phases = figures.responses(found, turned).axes[2].lines
+    measured, drawing, now = (line.get_ydata() for line in phases)
+    np.testing.assert_allclose(drawing - now, -20.0, atol=1e-9)
+    np.testing.assert_allclose(measured - now, np.degrees(0.2), atol=1e-9)
+
+
+def test_plus_and_minus_in_the_verdict_say_what_they_are(written):
+    text = text_of(written[1])
+    assert re.search(r"100 % is k_p = [\d.]+ ± [\d.]+ MN/m.*\(± one standard deviation\)\.", text)

@@ -61,7 +61,7 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
     seen = {key: [Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 80_000.0, "Kim", SEEN)]}
     rows = overview_rows(states, seen)
     assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
-    assert rows[0]["reason"] == "at 150 % of healthy, above the act limit of 125 %"
+    assert rows[0]["reason"] == "the last trip is at 150 % of healthy, above the act limit of 125 %"
     assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
     assert rows[2]["reason"] == rows[2]["parameter"] == ""
     text = overview_table(rows)
@@ -179,3 +179,48 @@ def run_study(store, folder, *, today=TODAY, limits=None):
         plan=PlanSettings(),
         today=today,
     )
+
+
+def test_what_cannot_be_computed_is_unknown_in_plan_overview_and_page(tmp_path):
+    """Two new trips, nine flagged ones, and a healthy suspension that needs nothing."""
+    few, flagged, well = place("left"), place("right"), place("left", "4")
+    with History(tmp_path / "fleet.db") as history:
+        history.write(trips(few, 0, n_trips=2))
+        history.write([replace(one, flags="misfit") for one in trips(flagged, 1, n_trips=9)])
+        history.write(trips(well, 2))
+    run_study(tmp_path / "fleet.db", tmp_path)
+    jobs = rows_of(tmp_path / "plan.csv")
+    names = ["k_p", "c_p", "k_s", "c_s"]
+    assert [(row["suspension"], row["parameter"]) for row in jobs] == [
+        *(("secondary, left", name) for name in names),
+        *(("secondary, right", name) for name in names),
+    ]
+    assert {row["urgency"] for row in jobs} == {row["what"] for row in jobs} == {"unknown"}
+    assert {row["probability"] for row in jobs} == {"nan"}
+    reasons = ["too few trips (2 of 5)"] * 4 + ["all of the last 5 trips are flagged"] * 4
+    assert [row["unknown"] for row in jobs] == reasons
+    overview = {row["side"] + row["car"]: row for row in rows_of(tmp_path / "overview.csv")}
+    assert overview["left3"]["life_unknown"] == overview["right3"]["life_unknown"]
+    assert overview["left3"]["life_unknown"] == "k_p, c_p, k_s, c_s"
+    assert overview["left3"]["life_unknown_why"] == "too few trips (2 of 5)"
+    assert overview["left4"]["life_unknown"] == ""
+    assert json.loads((tmp_path / "metrics.json").read_text())["n_unknown"] == 8
+    page = (tmp_path / "overview.html").read_text()
+    assert page.count("<small>too few trips (2 of 5)</small>") == 1
+    assert "8 parts unknown" in page
+    assert "no end in sight" in page
+
+
+def test_suspension_without_any_estimate_is_unknown(tmp_path):
+    (made,) = trips(place("left"), 0, n_trips=1)
+    nothing = {"estimates": {}, "raw": {}, "half_widths": {}, "status": "no estimate"}
+    with History(tmp_path / "fleet.db") as history:
+        history.write([replace(made, reason="too short", **nothing)])
+    run_study(tmp_path / "fleet.db", tmp_path)
+    jobs = rows_of(tmp_path / "plan.csv")
+    assert {row["unknown"] for row in jobs} == {"no trip with an estimate"}
+
+
+def rows_of(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))

@@ -45,7 +45,7 @@ def test_standard_output_holds_frames_and_nothing_else(trip, expected, tmp_path)
     assert done.stdout == b"".join(expected)
     words = done.stderr.decode()
     assert f"{len(expected)} frames with " in words
-    assert " of 1 trips of 1 suspensions in " in words
+    assert " of 1 trip of 1 suspension in " in words
 
 
 def test_reader_that_ends_ends_the_replay(trip, tmp_path):

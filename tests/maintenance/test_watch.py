@@ -97,7 +97,7 @@ def test_words_say_what_a_change_has_led_to():
     estimates = made_up()
     estimates[60:, 3] *= np.linspace(1, 0.85, 40)
     (alarm,) = watched(estimates).alarms
-    assert alarm.words.endswith("by 14 % by now")
+    assert alarm.words.endswith("by 14 % on the last 5 trips")
 
 
 def test_order_of_the_trips_does_not_matter():
@@ -183,3 +183,25 @@ def test_detector_says_what_it_takes_into_account():
         "armed by 20 trips, at most one false alarm in 1 000 000 km; speed taken into account; "
         "2 trips too unlike the first to be judged"
     )
+
+
+@pytest.mark.parametrize(
+    ("last", "words"),
+    [
+        ([0.795, 0.795, 0.795, 0.6], "the last trip is at 60 % of healthy, below the act limit"),
+        (
+            [0.6, 0.6, 0.6, 0.85],
+            "was at 60 % of healthy, below the act limit of 70 %, at 130 000 km; the last trip is "
+            "at 85 %",
+        ),
+    ],
+)
+def test_words_of_an_alarm_of_a_limit_give_the_present_value(last, words):
+    values = np.array([1.0] * 10 + last)
+    km, widths = 1e4 * np.arange(1, len(values) + 1), np.full(len(values), 0.01)
+    plain = np.zeros(len(values), dtype=bool)
+    limits = {"c_s": DEFAULT_LIMITS["c_s"]}
+    found = watch(km, {"c_s": values}, {"c_s": widths}, plain, {}, limits, SETTINGS)
+    (alarm,) = [one for one in found.alarms if one.cause == Cause.LIMIT]
+    assert alarm.is_open
+    assert alarm.words.startswith(words)

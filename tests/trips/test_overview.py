@@ -18,7 +18,7 @@ from suspnet.runs.tensorboard import RunLog
 from suspnet.trips import fleet, output
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 from suspnet.trips.models import models_of
-from suspnet.trips.overview import Evaluated, write_overview
+from suspnet.trips.overview import Evaluated, finding, write_overview
 
 SETTINGS = FleetSettings(TripSettings())
 
@@ -91,7 +91,7 @@ def test_each_suspension_has_its_model_and_the_worst_is_first(
     assert [row["severity"] for row in text] == [str(one.severity) for one in done]
     first = table[0]
     assert (first["parameter"], first["bogie"], first["side"]) == ("k_s", "trailing", "right")
-    assert first["k_s_last"] == 1.5
+    assert first["k_s_last"] == 1.25  # the median of the last trips
     assert (first["n_trips"], first["n_estimated"], first["report"]) == (2, 2, "failed/report.html")
     assert "150 % of healthy, above the act limit" in first["reason"]
     assert table[2]["reason"].startswith("not read: ")
@@ -238,3 +238,8 @@ def test_page_links_each_report_and_escapes_names(tmp_path):
     assert page.links == ["a%20b%23%3F/report.html"]
     assert page.rows == [None, "plain", "plain"]
     assert "nan" not in text.lower().split()
+
+
+@pytest.mark.parametrize(("n", "words"), [(1, "1 suspension: 1 "), (2, "2 suspensions: 2 ")])
+def test_number_of_suspensions_fits_its_noun(n, words):
+    assert finding([{"severity": "none"}] * n).startswith(words)

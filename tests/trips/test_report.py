@@ -16,6 +16,7 @@ from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.recordings.manifest import Place
 from suspnet.trips import figures, health_figure, report
 from suspnet.trips.assessment import assess, last_trips
+from suspnet.trips.details import files_read_as
 from suspnet.trips.trend import flagged_trend
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
@@ -375,4 +376,49 @@ def test_alarms_and_remaining_life_are_shown(tmp_path):
     assert "stands" in table
     plain = text.replace("\N{NO-BREAK SPACE}", " ")
     assert "150 000<small>110 000 to 190 000</small>" in plain
-    assert '<td class="n">passed</td>' in text
+    assert '<td class="n life">passed</td>' in text
+
+
+def test_one_sentence_for_all_parameters_is_written_once_above_and_once_in_the_table(tmp_path):
+    results = [flagged(r) for r in measured()]
+    _, page = write(tmp_path / "r.html", results)
+    assert page.text.count("not judged, as all trips are flagged") == 2
+    assert "k p , c p , k s , c s : not judged, as all trips are flagged" in page.text
+    assert {"class": "words", "rowspan": "4"} in page.named("td")
+    assert "within its limits" not in page.text.partition(" Words ")[0]
+
+
+def test_how_files_were_read_is_a_detail_and_no_fault(tmp_path):
+    words = "axle_box.csv: delimiter ';', decimal comma"
+    results = [replace(r, quality=replace(r.quality, read_as=words, faults="")) for r in measured()]
+    results[3] = replace(results[3], quality=replace(results[3].quality, read_as="other"))
+    details = files_read_as(results)
+    assert details == {"files read as": f"{words} (11 trips) · other (1 trip)"}
+    assert files_read_as(results[:3]) == {"files read as": words}
+    assert files_read_as(measured()) == {}
+    text, page = write(tmp_path / "r.html", results, details=details)
+    assert page.text.count(words) == 1
+    assert text.index("delimiter") > text.index("<h2>Details</h2>")
+
+
+def test_plus_and_minus_of_the_healthy_values_have_their_level(tmp_path):
+    si = {"healthy_si": {"k_p": 1.3e6}, "healthy_half_widths": {"k_p": 0.02}}
+    _, page = write(tmp_path / "r.html", measured(**si), level=0.95)
+    assert "1300 kN/m ± 2 %" in page.text
+    assert "100 % is: ± half of its 95 % interval." in page.text
+
+
+def test_page_does_not_deny_intervals_that_the_tables_have(tmp_path):
+    results = [*measured(5), flagged(measured()[6])]
+    _, page = write(tmp_path / "r.html", results)
+    assert np.isfinite(results[-1].interval("k_p")).all()
+    assert "have no interval" not in page.text
+    assert "intervals need not hold the true values and are not shown" in page.text
+
+
+def test_unknown_remaining_life_says_why(tmp_path):
+    found = [replace(one, unknown_life="too few trips (3 of 5)") for one in assessed(measured(3))]
+    given = [OUTPUTS, {"trend": small_figure()}, found, {}, 0.9, DEFAULT_LIMITS]
+    report.write_report(tmp_path / "r.html", "Suspension report", measured(3), *given)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert '<td class="n life">unknown<small>too few trips (3 of 5)</small></td>' in text

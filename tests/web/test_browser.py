@@ -251,7 +251,7 @@ def test_names_are_text_everywhere(browser, site):
     browser.get(site[0])
     Select(browser.find_element(By.ID, "train")).select_by_visible_text(EVIL)
     browser.find_element(By.CSS_SELECTOR, ".choose button").click()
-    wait(browser, lambda b: "1 suspensions" in shown(b))
+    wait(browser, lambda b: "1 suspension:" in shown(b))
 
 
 @pytest.mark.parametrize("width", [390, 1300])

@@ -78,7 +78,7 @@ def test_fleet_is_filtered_by_train_and_state(client):
     assert "2 suspensions: 1 to act on, 1 to be looked at." in page
     assert "Train 9<" not in page
     assert "<option selected>12</option>" in page
-    assert "1 suspensions: 1 without alarm." in client.get("/?severity=none", **BASE).text
+    assert "1 suspension: 1 without alarm." in client.get("/?severity=none", **BASE).text
     assert "No suspension is like that." in client.get("/?train=77", **BASE).text
     assert "4 suspensions" in client.get("/?severity=odd", **BASE).text
 

@@ -1,6 +1,7 @@
 """Figures as plotly takes them: its own schema, and where things are drawn."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -114,3 +115,20 @@ def test_responses_are_amplifications_of_first_and_newest(board):
 def test_numbers_and_texts_are_safe():
     assert finite([1.0, np.nan, np.inf, 1 / 3]) == [1.0, None, None, 0.333333]
     assert html("<i>&") == "&lt;i&gt;&amp;"
+
+
+@pytest.mark.parametrize("n_clear", [0, 5])
+def test_axis_holds_flagged_trips_that_are_all_there_is_or_stay_where_they_are(tmp_path, n_clear):
+    made = trips(WORN, 2, {"c_s": lambda i: 1.0 if i < n_clear else 0.85 - 0.01 * i}, n_trips=20)
+    flagged = [replace(r, flags="odd" if i >= n_clear else "") for i, r in enumerate(made)]
+    with History(tmp_path / "fleet.db") as store:
+        store.write(flagged)
+    found = Board(str(tmp_path / "fleet.db"), SETTINGS)
+    found.refresh()
+    figure = trend_figure(found.view.states[0], DEFAULT_LIMITS)
+    low, high = figure["layout"]["yaxis4"]["range"]
+    assert low < 67
+    assert high > 100
+    (drawn,) = [one for one in traces(figure, "flagged trip") if one["yaxis"] == "y4"]
+    assert set(drawn["marker"]["symbol"]) == {"circle-open"}
+    np.testing.assert_allclose(drawn["y"][-1], 66.0, atol=0.5)
