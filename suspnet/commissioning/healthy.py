@@ -12,7 +12,12 @@ from suspnet.data.estimates import EstimateSettings
 from suspnet.data.parallel import quiet
 from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model.from_recording import TripSettings, speed_of, steady_groups
+from suspnet.model.from_recording import (
+    TripSettings,
+    speed_of,
+    steady_groups,
+    unrepaired_words,
+)
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import find_manifests, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
@@ -122,9 +127,8 @@ def read_healthy(
         recording = load_recording(manifest, trips.rate_hz)
         found = _spectra(recording, len(kept), manifest.name, settings, trips)
         if not found:
-            left_out.append(
-                f"{manifest.name}: no stretch at one speed is long enough and free of faults"
-            )
+            words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
+            left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
             continue
         kept.append(manifest)
         groups += found

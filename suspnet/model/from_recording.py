@@ -234,7 +234,7 @@ def _speed_bin(
             f"{n_incoherent} of them of low coherence: {n_averages:.1f} averages, at least "
             f"{settings.min_averages:g} are needed (half of the trip is run at "
             f"{float(speeds.mean(dim=1).median()):.1f} m/s or less)"
-            f"{_advice(segments, within, settings)}"
+            f"{_advice(recording, segments, within, settings)}"
         )
     spectra = band.average(chosen)
     coherences, deviation = certainty_of(spectra, trained, band.frequencies_hz)
@@ -289,10 +289,17 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
     return mean, math.sqrt(max(0.0, float(((speeds - mean) ** 2 * weights).sum())))
 
 
-def _advice(segments: SegmentSpectra, within: Tensor, settings: TripSettings) -> str:
+def _advice(
+    recording: Recording, segments: SegmentSpectra, within: Tensor, settings: TripSettings
+) -> str:
     """Return what to do where too few segments are at a method's speed."""
     if segments.welch.n_averages(len(within)) < settings.min_averages:
-        return ": the recording is too short"
+        faults = unrepaired_words(recording)
+        return (
+            f": too little is free of faults: {faults}"
+            if faults
+            else ": the recording is too short"
+        )
     if not bool(within.any()):
         return ": is the speed in m/s? If so, train a model for it, speed_m_per_s=..."
     return ""
@@ -345,7 +352,12 @@ def _readable(
 
 def no_segment(recording: Recording, welch: Welch) -> str:
     """Return why no segment of a recording is free of faults."""
+    return f"no segment of {welch.segment_s:g} s is free of faults: {unrepaired_words(recording)}"
+
+
+def unrepaired_words(recording: Recording) -> str:
+    """Return the faults that make parts of a recording unusable; empty if there are none."""
     faults = [str(fault) for fault in recording.faults if not fault.repaired]
     if not np.isfinite(recording.speed_m_per_s).all():
         faults.append("the speed is unknown in part")
-    return f"no segment of {welch.segment_s:g} s is free of faults: {'; '.join(faults)}"
+    return "; ".join(faults)
