@@ -111,7 +111,9 @@ def compose(config: DictConfig) -> int:
         with ExitStack() as stack:
             store = config.store and stack.enter_context(History(config.store))
             trips = Path(config.trips)
-            done = evaluate_fleet(trips, models, output, settings, config.progress, store)
+            done = evaluate_fleet(
+                trips, models, output, settings, config.progress, store, config.figures
+            )
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
@@ -126,6 +128,7 @@ def compose(config: DictConfig) -> int:
             threads=program.n_threads(config.threads),
             device=config.device,
             progress=config.progress,
+            figures=config.figures,
         )
         for folder in runs
     ]

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
-from tqdm import tqdm
 
 from suspnet.cli import program
 from suspnet.live.replay import Pace, Replay
 from suspnet.live.sinks import Sink
+from suspnet.progress import bar
 
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="replay")
@@ -25,8 +25,7 @@ def compose(config: DictConfig) -> None:
     sink: Sink = program.build(config, "sink")
     sink.open()
     n_frames = n_samples = 0
-    disable = None if config.progress else True
-    for frame in tqdm(replay.frames(), unit=" frames", disable=disable):
+    for frame in bar("frames", items=replay.frames(), unit="frame", shown=config.progress):
         pace.wait(frame)
         sink.send(frame)
         n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)

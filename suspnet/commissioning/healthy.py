@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tqdm import tqdm
-
 from suspnet.data.estimates import EstimateSettings
-from suspnet.data.parallel import quiet
 from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
 from suspnet.model.from_recording import (
@@ -18,6 +15,7 @@ from suspnet.model.from_recording import (
     steady_groups,
     unrepaired_words,
 )
+from suspnet.progress import bar
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import find_manifests, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
@@ -123,7 +121,7 @@ def read_healthy(
     groups: list[HealthySpectra] = []
     paired: set[tuple[bool, bool, bool]] = set()
     left_out = []
-    for manifest in tqdm(manifests, desc="healthy trips", unit="trip", disable=quiet(progress)):
+    for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         recording = load_recording(manifest, trips.rate_hz)
         found = _spectra(recording, len(kept), manifest.name, settings, trips)
         if not found:

@@ -9,10 +9,9 @@ from typing import TypeVar
 
 import numpy as np
 from torch import Tensor
-from tqdm import tqdm
 
 from suspnet.data import FeatureData
-from suspnet.data.parallel import pool_of, quiet
+from suspnet.data.parallel import pool_of
 from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_curves import (
     MASS,
@@ -23,6 +22,7 @@ from suspnet.model.from_curves import (
     residual_scales,
 )
 from suspnet.problem import BATCH, BLOCK, Problem
+from suspnet.progress import bar as progress_bar
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 from suspnet.uncertainty.refine import Refined
@@ -132,7 +132,7 @@ def _over_blocks(
     """Return what `fit` makes of each block's curves, rows and known masses."""
     mass = data.ratios[:, MASS] if problem.task.mass_known else None
     n_curves = len(data.ratios)
-    with tqdm(total=n_curves, desc=title, disable=quiet(problem.progress)) as bar:
+    with progress_bar(title, n_curves, unit="curve", shown=problem.progress) as bar:
 
         def one(block: int) -> Part:
             rows = slice(block * BLOCK, (block + 1) * BLOCK)

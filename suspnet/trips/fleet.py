@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from tqdm import tqdm
 
 from suspnet.checks import check_choice, check_number
-from suspnet.data.parallel import quiet
 from suspnet.dynamics.limits import PARAMETERS, TIGHTEST
 from suspnet.history import Event, History
 from suspnet.history.records import ERROR, TripResult, relative_to_first
@@ -26,6 +24,8 @@ from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.model import TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
+from suspnet.progress import bar as progress_bar
+from suspnet.progress import stage
 from suspnet.recordings.manifest_files import partial_words, read_manifest
 from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
@@ -134,6 +134,7 @@ def evaluate_fleet(
     settings: FleetSettings,
     progress: bool = True,
     store: History | None = None,
+    figures: bool = True,
 ) -> list[Evaluated]:
     """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
 
@@ -154,6 +155,8 @@ def evaluate_fleet(
     progress : bool
     store : History, optional
         Keeps the trips; those of earlier folders that it holds are in tables, trend and report.
+    figures : bool
+        Whether figures are drawn, in a folder and in the report.
 
     Returns
     -------
@@ -172,7 +175,7 @@ def evaluate_fleet(
     settings.limits_of(models)
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
-        return [_evaluate_group(groups[0], models, output, settings, progress, store)]
+        return [_evaluate_group(groups[0], models, output, settings, progress, store, figures)]
     for model in models:
         trip_settings(model)
     if partial := partial_words(folder):
@@ -185,7 +188,8 @@ def evaluate_fleet(
             continue
         try:
             where = output / group.name
-            done.append(_evaluate_group(group, models, where, settings, progress, store))
+            one = _evaluate_group(group, models, where, settings, progress, store, figures)
+            done.append(one)
         except (ValueError, ArithmeticError) as error:
             done.append(Evaluated(group.name, group.place, error=str(error)))
             log.warning("%s is not read: %s", group.name, error)
@@ -204,6 +208,7 @@ def _evaluate_group(
     settings: FleetSettings,
     progress: bool,
     store: History | None,
+    figures: bool,
 ) -> Evaluated:
     """Evaluate one suspension's trips and write tables, figures and report."""
     fitting = models_of(models, group.place)
@@ -211,10 +216,12 @@ def _evaluate_group(
     if settings.reference == "first_trips":
         check_one_reference(fitting)
     outputs = fitting[0].task.outputs
+    title = f"trips of {group.place}"
     results = [
         replace(result, place=group.place)
-        for result in _evaluated(group.manifests, fitting, output, settings, progress)
+        for result in _evaluated(group.manifests, fitting, output, settings, progress, title)
     ]
+    stage(f"trend and report of {group.place}")
     events: list[Event] = []
     if store is not None:
         results = with_earlier(results, group.place, fitting, store)
@@ -251,7 +258,7 @@ def _evaluate_group(
     if store is not None:
         details["history"] = printable(str(store))
     options = settings.trips.level, limits, states, events, watched.alarms, seen
-    write_pages(results, outputs, found, output, details, *options)
+    write_pages(results, outputs, found, output, details, *options, draw=figures)
     words = f"{spoken(found)}\nAlarms of changes: {armed}."
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
     return Evaluated(group.name, group.place, results, found)
@@ -263,11 +270,12 @@ def _evaluated(
     output: Path,
     settings: FleetSettings,
     progress: bool,
+    title: str,
 ) -> list[TripResult]:
     """Return the result of every trip: kept by an earlier evaluation, or read in parallel now."""
     finished = FinishedTrips(output, models, settings.trips)
     results, made_from = [], {}
-    bar = tqdm(total=len(paths), desc="trips", unit="trip", disable=quiet(progress))
+    bar = progress_bar(title, len(paths), unit="trip", shown=progress)
     with bar, warnings.catch_warnings():
         # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
