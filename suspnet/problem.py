@@ -34,7 +34,8 @@ BATCH = 2 * BLOCK
 """Number of curves whose features are extracted at once; larger arrays need Python's lock less."""
 TRAIN, TEST, CALIBRATE = 0, 1, 2
 """Streams of independent curves: for training, for scores, for the calibration of intervals."""
-_NAMES = ("training", "test", "calibration")
+STREAM_NAMES = ("training", "test", "calibration")
+"""Names of the streams."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +203,7 @@ class Problem:
             reasons[rows] = table.reasons.cpu().numpy()
             return len(curves)
 
-        name = f"{self.task.protocol}/{self.task.group} {_NAMES[stream]} curves"
+        name = f"{self.task.protocol}/{self.task.group} {STREAM_NAMES[stream]} curves"
         n_curves = len(ratios[asked])
         bar = progress_bar(name, n_curves, unit="curve", shown=self.progress)
         with bar, pool_of(self.threads) as pool:
