@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import binary_propagation, uniform_filter1d
+from scipy.ndimage import binary_propagation, correlate1d, uniform_filter1d
 from scipy.signal import get_window
 
 from suspnet.recordings.cleaning import Fault
@@ -182,12 +182,9 @@ def _band(size: int, rate_hz: float) -> slice:
 
 
 def _averaged(spectra: FloatArray | ComplexArray) -> Any:
-    """Return the mean over the frames around each; beyond the ends there are zeros."""
-    if np.iscomplexobj(spectra):
-        return _averaged(spectra.real) + 1j * _averaged(spectra.imag)
-    return uniform_filter1d(
-        spectra, N_AVERAGED, axis=0 if spectra.ndim == 2 else 1, mode="constant"
-    )
+    """Return the mean over the frames around each, the last but one axis; zeros beyond the ends."""
+    # weights, not a running sum, whose rounding would outlast a loud signal
+    return correlate1d(spectra, np.full(N_AVERAGED, 1 / N_AVERAGED), axis=-2, mode="constant")
 
 
 def _divided(
