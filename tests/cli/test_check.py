@@ -204,7 +204,7 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
         check, trips, tmp_path / "empty", tmp_path / "nowhere", data, "-o", "o", cwd=tmp_path
     )
     assert done.returncode == 1
-    assert done.stderr == ""
+    assert re.fullmatch(r"trips: 0 of \d+\n", done.stderr)
     told = {trip["manifest"].rpartition("/")[2]: trip for trip in found_in(tmp_path / "o")["trips"]}
     expected = {
         "b_file": ["channels.body.unit", "channels.body.file"],
@@ -410,7 +410,7 @@ def test_broken_manifests_are_told(manifests, tmp_path):
     write_broken(tmp_path, manifests[0], 60)
     done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 1
-    assert done.stderr == ""
+    assert done.stderr == "trips: 0 of 60\n"
     assert_told(tmp_path / "o", 60)
 
 
