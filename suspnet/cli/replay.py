@@ -25,7 +25,10 @@ def compose(config: DictConfig) -> None:
     sink: Sink = program.build(config, "sink")
     sink.open()
     n_frames = n_samples = 0
-    for frame in bar("frames", items=replay.frames(), unit="frame", shown=config.progress):
+    frames = replay.frames()
+    if config.progress:
+        frames = bar("frames", items=frames, unit="frame")
+    for frame in frames:
         pace.wait(frame)
         sink.send(frame)
         n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)
