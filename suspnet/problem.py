@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from suspnet._version import __version__
 from suspnet.cache import Cache, code_hash
 from suspnet.checks import check_number
 from suspnet.data.feature_data import FeatureData
 from suspnet.data.observation import Observation, Observer
-from suspnet.data.parallel import pool_of, quiet
+from suspnet.data.parallel import pool_of
 from suspnet.data.protocols import Task
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.features import FeatureSet
+from suspnet.progress import bar as progress_bar
 from suspnet.types import FloatArray
 
 LEARN_FROM = 4096
@@ -34,7 +34,8 @@ BATCH = 2 * BLOCK
 """Number of curves whose features are extracted at once; larger arrays need Python's lock less."""
 TRAIN, TEST, CALIBRATE = 0, 1, 2
 """Streams of independent curves: for training, for scores, for the calibration of intervals."""
-_NAMES = ("training", "test", "calibration")
+STREAM_NAMES = ("training", "test", "calibration")
+"""Names of the streams."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,11 @@ class Problem:
         ratios = self.ratios(TRAIN)[:LEARN_FROM]
         blocks = range(self.n_blocks(len(ratios)))
         seen = self.observer.for_features
-        noisy = torch.cat([seen(self.curves(ratios, TRAIN, block)) for block in blocks])
+        name = f"{self.task.protocol}/{self.task.group} features"
+        with progress_bar(
+            name, len(blocks), items=blocks, unit="block", shown=self.progress
+        ) as bar:
+            noisy = torch.cat([seen(self.curves(ratios, TRAIN, block)) for block in bar])
         parts = np.array_split(ratios, len(blocks))
         clean = torch.cat([seen(self.noise_free(part)) for part in parts])
         healthy = self.noise_free(np.ones((1, len(PARAMETERS))))[0]
@@ -198,9 +203,9 @@ class Problem:
             reasons[rows] = table.reasons.cpu().numpy()
             return len(curves)
 
-        name = f"{self.task.protocol}/{self.task.group} {_NAMES[stream]} curves"
+        name = f"{self.task.protocol}/{self.task.group} {STREAM_NAMES[stream]} curves"
         n_curves = len(ratios[asked])
-        bar = tqdm(total=n_curves, desc=name, unit="curve", disable=quiet(self.progress))
+        bar = progress_bar(name, n_curves, unit="curve", shown=self.progress)
         with bar, pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)

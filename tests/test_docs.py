@@ -24,6 +24,7 @@ from suspnet.problem import Problem
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
+from suspnet.uncertainty.physics import COSTLY, INCOMPLETE
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "tests" / "benchmarks"))
@@ -44,7 +45,7 @@ PROGRAMS = {
 MOST_LINES = 120
 NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
 """Begin overrides that only an extra of the package understands."""
-PLACEHOLDERS = "experiment=best", "vehicle=mine"
+PLACEHOLDERS = "experiment=best", "vehicle=mine", "vehicle=NAME"
 """Overrides whose options the user's own --config-dir holds."""
 OF_EXAMPLES = {"configs/model/kernel_ridge.yaml"}
 """Files that a page tells a reader to write."""
@@ -159,6 +160,26 @@ def test_every_command_composes():
                 check_configuration(compose(program, list(job)))
             except HydraException as error:
                 raise AssertionError(f"{line}: {error}") from error
+
+
+def test_settings_of_the_generator_in_sentences_compose():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    spans = set(re.findall(r"`(\"?generator\.[\w.]+=[^`\n]+)`", text))
+    found = sorted({shlex.split(span)[0] for span in spans})
+    assert len(found) >= 4
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        for one in found:
+            compose("train", ["experiment=trips", "generator=family", one])
+
+
+def test_threshold_of_the_misfit_is_that_of_the_code():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    found = re.findall(r"[Aa]bove\s(\d\S+)\s\**(?:the\sphysics|a\ssensor)", text)
+    assert found == [f"{INCOMPLETE:g}"] * 3
+    costs = re.findall(
+        r"above 1 where the (?:rest|residual) could cost an output more than (\d+)", text
+    )
+    assert costs == [f"{100 * COSTLY:g}"] * 2
 
 
 def test_every_file_that_is_named_exists():

@@ -9,14 +9,11 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from tqdm import tqdm
-
-from suspnet import ledger
+from suspnet import ledger, progress
 from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.cli.configs import read_vehicles
 from suspnet.cli.named_runs import named_runs
-from suspnet.data.parallel import quiet
 from suspnet.inspection.check import CheckSettings, check_trip
 from suspnet.inspection.manifests import Opened, find_trips
 from suspnet.inspection.records import PROBLEM, TripCheck
@@ -110,7 +107,8 @@ def check(arguments: Namespace) -> int:
     pictures = None if arguments.no_pictures else output
     settings = CheckSettings(known, pictures=pictures, models=models)
     paths, elsewhere = find_trips(arguments.trips)
-    checks = with_shared_data(_checked(paths, settings, arguments.workers))
+    with progress.on_stderr():
+        checks = with_shared_data(_checked(paths, settings, arguments.workers))
     page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
     return exit_code(checks, elsewhere)
@@ -122,7 +120,7 @@ def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> 
     names = picture_names(paths)
     done = each(partial(_check_one, settings=settings, opened=opened), names.items(), n_workers)
     found = {}
-    for (path, _), result in tqdm(done, "trips", len(paths), unit="trip", disable=quiet(True)):
+    for (path, _), result in progress.bar("trips", len(paths), items=done, unit="trip"):
         if isinstance(result, LostWorkerError):
             result = TripCheck(path, problems=(str(result),))
         found[path] = result

@@ -14,12 +14,11 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
-from tqdm import tqdm
 
 from suspnet import ledger
 from suspnet.checks import check_number
 from suspnet.cli import folders, program
-from suspnet.data.parallel import quiet
+from suspnet.progress import bar as progress_bar
 from suspnet.storage import read_json, write_atomically, write_json
 from suspnet.studies.sweeps import run_errors
 from suspnet.trips.places import Group, find_groups
@@ -111,7 +110,7 @@ def train_fleet(
     for name, words in failed.items():
         log.warning("%s is not trained: %s", name, words)
     work = functools.partial(_trained, train_one=train_one)
-    bar = tqdm(total=len(missing), unit="suspension", disable=quiet(config.progress))
+    bar = progress_bar("suspensions", len(missing), unit="suspension", shown=config.progress)
     with bar:
         for run, outcome in each(work, missing, config.workers):
             told = Told((), str(outcome)) if isinstance(outcome, LostWorkerError) else outcome

@@ -111,7 +111,7 @@ def compose(config: DictConfig) -> int:
             store = config.store and stack.enter_context(History(config.store))
             trips = Path(config.trips)
             done = evaluate_fleet(
-                trips, models, output, settings, config.progress, store, config.seed
+                trips, models, output, settings, config.progress, store, config.seed, config.figures
             )
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
@@ -127,6 +127,7 @@ def compose(config: DictConfig) -> int:
             threads=program.n_threads(config.threads),
             device=config.device,
             progress=config.progress,
+            figures=config.figures,
         )
         for folder in runs
     ]

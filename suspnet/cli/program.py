@@ -28,6 +28,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
+from suspnet import progress
 from suspnet.checks import check_number
 from suspnet.cli import configs, folders, naming, reference
 from suspnet.cli.terminal import visible
@@ -200,7 +201,8 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             check_configuration(config)
             read_values(config)
             _check_limits(config)
-            return function(config)
+            with _progress():
+                return function(config)
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
         except MISTAKES as error:
@@ -216,6 +218,16 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             raise SystemExit(words) from None
 
     return wrapped
+
+
+@contextmanager
+def _progress() -> Iterator[None]:
+    """Send lines of progress to standard error, those of a multirun with the number of the job."""
+    with ExitStack() as stack:
+        if logging.getLogger().handlers:  # hydra/job_logging=none asks for silence
+            number = f"{HydraConfig.get().job.num}: " if folders.is_job() else ""
+            stack.enter_context(progress.on_stderr(number))
+        yield
 
 
 def _check_limits(config: DictConfig) -> None:

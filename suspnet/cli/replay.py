@@ -8,12 +8,12 @@ from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
-from tqdm import tqdm
 
 from suspnet.cli import program
 from suspnet.live.replay import Pace, Replay
 from suspnet.live.sinks import Sink
 from suspnet.maintenance.schedule import count
+from suspnet.progress import bar
 
 
 @hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="replay")
@@ -26,8 +26,10 @@ def compose(config: DictConfig) -> None:
     sink: Sink = program.build(config, "sink")
     sink.open()
     n_frames = n_samples = 0
-    disable = None if config.progress else True
-    for frame in tqdm(replay.frames(), unit=" frames", disable=disable):
+    frames = replay.frames()
+    if config.progress:
+        frames = bar("frames", items=frames, unit="frame")
+    for frame in frames:
         pace.wait(frame)
         sink.send(frame)
         n_frames, n_samples = n_frames + 1, n_samples + len(frame.samples)

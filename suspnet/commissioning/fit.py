@@ -24,7 +24,7 @@ larger.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from suspnet.data.directions import every_direction
 from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.progress import bar
 from suspnet.types import ComplexArray, FloatArray
 from suspnet.uncertainty.physics import Residual
 
@@ -146,6 +147,7 @@ def commission(
     groups: Sequence[HealthySpectra],
     *,
     n_starts: int = N_STARTS,
+    progress: bool = False,
 ) -> Commissioned:
     """Return the most probable vehicle behind healthy trips.
 
@@ -158,6 +160,7 @@ def commission(
     groups : sequence of HealthySpectra
     n_starts : int
         Most searches that are finished, of those at the first spread.
+    progress : bool
 
     Raises
     ------
@@ -166,13 +169,14 @@ def commission(
     """
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
-    target = _Target(generator, settings, groups)
-    first = target.first_searches(n_starts)
-    rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
-    order = np.argsort([found.cost for found in rough], kind="stable")
-    best = target.search(rough[order[0]].x, SPREADS[-1:])
-    posterior, mean_square = target.posterior(best)
-    others = [target.search(rough[i].x, SPREADS[-1:]) for i in order[1:]]
+    with bar("search of the vehicle", unit="step", shown=progress) as steps:
+        target = _Target(generator, settings, groups, steps.update)
+        first = target.first_searches(n_starts)
+        rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
+        order = np.argsort([found.cost for found in rough], kind="stable")
+        best = target.search(rough[order[0]].x, SPREADS[-1:])
+        posterior, mean_square = target.posterior(best)
+        others = [target.search(rough[i].x, SPREADS[-1:]) for i in order[1:]]
     agree = [target.distance(best.x, other.x, posterior) < AGREEMENT for other in others]
     n = len(target.prior.names)
     theta = torch.as_tensor(best.x)[None]
@@ -205,7 +209,9 @@ class _Target:
         generator: VerticalVehicle,
         settings: EstimateSettings,
         groups: Sequence[HealthySpectra],
+        on_step: Callable[[], object] = lambda: None,
     ) -> None:
+        self._on_step = on_step
         self.prior = generator.distribution or LogNormal((), (), ())
         self._trips = [group.trip for group in groups]
         self.n_trips = 1 + max(self._trips)
@@ -322,6 +328,7 @@ class _Target:
                 gtol=None,
                 max_nfev=MANY if last else FEW,
             )
+            self._on_step()
         return found
 
     def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tqdm import tqdm
-
 from suspnet.data.estimates import EstimateSettings
-from suspnet.data.parallel import quiet
 from suspnet.data.speeds import Speeds
 from suspnet.features.cross_spectra import CrossSpectra
-from suspnet.model.from_recording import TripSettings
+from suspnet.model.from_recording import TripSettings, unrepaired_words
 from suspnet.model.group_spectra import group_spectra, speed_of
 from suspnet.model.speed_groups import groups_to_read
+from suspnet.progress import bar
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import find_manifests, read_manifest
 from suspnet.recordings.recording import Recording, load_recording
@@ -120,13 +118,12 @@ def read_healthy(
     groups: list[HealthySpectra] = []
     paired: set[tuple[bool, bool, bool]] = set()
     left_out = []
-    for manifest in tqdm(manifests, desc="healthy trips", unit="trip", disable=quiet(progress)):
+    for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         recording = load_recording(manifest, trips.rate_hz)
         found = _spectra(recording, len(kept), manifest.name, settings, trips)
         if not found:
-            left_out.append(
-                f"{manifest.name}: no stretch at one speed is long enough and free of faults"
-            )
+            words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
+            left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
             continue
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found

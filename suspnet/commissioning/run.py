@@ -62,7 +62,7 @@ def commission_folder(
     settings = settings.bound(generator.vehicle)
     options: dict[str, Any] = {"paths": paths, "n_first": n_first, "progress": progress}
     found = read_healthy(folder, generator.vehicle.name, settings, trips, **options)
-    outcome = commission(_prior(generator, found), settings, found.groups)
+    outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
         log.warning("%s", doubt)

@@ -1,4 +1,4 @@
-"""Blocks of curves made by several threads at the same time, and their progress bars."""
+"""Blocks of curves made by several threads at the same time."""
 
 from __future__ import annotations
 
@@ -7,11 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import torch
-
-
-def quiet(progress: bool) -> bool | None:
-    """Return tqdm's `disable`: True if no bar is wanted, None if only a terminal shows it."""
-    return None if progress else True
 
 
 @contextmanager

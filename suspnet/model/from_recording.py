@@ -154,7 +154,7 @@ def speed_bins(
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
     if not any(groups_of(one, together, speeds, groups) for one in together):
         if segments.welch.n_averages(len(speeds)) < settings.min_averages:
-            raise NoEstimateError(_too_short(segments, settings))
+            raise NoEstimateError(_too_short(recording, segments, settings))
         raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
     bins, reasons = [], []
     for group in groups_of(method, together, speeds, groups):
@@ -189,7 +189,7 @@ def _speed_bin(
             check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
         doubts = _checked(segments, looked_at, method)
     if found.spectra is None or found.n_averages < settings.min_averages:
-        raise NoEstimateError(_too_few(found, group, models, speeds, segments, settings))
+        raise NoEstimateError(_too_few(found, group, models, recording, speeds, segments, settings))
     if found.deviation > settings.max_deviation:
         raise NoEstimateError(
             f"the responses are uncertain by {100 * found.deviation:.2g} % (coherence "
@@ -212,13 +212,14 @@ def _too_few(
     found: GroupSpectra,
     group: Tensor,
     models: Sequence[FittedMethod],
+    recording: Recording,
     speeds: Tensor,
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> str:
     """Return that a group of segments has too few averages, and what else the trip holds."""
     if segments.welch.n_averages(len(group)) < settings.min_averages:
-        return _too_short(segments, settings)
+        return _too_short(recording, segments, settings)
     where = f"steady at {group_speed(speeds, group):.1f} m/s"
     if reads_at_any_speed(models[0]):
         where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
@@ -230,12 +231,13 @@ def _too_few(
     )
 
 
-def _too_short(segments: SegmentSpectra, settings: TripSettings) -> str:
-    """Return that all of a recording is too short."""
-    n_segments = len(segments.values)
+def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
+    """Return that all of a recording, or what is free of faults, is too short."""
+    n_segments, faults = len(segments.values), unrepaired_words(recording)
     return (
         f"{n_segments} segments without faults: {segments.welch.n_averages(n_segments):.1f} "
-        f"averages, at least {settings.min_averages:g} are needed: the recording is too short"
+        f"averages, at least {settings.min_averages:g} are needed: "
+        + (f"too little is free of faults: {faults}" if faults else "the recording is too short")
     )
 
 
@@ -263,7 +265,12 @@ def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> 
 
 def no_segment(recording: Recording, welch: Welch) -> str:
     """Return why no segment of a recording is free of faults."""
+    return f"no segment of {welch.segment_s:g} s is free of faults: {unrepaired_words(recording)}"
+
+
+def unrepaired_words(recording: Recording) -> str:
+    """Return the faults that make parts of a recording unusable; empty if there are none."""
     faults = [str(fault) for fault in recording.faults if not fault.repaired]
     if not np.isfinite(recording.speed_m_per_s).all():
         faults.append("the speed is unknown in part")
-    return f"no segment of {welch.segment_s:g} s is free of faults: {'; '.join(faults)}"
+    return "; ".join(faults)

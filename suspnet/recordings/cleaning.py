@@ -25,9 +25,9 @@ from suspnet.types import BoolArray, FloatArray
 
 KINDS = (
     *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
-    "clock",
+    *("loose", "clock"),
 )
-"""Kinds of faults; the last three are found in the speed and between channels."""
+"""Kinds of faults; zero, jump and stuck are of the speed, the last two between channels."""
 
 CORE_SAMPLES = 2**18
 """Approximate number of samples that are checked at once; few enough to stay in cache."""
@@ -96,7 +96,7 @@ class Fault:
     size_m_per_s2 : float or None, [m/s2]
         The mean, or the change of level; None for other kinds.
     words : str
-        What is wrong, of a clock; empty for other kinds.
+        What is wrong, of a clock or a loose sensor; empty for other kinds.
     """
 
     channel: str

@@ -21,6 +21,7 @@ from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.drifting import clock_faults
+from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Resampler, decimate
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
@@ -182,13 +183,15 @@ def joined(
         values[stream.name] = stream.values[part]
         touched |= stream.touched[part]
     usable = np.isfinite(speed) & ~touched
-    faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults)
+    found, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
+    faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults, *found)
+    usable &= ~loose
     if not usable.any():
         raise TripError(
             f"{manifest.path}: at no time are all channels and the speed usable: "
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
-    faults += clock_faults(manifest, values, usable, speed, rate_hz)
+    faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
     told = [track.words if track else "", *(stream.words for stream in streams)]
     paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz

@@ -8,6 +8,7 @@ from pathlib import Path
 from suspnet.data import Protocol, Task
 from suspnet.model import ModelFileError, load_model
 from suspnet.problem import TEST, Problem
+from suspnet.progress import stage
 from suspnet.runs.drawing import draw_predictions
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import Metrics, headline, log_hyperparameters, report, scores
@@ -26,6 +27,7 @@ def evaluate(
     threads: int,
     device: str,
     progress: bool = True,
+    figures: bool = True,
 ) -> Metrics:
     """Score the model of a run on freshly generated curves and write metrics and figures.
 
@@ -42,6 +44,10 @@ def evaluate(
         The run's own if None.
     protocol : Protocol, optional
         The run's own if None; else one with the same features that varies the model's outputs.
+    threads : int
+    device : str
+    progress, figures : bool
+        Whether to show how far it is, and to draw.
 
     Raises
     ------
@@ -60,6 +66,7 @@ def evaluate(
     if snr_db is not None:
         settings = replace(settings, snr_db=snr_db)
     problem = Problem(model.generator, task, settings, seed, threads, progress)
+    stage(f"test of {folder}")
     outcome = predict_stream(problem, model, TEST, flags=True)
     metrics = {
         **headline(problem, model),
@@ -69,7 +76,8 @@ def evaluate(
     }
     with RunLog(output, is_new=True) as run_log:
         log_hyperparameters(run_log, metrics, model.training["parameters"])
-        draw_predictions(problem, model.name, outcome, run_log, output / "figures")
+        if figures:
+            draw_predictions(problem, model.name, outcome, run_log, output / "figures")
     write_json(output / "metrics.json", metrics)
     report(metrics, output)
     return metrics

@@ -10,15 +10,14 @@ from dataclasses import asdict, is_dataclass, replace
 from typing import Any
 
 import torch
-from tqdm import tqdm
 
 from suspnet.data import FeatureData, Task
-from suspnet.data.parallel import quiet
 from suspnet.learning import METHODS, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.model.checkpoint import parameters
 from suspnet.model.trained import TrainedModel
 from suspnet.problem import TRAIN, Problem
+from suspnet.progress import bar as progress_bar
 from suspnet.runs.tensorboard import RunLog
 from suspnet.types import FloatArray
 
@@ -47,7 +46,8 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     data = problem.features(TRAIN).complete()
     inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
-    with tqdm(total=n_settings, desc=f"search {name}", disable=quiet(problem.progress)) as bar:
+    title = f"search of settings for {name}"
+    with progress_bar(title, n_settings, unit="setting", shown=problem.progress) as bar:
 
         def told(setting: Mapping[str, Any], rmse: float) -> None:
             run_log.scalars("search", {"rmse": rmse}, int(bar.n))
@@ -158,7 +158,7 @@ class _Told:
     def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
         self._estimator, self._name, self._log = estimator, name, run_log
         self._active = run_log is not None and "callback" in estimator.get_params()
-        self._bar = tqdm(desc=f"fit {name}", unit="step", disable=quiet(progress and self._active))
+        self._bar = progress_bar(f"fit {name}", unit="step" if self._active else "", shown=progress)
 
     def __enter__(self) -> None:
         if self._active:
@@ -176,4 +176,5 @@ class _Told:
             values = asdict(info)
             step = values.pop(next(iter(values)))
             self._log.scalars(self._name, values, step)
-            self._bar.set_postfix({k: f"{v:.3g}" for k, v in list(values.items())[:2]})
+            shown = {k: f"{v:.3g}" for k, v in list(values.items())[:2]}
+            self._bar.set_postfix(shown, refresh=False)

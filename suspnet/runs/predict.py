@@ -9,10 +9,9 @@ from typing import TypeVar
 
 import numpy as np
 from torch import Tensor
-from tqdm import tqdm
 
 from suspnet.data import FeatureData
-from suspnet.data.parallel import pool_of, quiet
+from suspnet.data.parallel import pool_of
 from suspnet.model.fitted import FittedMethod
 from suspnet.model.from_curves import (
     MASS,
@@ -22,7 +21,8 @@ from suspnet.model.from_curves import (
     regress,
     residual_scales,
 )
-from suspnet.problem import BATCH, BLOCK, Problem
+from suspnet.problem import BATCH, BLOCK, STREAM_NAMES, Problem
+from suspnet.progress import bar as progress_bar
 from suspnet.types import FloatArray
 from suspnet.uncertainty.ood import Flags
 from suspnet.uncertainty.refine import Refined
@@ -105,7 +105,7 @@ def regress_stream(
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> FloatArray:
         return regress(model, problem.observer, data.inputs[rows], curves, mass)
 
-    return np.concatenate(_over_blocks(problem, data, stream, "curve fit", fit, threads=1))
+    return np.concatenate(_over_blocks(problem, data, stream, fit, threads=1))
 
 
 def refine_stream(
@@ -116,23 +116,21 @@ def refine_stream(
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> Refined:
         return refine_curves(problem.task, problem.observer, curves, predicted[rows], mass)
 
-    return Refined.joined(
-        _over_blocks(problem, data, stream, "refine", fit, threads=problem.threads)
-    )
+    return Refined.joined(_over_blocks(problem, data, stream, fit, threads=problem.threads))
 
 
 def _over_blocks(
     problem: Problem,
     data: FeatureData,
     stream: int,
-    title: str,
     fit: Callable[[Tensor, slice, FloatArray | None], Part],
     threads: int,
 ) -> list[Part]:
     """Return what `fit` makes of each block's curves, rows and known masses."""
     mass = data.ratios[:, MASS] if problem.task.mass_known else None
     n_curves = len(data.ratios)
-    with tqdm(total=n_curves, desc=title, disable=quiet(problem.progress)) as bar:
+    title = f"fits of {STREAM_NAMES[stream]} curves"
+    with progress_bar(title, n_curves, unit="curve", shown=problem.progress) as bar:
 
         def one(block: int) -> Part:
             rows = slice(block * BLOCK, (block + 1) * BLOCK)

@@ -19,6 +19,7 @@ from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch
 from suspnet.model import FittedMethod, save_model
 from suspnet.problem import TEST, Problem
+from suspnet.progress import stage
 from suspnet.runs.calibrate import calibrated, with_unexplained
 from suspnet.runs.drawing import draw_run
 from suspnet.runs.fit import fit, method_name, tune
@@ -98,10 +99,14 @@ def train(
         if search is not None:
             found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
-        model = calibrated(problem, replace(fit(problem, estimator, run_log), refined=refine))
+        model = replace(fit(problem, estimator, run_log), refined=refine)
+        if problem.settings.n_calibrate is not None:
+            stage("calibration of intervals and flags")
+        model = calibrated(problem, model)
         if residual is not None:
             model = with_unexplained(problem, model, residual)
             _tell(model)
+        stage("test")
         training = model.training | dict(notes or {})
         outcome = predict_stream(problem, model, TEST)
         metrics = {
@@ -121,6 +126,7 @@ def train(
                 "cost_percent": _cost_percent(model),
             }
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
+        stage("figures and tables of the run")
         save_model(folder, replace(model, training=training | accuracy))
         log_hyperparameters(run_log, metrics, training["parameters"], varied)
         if figures:

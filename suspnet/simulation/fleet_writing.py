@@ -8,9 +8,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from joblib import effective_n_jobs
-from tqdm import tqdm
 
 from suspnet.dynamics import VerticalVehicle
+from suspnet.progress import bar
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.folders import TRUTH, described, is_finished, own_folder, unfinished
 from suspnet.simulation.scenarios import Scenario
@@ -80,8 +80,9 @@ def write_trains(
         with unfinished(folder, made_from, trains.n_all, len(missing), "suspensions"):
             jobs = ((folder, one) for one in missing)
             done = each(write, jobs, effective_n_jobs(n_jobs))
-            hidden = None if progress else True
-            for _, outcome in tqdm(done, total=len(missing), unit="suspension", disable=hidden):
+            for _, outcome in bar(
+                "suspensions", len(missing), items=done, unit="suspension", shown=progress
+            ):
                 if isinstance(outcome, LostWorkerError):
                     raise outcome
             write_json(folder / TRUTH, _truth(suspensions, trains, scenario, seed))

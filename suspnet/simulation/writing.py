@@ -19,11 +19,11 @@ import torch
 from joblib import effective_n_jobs
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
-from tqdm import tqdm
 
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.track import cross_level_spectrum, make_profile, track_spectrum
+from suspnet.progress import bar as progress_bar
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.fleet import Fleet
@@ -139,7 +139,7 @@ def write_fleet(
         with unfinished(folder, made_from, fleet.n_trips, len(missing)):
             jobs = ((folder, i, float(mileage[i]), ratios[i]) for i in missing)
             done = each(write, jobs, effective_n_jobs(n_jobs))
-            bar = tqdm(done, total=len(missing), unit="trip", disable=None if progress else True)
+            bar = progress_bar("trips", len(missing), items=done, unit="trip", shown=progress)
             for _, outcome in bar:
                 if isinstance(outcome, LostWorkerError):
                     raise outcome

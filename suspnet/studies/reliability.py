@@ -17,16 +17,15 @@ import numpy as np
 import torch
 from scipy.stats import norm
 from torch import Tensor
-from tqdm import tqdm
 
 from suspnet.checks import check_number
 from suspnet.data import Task
 from suspnet.data.observation import MOST_CURVES
-from suspnet.data.parallel import quiet
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.model import TrainedModel, load_model
 from suspnet.model.from_curves import MASS, estimate_curves
 from suspnet.problem import BLOCK, TEST, Problem
+from suspnet.progress import bar as progress_bar
 from suspnet.runs.evaluate import find_runs
 from suspnet.runs.metrics import covers, interval_scores
 from suspnet.runs.predict import Outcome, predict_stream
@@ -116,7 +115,8 @@ def measure(
     flags = {IN_RANGE: _shares(outcome.flags.found)}
     sets = dict(_odd_sets(problem, others, n_odd))
     observer = problem.observer
-    with tqdm(total=len(sets) * n_odd, desc="out of range", disable=quiet(problem.progress)) as bar:
+    n_all = len(sets) * n_odd
+    with progress_bar("curves out of range", n_all, unit="curve", shown=problem.progress) as bar:
         for name, (ratios, curves) in sets.items():
             known = ratios[:, MASS] if problem.task.mass_known else None
             found = []

@@ -12,10 +12,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from tqdm import tqdm
 
 from suspnet.checks import check_choice, check_number
-from suspnet.data.parallel import quiet
 from suspnet.dynamics.limits import PARAMETERS, TIGHTEST
 from suspnet.history import Event, History, Series
 from suspnet.history.records import ERROR, TripResult, relative_to_first
@@ -26,6 +24,8 @@ from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.model import TrainedModel
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import trip_settings
+from suspnet.progress import bar as progress_bar
+from suspnet.progress import stage
 from suspnet.recordings.manifest_files import partial_words, read_manifest
 from suspnet.storage import printable
 from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
@@ -137,6 +137,7 @@ def evaluate_fleet(
     progress: bool = True,
     store: History | None = None,
     seed: int = 0,
+    figures: bool = True,
 ) -> list[Evaluated]:
     """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
 
@@ -159,6 +160,8 @@ def evaluate_fleet(
         Keeps the trips; those of earlier folders that it holds are in tables, trend and report.
     seed : int
         Of the remaining lives.
+    figures : bool
+        Whether figures are drawn, in a folder and in the report.
 
     Returns
     -------
@@ -178,7 +181,7 @@ def evaluate_fleet(
     groups = find_groups(folder)
     if len(groups) == 1 and groups[0].folder == folder:
         one = _read_group(groups[0], models, output, settings, progress, store)
-        return [_report(one, settings, store, _wear([one], store), seed)]
+        return [_report(one, settings, store, _wear([one], store), seed, figures)]
     for model in models:
         trip_settings(model)
     if partial := partial_words(folder):
@@ -202,7 +205,7 @@ def evaluate_fleet(
     wear = _wear(read, store)  # of all of them, so after the last is read
     for one in read:
         try:
-            done.append(_report(one, settings, store, wear, seed))
+            done.append(_report(one, settings, store, wear, seed, figures))
         except (ValueError, ArithmeticError) as error:
             lose(one.group, str(error))
     if all(one.error for one in done):
@@ -264,9 +267,10 @@ def _read_group(
     limits = settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
+    title = f"trips of {group.place}"
     results = [
         replace(result, place=group.place)
-        for result in _evaluated(group.manifests, fitting, output, settings, progress)
+        for result in _evaluated(group.manifests, fitting, output, settings, progress, title)
     ]
     events: list[Event] = []
     if store is not None:
@@ -282,9 +286,15 @@ def _read_group(
 
 
 def _report(
-    read: _Read, settings: FleetSettings, store: History | None, wear: Wear, seed: int
+    read: _Read,
+    settings: FleetSettings,
+    store: History | None,
+    wear: Wear,
+    seed: int,
+    figures: bool,
 ) -> Evaluated:
     """Write tables, figures and report of one suspension."""
+    stage(f"trend and report of {read.group.place}")
     group, results, states, events = read.group, read.results, read.states, read.events
     outputs, limits, output, fitting = read.outputs, read.limits, read.output, read.models
     write_tables(results, outputs, output)
@@ -323,7 +333,7 @@ def _report(
     if store is not None:
         details["history"] = printable(str(store))
     options = settings.trips.level, limits, states, events, watched.alarms, seen
-    write_pages(results, outputs, found, output, details, *options)
+    write_pages(results, outputs, found, output, details, *options, draw=figures)
     words = f"{spoken(found)}\nAlarms of changes: {armed}."
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
     return Evaluated(group.name, group.place, results, found)
@@ -335,11 +345,12 @@ def _evaluated(
     output: Path,
     settings: FleetSettings,
     progress: bool,
+    title: str,
 ) -> list[TripResult]:
     """Return the result of every trip: kept by an earlier evaluation, or read in parallel now."""
     finished = FinishedTrips(output, models, settings.trips)
     results, made_from = [], {}
-    bar = tqdm(total=len(paths), desc="trips", unit="trip", disable=quiet(progress))
+    bar = progress_bar(title, len(paths), unit="trip", shown=progress)
     with bar, warnings.catch_warnings():
         # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)

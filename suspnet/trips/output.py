@@ -163,27 +163,30 @@ def write_pages(
     events: Sequence[Event] = (),
     alarms: Sequence[Alarm] = (),
     seen: Sequence[Acknowledgement] = (),
+    draw: bool = True,
 ) -> None:
-    """Write figures, TensorBoard events, metrics.json and report.html.
+    """Write figures if they are to be drawn, TensorBoard events, metrics.json and report.html.
 
     The figure of the trend is relative to the first of several commissionings `states`.
     """
     done = [r for r in results if r.status == OK]
-    drawn = {
-        "trend": health_trend(
-            relative_to_first_healthy(results, states),
-            outputs,
-            level,
-            limits,
-            states,
-            events,
-            alarms,
-            {one.parameter: one.life for one in assessments if one.life},
-        ),
-        "responses": figures.trip_responses(results),
-        "signals": figures.trip_signals(done[-1] if done else results[-1]),
-        "quality": figures.quality(results),
-    }
+    drawn = {}
+    if draw:
+        drawn = {
+            "trend": health_trend(
+                relative_to_first_healthy(results, states),
+                outputs,
+                level,
+                limits,
+                states,
+                events,
+                alarms,
+                {one.parameter: one.life for one in assessments if one.life},
+            ),
+            "responses": figures.trip_responses(results),
+            "signals": figures.trip_signals(done[-1] if done else results[-1]),
+            "quality": figures.quality(results),
+        }
     with RunLog(output, is_new=True) as run_log:
         for i, result in enumerate(done):
             values = result.estimates | {"n_averages": result.quality.n_averages}

@@ -51,7 +51,7 @@ def fitted(monkeypatch):
     outcome = commissioned_example()[1]
     bogies = []
 
-    def commission(generator, *_):
+    def commission(generator, *_, **__):
         bogies.append(generator.bogie)
         found = replace(outcome.generator, bogie=generator.bogie)
         return replace(outcome, generator=found)
@@ -159,7 +159,7 @@ def test_failing_suspension_is_told_and_stops_no_other(quick, fleet, tmp_path, c
 
 
 def test_fault_of_the_program_leaves_its_traceback(quick, fleet, tmp_path, monkeypatch, caplog):
-    def broken(*_):
+    def broken(*_, **__):
         raise LookupError("a fault")
 
     monkeypatch.setattr(run, "commission", broken)
@@ -207,7 +207,7 @@ def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests
 
 def test_warnings_of_a_run_are_told_with_its_name(quick, fleet, tmp_path, monkeypatch, caplog):
     outcome = replace(commissioned_example()[1], n_agree=1)
-    monkeypatch.setattr(run, "commission", lambda *_: outcome)
+    monkeypatch.setattr(run, "commission", lambda *_, **__: outcome)
     assert trained(tmp_path / "run", fleet) == 0
     for name in PLACES:
         said = [r.getMessage() for r in caplog.records if r.getMessage().startswith(f"{name}: ")]

@@ -41,7 +41,7 @@ def folder(fleet, tmp_path):
 def fitted(monkeypatch):
     """Put the example's vehicle in the place of every fit, which would take long."""
     outcome = commissioned_example()[1]
-    monkeypatch.setattr(run, "commission", lambda *_: outcome)
+    monkeypatch.setattr(run, "commission", lambda *_, **__: outcome)
     return outcome
 
 
@@ -65,7 +65,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     fitted, folder, tmp_path, monkeypatch, caplog
 ):
     spoilt = replace(fitted, n_agree=1, converged=False)
-    monkeypatch.setattr(run, "commission", lambda *_: spoilt)
+    monkeypatch.setattr(run, "commission", lambda *_, **__: spoilt)
     trained = []
     monkeypatch.setattr(train, "train", lambda *_, **options: trained.append(options["notes"]))
     with caplog.at_level(logging.WARNING):

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 from datetime import datetime
 
@@ -114,7 +115,9 @@ def interrupted(tmp_path_factory):
 def test_failed_job_stops_no_other_and_the_table_is_sorted(interrupted):
     sweep, ended = interrupted
     assert ended.returncode == 1
-    first, second, last = ended.stderr.splitlines()
+    lines = ended.stderr.splitlines()
+    assert [line for line in lines if line.startswith("0: fit ")]  # how far each job is
+    first, second, last = [line for line in lines if not re.match(r"\d: ", line)]
     assert first == "error: `seed` must be a whole number >= 0, got -1"
     assert second.startswith("error: KeyError: 'a fault'; see ")
     assert last.startswith("error: 2 jobs failed (1_")

@@ -120,6 +120,16 @@ def test_evaluate_scores_fresh_curves_alike(run, tmp_path):
         assert 0.5 < ratio < 2  # 300 training curves: the errors' tails vary between test sets
 
 
+def test_evaluate_draws_nothing_if_asked(run, tmp_path):
+    few = [f"run={run[0]}", "data.n_test=100", "progress=false"]
+    run_main(evaluate, tmp_path / "bare", *few, "figures=false")
+    assert (tmp_path / "bare" / "metrics.json").is_file()
+    assert not (tmp_path / "bare" / "figures").exists()
+    with blank_figures():
+        run_main(evaluate, tmp_path / "drawn", *few)
+    assert (tmp_path / "drawn" / "figures" / "parity.png").is_file()
+
+
 def test_evaluate_sees_more_noise(run, tmp_path):
     folder, metrics = run
     noise = ["data.snr_db=26", "data.n_test=400", "progress=false"]

@@ -119,6 +119,16 @@ def test_simulated_trips_are_read(run, trips, tmp_path):
     assert f"trips: {trips}" in config
 
 
+def test_report_has_no_figure_if_none_is_asked_for(run, trips, tmp_path):
+    overrides = [f"run={run}", f"trips={trips}", *EVALUATE, "figures=false"]
+    assert run_program(evaluate, tmp_path, *overrides) == 0
+    assert not (tmp_path / "figures").exists()
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<img" not in page
+    assert "trip_003" in page
+    assert metrics(tmp_path)["n_estimated"] == 3
+
+
 def test_trips_are_those_of_the_scenario(trips):
     manifests = sorted(trips.glob("*.yaml"))
     assert [path.stem for path in manifests] == ["trip_001", "trip_002", "trip_003"]

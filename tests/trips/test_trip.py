@@ -25,6 +25,7 @@ from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.model import from_recording as recording
 from suspnet.model.from_recording import TripSettings
 from suspnet.model.from_spectra import estimate_with_noise
+from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
 from suspnet.trips import trip
@@ -40,6 +41,16 @@ N_SEGMENTS = 28  # (299.86 s - 20 s) // 10 s + 1
 def good(manifests, model):
     """The first trip as it is."""
     return evaluate_trip(manifests[0], [model], SETTINGS)
+
+
+@pytest.fixture
+def no_loose_sensor(monkeypatch):
+    """Take every sensor for sound, so that segments are selected by their coherence alone."""
+
+    def none(values, usable, *_):
+        return (), np.zeros_like(usable), np.zeros_like(usable)
+
+    monkeypatch.setattr(loading, "find_loose", none)
 
 
 @pytest.fixture(scope="module")
@@ -344,12 +355,23 @@ def test_harmless_fault_changes_nothing(manifests, model, good, tmp_path, change
 @pytest.mark.parametrize("channel", CHANNELS)
 @pytest.mark.parametrize("size", [3.0, 1000.0])
 def test_segments_with_unrelated_noise_are_left_out(
-    manifests, model, good, tmp_path, channel, size
+    no_loose_sensor, manifests, model, good, tmp_path, channel, size
 ):
     result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
     assert result.quality.segments_total == N_SEGMENTS
     # four segments lie within the noise; of two more the edge does
     assert N_SEGMENTS - 6 <= result.quality.segments_used <= N_SEGMENTS - 4
+    assert close(result, good)
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("size", [10.0, 1000.0])
+def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
+    result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
+    assert result.quality.faults.startswith(f"{channel}: loose from about ")
+    # 10 s more on both sides cost two or three segments more
+    assert N_SEGMENTS - 9 <= result.quality.segments_used <= N_SEGMENTS - 6
+    assert result.quality.segments_used == result.quality.segments_total
     assert close(result, good)
 
 
@@ -368,7 +390,7 @@ def test_a_little_noise_in_a_part_leaves_none_out(manifests, model, good, tmp_pa
     assert close(result, good, 1.05)
 
 
-def test_what_happens_at_other_speeds_does_not_matter(manifests, model, tmp_path):
+def test_what_happens_at_other_speeds_does_not_matter(no_loose_sensor, manifests, model, tmp_path):
     speed = np.where(np.arange(301) < 140, 70.0, 30.0)
     quiet = noisy(manifests[0], tmp_path, "body", 3.0, seconds=(60, 70))
     settings = TripSettings(min_averages=5, check_channels=False)
@@ -397,7 +419,7 @@ def test_channels_are_checked_where_the_train_runs(manifests, model, tmp_path):
     assert result.quality.segments_used == 14
 
 
-def test_number_of_low_coherence_is_told(manifests, model, tmp_path):
+def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_path):
     path = noisy(manifests[0], tmp_path, "body", 10.0, seconds=(100, 160))
     settings = TripSettings(min_averages=26, check_channels=False)
     result = evaluated(path, model, settings)

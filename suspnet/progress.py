@@ -1,0 +1,117 @@
+"""How far a program is: bars where standard error is a terminal, lines in the log elsewhere."""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from tqdm import tqdm
+
+log = logging.getLogger(__name__)
+
+INTERVAL_S = 30.0
+"""Time between two lines of one step, [s]."""
+
+
+def bar(
+    title: str,
+    total: int | None = None,
+    *,
+    items: Iterable[Any] | None = None,
+    unit: str = "",
+    shown: bool = True,
+) -> Any:
+    """Return a progress bar of tqdm, or what logs lines in its place.
+
+    A line when the step starts, and one after each ``INTERVAL_S``, also while nothing is counted.
+
+    Parameters
+    ----------
+    title : str
+        Name of the step.
+    total : int, optional
+        How often `update` will count.
+    items : iterable, optional
+        What to iterate over; each counts.
+    unit : str
+        What is counted, in singular; empty if nothing is.
+    shown : bool
+        Whether there is a bar, and lines after the first.
+    """
+    if shown and sys.stderr.isatty():
+        form = None if unit else "{desc}: {elapsed}"
+        return tqdm(items, title, total, unit=unit, bar_format=form)
+    interval_s = INTERVAL_S if shown else math.inf
+    # gui: tqdm draws nothing itself
+    lines = _Lines(items, title, total, unit=unit, gui=True, maxinterval=interval_s)
+    if lines.total != 0:
+        lines.refresh()
+    return lines
+
+
+def stage(words: str) -> None:
+    """Log that a step starts."""
+    log.info(words)
+
+
+class _Lines(tqdm):  # type: ignore[type-arg]
+    """A bar of tqdm as lines of the log, which tqdm's monitoring thread asks for."""
+
+    monitor = None
+    monitor_interval = 1
+
+    def refresh(self, nolock: bool = False, lock_args: Any = None) -> None:
+        """Log a line; the next one comes after `maxinterval`."""
+        self.last_print_t, self.miniters = time.time(), math.inf
+        log.info(self.words())
+
+    def words(self) -> str:
+        """Return what is done, how long it took, and about how long the rest will take."""
+        state = self.format_dict
+        n, total, elapsed_s = state["n"], state["total"], state["elapsed"]
+        told = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
+        told += [_span(elapsed_s)] * (elapsed_s >= 1)
+        if n and total and elapsed_s >= 1:
+            told.append(f"about {_span(elapsed_s * (total - n) / n)} left")
+        return f"{self.desc}: {', '.join(told)}" if told else self.desc
+
+
+def _span(seconds: float) -> str:
+    """Return a length of time in seconds or minutes."""
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+@contextmanager
+def on_stderr(before: str = "") -> Iterator[None]:
+    """Send the lines to standard error rather than to standard output, which is for results.
+
+    Parameters
+    ----------
+    before : str
+        What stands before each line, where several programs write at the same time.
+    """
+    root = logging.getLogger()
+    consoles = [h for h in root.handlers if getattr(h, "stream", None) is sys.stdout]
+    own = logging.StreamHandler(sys.stderr)
+    own.setFormatter(logging.Formatter(f"{before}%(message)s"))
+    own.addFilter(logging.Filter(log.name))
+    for console in consoles:
+        console.addFilter(_is_result)
+    root.addHandler(own)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        root.removeHandler(own)
+        for console in consoles:
+            console.removeFilter(_is_result)
+
+
+def _is_result(record: logging.LogRecord) -> bool:
+    """Return whether a record is none of the lines of this module."""
+    return record.name != log.name

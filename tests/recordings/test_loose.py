@@ -1,0 +1,265 @@
+"""Sensors that come loose during a trip are named with the time; sound ones never are."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_erosion
+from trip_fixtures import RATES_HZ, changed, signal, write_trips
+from vehicles import AM96
+
+from suspnet.commissioning.run import FAMILY
+from suspnet.dynamics import VerticalVehicle
+from suspnet.recordings.loose import find_loose
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
+from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.writing import write_fleet
+
+RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
+COMMON_HZ = 100.0
+KINDS = ("noise", "nearly constant", "hum", "traction hum", "loud noise")
+
+
+def nothing(kind, values, rate_hz, seed=0):
+    """Return what a sensor shows whose cable is loose, in place of its values."""
+    rng, rms, n = np.random.default_rng([seed, KINDS.index(kind)]), values.std(), len(values)
+    white, at_s = rng.standard_normal(n), np.arange(n) / rate_hz
+    return {
+        "noise": 0.02 * rms * white,  # the 34 dB of the simulated sensors
+        "nearly constant": 0.3 * rms + 1e-4 * rms * white,
+        "hum": 0.5 * rms * np.sin(2 * np.pi * 50 * at_s) + 1e-3 * rms * white,
+        "traction hum": 0.2 * rms * np.sin(2 * np.pi * 16.7 * at_s) + 1e-3 * rms * white,
+        "loud noise": rms * white,
+    }[kind]
+
+
+def loosened(values, kind, rate_hz, *stretches):
+    """Return a signal that shows nothing in some stretches, [s]."""
+    values = values.astype(float)
+    for seed, (start_s, stop_s) in enumerate(stretches):
+        part = slice(round(start_s * rate_hz), round(stop_s * rate_hz))
+        values[part] = nothing(kind, values[part], rate_hz, seed)
+    return values
+
+
+@pytest.fixture(scope="module")
+def ten_minutes(tmp_path_factory):
+    """A healthy trip of 10 minutes with three sensors."""
+    return write_trips(tmp_path_factory.mktemp("ten_minutes"), minutes=10.0)[0]
+
+
+@cache
+def loaded(manifest):
+    return load_recording(read_manifest(manifest))
+
+
+def unrepaired(recording):
+    return [fault for fault in recording.faults if not fault.repaired]
+
+
+@pytest.mark.parametrize(
+    ("channel", "kind"), [("axle_box", "nearly constant"), ("bogie", "hum"), ("body", "noise")]
+)
+def test_loose_sensor_is_named_with_its_time(ten_minutes, tmp_path, channel, kind):
+    values = loosened(signal(ten_minutes, channel), kind, RATE[channel], (180, 600))
+    recording = loaded(changed(ten_minutes, tmp_path, signals={channel: values}))
+    (fault,) = unrepaired(recording)
+    assert str(fault).startswith(f"{channel}: loose from about 1")
+    assert "s on: it shows nothing there of the motion that the others show" in str(fault)
+    assert float(str(fault).split()[4]) == pytest.approx(180, abs=10)
+    assert fault.first_s == pytest.approx(175, abs=15)
+    at_s = recording.start_s + np.arange(len(recording.usable)) / COMMON_HZ
+    assert not recording.usable[at_s >= 180].any()
+    assert recording.usable[at_s < 160].all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_whatever_a_loose_sensor_shows(ten_minutes, channel, kind):
+    recording = loaded(ten_minutes)
+    signals = dict(zip(CHANNELS, recording.signals, strict=True))
+    signals[channel] = loosened(signals[channel], kind, COMMON_HZ, (180, 600))
+    known = recording.usable, recording.speed_m_per_s, COMMON_HZ
+    (fault,), loose, silent = find_loose(signals, *known)
+    assert fault.channel == channel
+    assert float(fault.words.split()[2]) == pytest.approx(180, abs=10)
+    assert loose[18_000:].all()
+    assert not loose[:16_000].any()
+    assert not silent.any()
+
+
+def test_sensor_that_is_loose_for_a_while_is_read_before_and_after(ten_minutes, tmp_path):
+    values = loosened(signal(ten_minutes, "bogie"), "noise", RATE["bogie"], (200, 230), (380, 420))
+    recording = loaded(changed(ten_minutes, tmp_path, signals={"bogie": values}))
+    (fault,) = unrepaired(recording)
+    numbers = [float(word) for word in str(fault).replace(",", "").split() if word.isdigit()]
+    assert numbers == pytest.approx([200, 230, 380, 420], abs=10)
+    at_s = recording.start_s + np.arange(len(recording.usable)) / COMMON_HZ
+    inside = ((at_s >= 200) & (at_s < 230)) | ((at_s >= 380) & (at_s < 420))
+    assert not recording.usable[inside].any()
+    assert recording.usable[(at_s < 180) | ((at_s > 250) & (at_s < 360)) | (at_s > 440)].all()
+
+
+def test_loose_from_the_start(ten_minutes, tmp_path):
+    values = loosened(signal(ten_minutes, "body"), "hum", RATE["body"], (0, 300))
+    recording = loaded(changed(ten_minutes, tmp_path, signals={"body": values}))
+    (fault,) = unrepaired(recording)
+    assert str(fault).startswith("body: loose up to about ")
+    assert float(str(fault).split()[5]) == pytest.approx(300, abs=10)
+    at_s = recording.start_s + np.arange(len(recording.usable)) / COMMON_HZ
+    assert not recording.usable[at_s < 300].any()
+    assert recording.usable[at_s > 320].all()
+
+
+@pytest.mark.parametrize("lost_s", [3.0, 40.0])
+def test_jump_of_a_clock_is_no_loose_sensor(ten_minutes, tmp_path, lost_s):
+    body, rate_hz = signal(ten_minutes, "body"), RATE["body"]
+    kept = np.delete(body, slice(round(250 * rate_hz), round((250 + lost_s) * rate_hz)))
+    values = np.concatenate([kept, body[: len(body) - len(kept)]])
+    path = changed(ten_minutes, tmp_path, signals={"body": values})
+    try:
+        told = "; ".join(map(str, loaded(path).faults))
+    except ValueError as error:
+        told = str(error)
+    assert "body" in told
+    assert "jump" in told
+    assert "loose" not in told
+
+
+def simulated(folder, seed=0, sides=None, vehicle=AM96, **options):
+    """Return sensors of a simulated trip on the common clock, what is usable, and the speed."""
+    options = {"n_trips": 1, "minutes": 10.0, "speed_m_per_s": 70.0} | options
+    options["sensors"] = {name: {"rate_hz": 250.0} for name in CHANNELS}
+    speed = options["speed_m_per_s"]
+    generator = VerticalVehicle(vehicle, speed_m_per_s=speed)
+    if sides:
+        places = (1.0, 1.0, 1.0)
+        generator = VerticalVehicle(
+            vehicle, speed_m_per_s=speed, parts=FAMILY, sensor_lateral_m=places
+        )
+    fleet = Fleet(sides=sides, **options)
+    scenario = Scenario("random", spread=0.3)
+    (path,) = write_fleet(folder, fleet, scenario, generator, seed=seed)
+    recording = loaded(path)
+    signals = dict(zip(CHANNELS, recording.signals, strict=True))
+    if all(recording.paired):
+        half = recording.differences
+        signals = {
+            f"{name} {side}": recording.signals[i] + sign * half[i]
+            for i, name in enumerate(CHANNELS)
+            for side, sign in (("left", 1), ("right", -1))
+        }
+    return signals, recording.usable, recording.speed_m_per_s, recording.faults
+
+
+@pytest.fixture(scope="module")
+def six_sensors(tmp_path_factory):
+    """Sensors left and right of a steady trip."""
+    return simulated(tmp_path_factory.mktemp("six"), sides="both")
+
+
+@pytest.mark.parametrize("which", range(6))
+def test_one_of_six_sensors(six_sensors, which):
+    signals, usable, speed, faults = six_sensors
+    assert faults == ()
+    name = list(signals)[which]
+    kind = KINDS[which % len(KINDS)]
+    values = signals | {name: loosened(signals[name], kind, COMMON_HZ, (180, 600))}
+    (fault,), loose, silent = find_loose(values, usable, speed, COMMON_HZ)
+    assert fault.channel == name
+    assert loose[18_000:].all()
+    assert not loose[:16_000].any()
+    assert not silent.any()
+
+
+def test_two_sensors_of_three_at_once(ten_minutes):
+    recording = loaded(ten_minutes)
+    signals = dict(zip(CHANNELS, recording.signals, strict=True))
+    for name, kind in (("bogie", "traction hum"), ("body", "noise")):
+        signals[name] = loosened(signals[name], kind, COMMON_HZ, (180, 600))
+    known = recording.usable, recording.speed_m_per_s, COMMON_HZ
+    faults, loose, _ = find_loose(signals, *known)
+    assert [fault.channel for fault in faults] == ["bogie", "body"]
+    assert loose[18_000:].all()
+
+
+def quieter(signals, factor, start_s, stop_s):
+    """Return signals on track that is smoother between two times, with the noise of the sensors."""
+    rng, found = np.random.default_rng(0), {}
+    for name, values in signals.items():
+        smooth = np.ones(len(values))
+        smooth[round(start_s * COMMON_HZ) : round(stop_s * COMMON_HZ)] = factor
+        noise = 0.02 * values.std() * rng.standard_normal(len(values))
+        found[name] = smooth * values + noise
+    return found
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.1, 0.03, 0.01, 0.001, 0.0])
+def test_smoother_track_and_standstill_are_no_fault(six_sensors, factor):
+    """All sensors become quiet together, at last quieter than their own noise."""
+    signals, usable, speed, _ = six_sensors
+    three = {name: signals[f"{name} left"] for name in CHANNELS}
+    for some in (signals, three):
+        faults, loose, silent = find_loose(
+            quieter(some, factor, 180, 400), usable, speed, COMMON_HZ
+        )
+        assert faults == ()
+        assert not loose.any()
+        if factor <= 0.01:
+            assert silent[19_000:39_000].all()
+        elif factor >= 0.1:
+            assert not silent.any()
+        assert not silent[:17_000].any()
+
+
+HEALTHY = [
+    (0, None, "service", "german_low", 45.0),
+    (1, "both", "steady", "chinese_ballastless", 20.0),
+    (2, "left", "service", "chinese_ballastless", 70.0),
+]
+"""Seed, sides, journey, track and speed of healthy trips."""
+
+
+@pytest.mark.parametrize(("seed", "sides", "journey", "track", "speed"), HEALTHY)
+def test_healthy_trips_have_no_loose_sensor(tmp_path, seed, sides, journey, track, speed):
+    minutes = 10.0 if journey == "steady" else 16.0
+    options = {"journey": journey, "track": track, "speed_m_per_s": speed, "minutes": minutes}
+    signals, usable, known_speed, faults = simulated(tmp_path, seed, sides, **options)
+    assert faults == ()
+    found, loose, _ = find_loose(signals, usable, known_speed, COMMON_HZ)
+    assert found == ()
+    assert not loose.any()
+
+
+@cache
+def drawn(seed):
+    rng = np.random.default_rng([13, seed])
+    journey = rng.choice(["steady", "service"])
+    return {
+        "sides": rng.choice([None, "left", "both"]),
+        "journey": str(journey),
+        "track": str(rng.choice(["german_low", "german_high", "chinese_ballastless"])),
+        "speed_m_per_s": float(rng.uniform(25, 80 if journey == "steady" else 70)),
+        "minutes": float(rng.choice([10.0, 20.0])) if journey == "steady" else 20.0,
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40))
+def test_forty_trips_sound_and_loose(tmp_path, seed):
+    """None of the sound ones has a finding; each loose sensor is found, on 10 and 20 minutes."""
+    signals, usable, speed, faults = simulated(tmp_path, seed, **drawn(seed))
+    assert faults == ()
+    assert find_loose(signals, usable, speed, COMMON_HZ)[0] == ()
+    rng = np.random.default_rng([14, seed])
+    moving = binary_erosion(speed > 15, iterations=1000)
+    for kind in KINDS:
+        name = list(signals)[int(rng.integers(len(signals)))]
+        worse = signals | {name: loosened(signals[name], kind, COMMON_HZ, (180, 1200))}
+        found, loose, _ = find_loose(worse, usable, speed, COMMON_HZ)
+        assert [fault.channel for fault in found] == [name], kind
+        assert loose[18_000:][moving[18_000:]].all()
+        assert float(found[0].words.split()[2]) == pytest.approx(180, abs=45)
