@@ -148,13 +148,16 @@ def trip(folder: Path, path: Path) -> None:
     ],
     ids=["acting", "declaring"],
 )
-def test_check_names_the_file_in_one_line(tmp_path, bait, payloads, names, harmless):
+def test_check_names_the_file_in_one_line(
+    tmp_path, tmp_path_factory, bait, payloads, names, harmless
+):
+    place = tmp_path_factory.mktemp("run")
     for name, path in written(tmp_path / "files", payloads, names).items():
         folder = tmp_path / f"trip {path.parent.name}"
         trip(folder, path)
         before = state(tmp_path)
         command = [sys.executable, "-m", "suspnet.check", str(folder)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=place)
         said = done.stdout + done.stderr
         assert "Traceback" not in said, (name, said)
         assert done.returncode != 0, (name, said)
