@@ -225,7 +225,8 @@ def _progress() -> Iterator[None]:
     """Send lines of progress to standard error, those of a multirun with the number of the job."""
     with ExitStack() as stack:
         if logging.getLogger().handlers:  # hydra/job_logging=none asks for silence
-            number = f"{HydraConfig.get().job.num}: " if folders.is_job() else ""
+            job = HydraConfig.get().job
+            number = "" if OmegaConf.is_missing(job, "num") else f"{job.num}: "
             stack.enter_context(progress.on_stderr(number))
         yield
 

@@ -11,13 +11,13 @@ from typing import Any, TextIO, cast
 from suspnet.storage import printable
 
 MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
-"""What progress bars write alone to move the cursor: to the begin of a line, and lines up."""
+"""What progress bars write alone to move the cursor: to the start of a line, and lines up."""
 
 
 class _Visible:
     """A text stream to which control characters are written as escapes, such as x1b.
 
-    A carriage return at the begin of what is written, by which a progress bar replaces its line,
+    A carriage return at the start of what is written, by which a progress bar replaces its line,
     is written as it is.
     """
 

@@ -182,6 +182,7 @@ class _Process:
             self._limit_s = _limit_s(stored)
             request = {
                 "path": str(path),
+                "folder": os.getcwd(),
                 "function": list(function),
                 "library": library,
                 "memory_bytes": memory_bytes(stored),
@@ -335,6 +336,7 @@ def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.soc
             control.close()
             file, connection, memory = handles
             shared = mmap.mmap(memory, SHARED_BYTES)
+            os.chdir(request["folder"])  # names in messages may be relative to it
             confine(file, Path(request["path"]), request["memory_bytes"])
             _serve_file(reader, Path(request["path"]), connection, shared)
         finally:
