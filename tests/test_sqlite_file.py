@@ -209,9 +209,7 @@ ACTS = {
         "ALTER TABLE suspensions RENAME TO theirs",
         f"CREATE VIEW suspensions AS {ENDLESS} SELECT i AS id, i AS number, i AS name FROM n",
     ),
-    "trigger": (
-        "CREATE TRIGGER t AFTER INSERT ON suspensions BEGIN DELETE FROM suspensions; END",
-    ),
+    "trigger": ("CREATE TRIGGER t AFTER INSERT ON suspensions BEGIN DELETE FROM suspensions; END",),
     "virtual table": ("CREATE VIRTUAL TABLE notes USING fts5(words)",),
 }
 

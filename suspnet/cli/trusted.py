@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import functools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,9 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
@@ -126,7 +126,7 @@ SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 
 
 class _CheckedRepository(ConfigRepository):
-    """Hydra's files of configurations; those of the user's folders are checked before they are read.
+    """Hydra's files of configurations; those of a user's folders are checked before they are read.
 
     A file that aliases make large, or that never ends, would otherwise take all memory.
     """

@@ -466,9 +466,7 @@ def test_numbers_and_words_of_a_launcher_may_be_changed(changed, message, monkey
         trusted._check_launcher(launcher)
 
 
-LAUGHS = "\n".join(
-    ["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
-)
+LAUGHS = "\n".join(["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))])
 
 
 @pytest.mark.parametrize(
