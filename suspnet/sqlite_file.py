@@ -17,6 +17,10 @@ APPLICATION_ID = slice(68, 72)
 USER_VERSION = slice(60, 64)
 """Places of two numbers in the header, which their owner chooses; 0 by default."""
 
+ACTING = "SELECT name FROM sqlite_master WHERE IFNULL(rootpage, 0) = 0"
+"""Query of what runs when tables are read or written: views, triggers and virtual tables. Files of
+this program have none; in one of somebody else's they need never come to an end."""
+
 
 def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
     """Raise an error if a file is somebody else's; a missing and an empty one can be used.
@@ -68,6 +72,8 @@ def _why_foreign(path: Path, header: bytes, marker: str) -> str:
     try:
         with closing(sqlite3.connect(address, uri=True)) as connection:
             if connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None:
+                if connection.execute(ACTING).fetchone() is not None:
+                    return "is a database of another application"
                 has_row = connection.execute(marker).fetchone() is not None
                 return "" if has_row else "is a database of another application"
     except sqlite3.OperationalError:

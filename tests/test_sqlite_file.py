@@ -201,3 +201,31 @@ def test_journal_of_another_version_is_refused_unchanged(tmp_path):
 def test_sqlite_url_with_options_is_refused(tmp_path):
     with pytest.raises(HistoryError, match="without options"):
         History(f"sqlite:///{tmp_path}/store?mode=memory")
+
+
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+ACTS = {
+    "view": (
+        "ALTER TABLE suspensions RENAME TO theirs",
+        f"CREATE VIEW suspensions AS {ENDLESS} SELECT i AS id, i AS number, i AS name FROM n",
+    ),
+    "trigger": ("CREATE TRIGGER t AFTER INSERT ON suspensions BEGIN DELETE FROM suspensions; END",),
+    "virtual table": ("CREATE VIRTUAL TABLE notes USING fts5(words)",),
+}
+
+
+@pytest.mark.parametrize("kind", OPENED)
+@pytest.mark.parametrize("acts", ACTS)
+@pytest.mark.parametrize("is_numbered", [True, False])
+@pytest.mark.timeout(60)
+def test_files_that_act_when_they_are_read_are_refused_at_once(kind, acts, is_numbered, tmp_path):
+    opened, error = OPENED[kind]
+    path = tmp_path / "sent"
+    opened(path).close()
+    database(path, *ACTS[acts])
+    if not is_numbered:
+        database(path, "PRAGMA application_id = 0")
+    before = path.read_bytes()
+    with pytest.raises(error, match=r"sent: .*(no store|no journal)"):
+        opened(path).close()
+    assert path.read_bytes() == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from suspnet.checks import check_choice
 from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle
 from suspnet.plain_files import read_plain
+from suspnet.recordings.core_yaml import parse_yaml
 
 
 def _configs() -> str:
@@ -23,6 +25,8 @@ def _configs() -> str:
 
 CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
+MOST_INTERPOLATED = 2**13
+"""Largest number of characters of all texts with interpolations in a file."""
 VEHICLE = "suspnet.dynamics.Vehicle"
 """Target of the files of the group `vehicle`."""
 TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
@@ -43,6 +47,38 @@ def store_tables() -> None:
             ConfigStore.instance().store(name=str(name), node=node, group=group, package=package)
 
 
+def check_file(file: Path) -> None:
+    """Check that a configuration is a plain file which takes little time and memory to load.
+
+    Raises
+    ------
+    ValueError
+        If it waits, never ends, is no YAML without tags, grows by its aliases beyond what
+        `parse_yaml` reads, or holds more interpolations than are parsed in seconds.
+    """
+    content = read_plain(file)
+    try:
+        values = walk(parse_yaml(content.decode(errors="replace")), "")
+        texts = [one for _, _, one in values if isinstance(one, str) and "${" in one]
+        if sum(map(len, texts)) > MOST_INTERPOLATED:
+            raise ValueError(f"its interpolations have more than {MOST_INTERPOLATED} characters")
+    except ValueError as error:
+        raise ValueError(f"{file} is no configuration: {error}") from error
+
+
+def walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+    """Yield key, path and value of each value below a mapping or list."""
+    pairs: Any = ()
+    if isinstance(value, dict):
+        pairs = value.items()
+    elif isinstance(value, list):
+        pairs = enumerate(value)
+    for key, one in pairs:
+        name = f"{path}.{key}" if path else str(key)
+        yield str(key), name, one
+        yield from walk(one, name)
+
+
 def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     """Return the vehicle of every file of the group `vehicle` of a folder, by the file's name.
 
@@ -55,6 +91,7 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     """
     vehicles = {}
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
+        check_file(file)
         content = OmegaConf.to_container(OmegaConf.create(read_plain(file).decode()), resolve=False)
         # a road vehicle's file sets a speed and a track beside the vehicle
         vehicle = content.get("vehicle", content) if isinstance(content, dict) else None

@@ -10,30 +10,29 @@ from __future__ import annotations
 import copy
 import functools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository
+from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
+from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.configs import CONFIGS
+from suspnet.cli.configs import CONFIGS, check_file, walk
 from suspnet.cli.typed import check_typed
-from suspnet.plain_files import NotPlainError, read_plain
-from suspnet.recordings.core_yaml import TooLargeError, parse_yaml
 
-DEPTH = 4
-"""Depth of the folders that are looked into, as Hydra's own hydra/job_logging/NAME.yaml has 2."""
 OBSERVATIONS = ("suspnet.data.curves.CurveSettings", "suspnet.data.estimates.EstimateSettings")
 TARGETS: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("suspnet.dynamics.Vehicle",),
@@ -126,20 +125,26 @@ SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that tell Hydra or Python's logging to call something."""
 
 
-def _check_files(folder: Path) -> None:
-    """Raise ValueError if a file that Hydra may read waits, never ends or grows when it is read."""
-    for depth in range(DEPTH):
-        for file in folder.glob("*/" * depth + "*.yaml"):
-            if file.is_dir():
-                continue
-            try:
-                parse_yaml(read_plain(file).decode(errors="replace"))
-            except NotPlainError as error:
-                raise ValueError(f"{error}; move it out of the folder of configurations") from error
-            except TooLargeError as error:
-                raise ValueError(f"{file} is no configuration: {error}") from error
-            except (OSError, ValueError):  # Hydra names it if it is asked for
-                continue
+class _CheckedRepository(ConfigRepository):
+    """Hydra's files of configurations; those of a user's folders are checked before they are read.
+
+    A file that aliases make large, or that never ends, would otherwise take all memory.
+    """
+
+    def load_config(self, config_path: str) -> ConfigResult | None:
+        """Load a configuration; ValueError if it lies elsewhere, or is none that may be read."""
+        parts = Path(config_path)
+        if parts.is_absolute() or ".." in parts.parts:
+            raise ValueError(
+                f"{config_path!r} leads out of the folder of configurations; name an option of a "
+                "group"
+            )
+        source = self._find_object_source(config_path, ObjectType.CONFIG)
+        if source is not None and source.provider == "command-line" and source.scheme() == "file":
+            file = Path(source.path, source._normalize_file_name(config_path))
+            check_file(file)
+        found: ConfigResult | None = super().load_config(config_path)
+        return found
 
 
 class CheckedLoader(ConfigLoaderImpl):
@@ -147,6 +152,10 @@ class CheckedLoader(ConfigLoaderImpl):
 
     _typed: frozenset[str] | None = None
     """Keys that the command line names; it is loaded before the jobs of a multirun."""
+
+    def __init__(self, config_search_path: ConfigSearchPath) -> None:
+        super().__init__(config_search_path)
+        self.repository = _CheckedRepository(config_search_path)
 
     def load_configuration(
         self,
@@ -164,9 +173,6 @@ class CheckedLoader(ConfigLoaderImpl):
             If it asks for what is not trusted, or a file of a folder of the user's is no plain file
             or far too large.
         """
-        for source in self.get_sources():
-            if source.provider == "command-line" and source.scheme() == "file":
-                _check_files(Path(source.path))
         try:
             config = super().load_configuration(
                 config_name, overrides, run_mode, from_shell, validate_sweep_overrides
@@ -239,23 +245,10 @@ def check_configuration(config: DictConfig) -> None:
 
 def _check_values(value: Any, path: str) -> None:
     """Check keys, targets and resolvers at and below a value as written."""
-    for key, name, one in _walk(value, path):
+    for key, name, one in walk(value, path):
         _check_key(key, name, one)
         if isinstance(one, str):
             _check_resolvers(name, one)
-
-
-def _walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
-    """Yield key, path and value of each value below a mapping or list."""
-    pairs: Any = ()
-    if isinstance(value, dict):
-        pairs = value.items()
-    elif isinstance(value, list):
-        pairs = enumerate(value)
-    for key, one in pairs:
-        name = f"{path}.{key}" if path else str(key)
-        yield str(key), name, one
-        yield from _walk(one, name)
 
 
 def _check_key(key: str, name: str, value: Any) -> None:
@@ -325,7 +318,7 @@ def _check_resolved(config: DictConfig) -> None:
 def _check_cluster(config: DictConfig) -> None:
     """Raise ValueError if a file names a cluster, as written or as resolved."""
     group, _, key = CLUSTER.partition(".")
-    written = [value for name, _, value in _walk(OmegaConf.to_container(config), "") if name == key]
+    written = [value for name, _, value in walk(OmegaConf.to_container(config), "") if name == key]
     monitor = config.get(group)
     if isinstance(monitor, DictConfig):
         written.append(monitor.get(key))

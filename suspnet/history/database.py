@@ -16,7 +16,7 @@ from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from suspnet.history.schema import SCHEMA, metadata, versions
-from suspnet.sqlite_file import check_own
+from suspnet.sqlite_file import ACTING, check_own
 
 log = logging.getLogger(__name__)
 WAIT_S = 60.0
@@ -155,6 +155,9 @@ def is_prepared(connection: Connection, name: str) -> bool:
     HistoryError
         If they are of another version, or not ours; it begins with the `name`.
     """
+    is_file = connection.dialect.name == "sqlite"
+    if is_file and connection.exec_driver_sql(ACTING).first() is not None:
+        raise HistoryError(f"{name}: it holds a view or trigger: this is no store of suspnet")
     there = set(sql.inspect(connection).get_table_names())
     if versions.name not in there:
         if there & set(metadata.tables):

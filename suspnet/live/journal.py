@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from suspnet.sqlite_file import check_own
+from suspnet.sqlite_file import ACTING, check_own
 
 FORMAT = "suspnet-journal-2"
 
@@ -121,7 +121,7 @@ class Journal:
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")
-        tables = {name for (name,) in run("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        tables = {name for (name,) in run("SELECT name FROM sqlite_master")}
         if not tables:
             run(f"PRAGMA application_id = {APPLICATION_ID}")
             run("CREATE TABLE format (name TEXT)")
@@ -131,6 +131,8 @@ class Journal:
                 "(number INTEGER PRIMARY KEY, name TEXT UNIQUE NOT NULL, state BLOB)"
             )
             run("CREATE TABLE frames (id INTEGER PRIMARY KEY, frame BLOB NOT NULL)")
+        elif run(ACTING).fetchone() is not None:
+            raise JournalError(f"{self.path}: it holds a view or trigger: this is no journal")
         elif "format" not in tables or run("SELECT name FROM format").fetchone() != (FORMAT,):
             raise JournalError(
                 f"{self.path}: this is no journal of a monitor, or of another version"

@@ -466,21 +466,52 @@ def test_numbers_and_words_of_a_launcher_may_be_changed(changed, message, monkey
         trusted._check_launcher(launcher)
 
 
-@pytest.mark.parametrize("place", ["vehicle/evil.yaml", "evil.yaml", "hydra/job_logging/evil.yaml"])
-@pytest.mark.parametrize("kind", ["pipe", "endless", "laughs", "hole"])
-def test_configuration_that_waits_or_grows_is_refused_at_once(tmp_path, place, kind):
+LAUGHS = "\n".join(["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))])
+
+
+@pytest.mark.parametrize(
+    ("place", "option"),
+    [
+        ("vehicle/evil.yaml", "vehicle=evil"),
+        ("evil.yaml", "--config-name=evil"),
+        ("hydra/job_logging/evil.yaml", "hydra/job_logging=evil"),
+        ("vehicle/a/b/c/d/e/evil.yaml", "vehicle=a/b/c/d/e/evil"),
+    ],
+)
+@pytest.mark.parametrize(
+    "kind", ["pipe", "endless", "laughs", "hole", "deep laughs", "tagged laughs", "interpolated"]
+)
+def test_configuration_that_waits_or_grows_is_refused_at_once(tmp_path, place, option, kind):
     file = tmp_path / "theirs" / place
     file.parent.mkdir(parents=True)
-    laughs = ["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
     {
         "pipe": lambda: os.mkfifo(file),
         "endless": lambda: file.symlink_to("/dev/zero"),
-        "laughs": lambda: file.write_text("\n".join(laughs)),
+        "laughs": lambda: file.write_text(LAUGHS),
         "hole": lambda: (file.touch(), os.truncate(file, 2**40)),
+        "deep laughs": lambda: file.write_text(f"x: {'[' * 25}{']' * 25}\n{LAUGHS}"),
+        "tagged laughs": lambda: file.write_text(f"x: !!int 1\n{LAUGHS}"),
+        "interpolated": lambda: file.write_text(f"x: {'${a}' * 100_000}"),
     }[kind]()
-    overrides = [f"+{place.split('/')[0]}=evil"] if place.count("/") == 1 else []
-    done = typed(train, f"--config-dir={tmp_path / 'theirs'}", *overrides, cwd=tmp_path)
+    done = typed(train, f"--config-dir={tmp_path / 'theirs'}", option, cwd=tmp_path)
     assert done.returncode == 1
-    assert f"{file}" in done.stderr
+    # Hydra takes no pipe and no device for a configuration
+    assert ("evil" if kind in ("pipe", "endless") else f"{file}") in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert os.listdir(tmp_path) == ["theirs"]
+
+
+@pytest.mark.parametrize("typed_too", [False, True])
+def test_configuration_leads_to_no_file_elsewhere(tmp_path, typed_too):
+    (tmp_path / "evil.yaml").write_text(LAUGHS)
+    up = f"{'../' * 30}{tmp_path.relative_to('/')}/evil"
+    option = f"vehicle={up}"
+    if not typed_too:
+        (tmp_path / "theirs/vehicle").mkdir(parents=True)
+        (tmp_path / "theirs/vehicle/x.yaml").write_text(f"defaults:\n  - {up}\n")
+        option = "vehicle=x"
+    theirs = [] if typed_too else [f"--config-dir={tmp_path / 'theirs'}"]
+    done = typed(train, *theirs, option, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "leads out of the folder of configurations" in done.stderr
+    assert len(done.stderr.splitlines()) == 1

@@ -151,7 +151,7 @@ STORES = [
             ("store: 'POSTGRESQL://127.0.0.1:PORT/fleet'", "named on the command line only"),
             ("x: '//127.0.0.1:PORT/x'\nstore: 'postgresql:${x}'", "named on the command line only"),
             ("store: '${now:postgresql://127.0.0.1:PORT/x}'", "named on the command line only"),
-            ("store: fleet.db\nopen_to_network: true\nhost: 0.0.0.0", "opened to the network"),
+            ("open_to_network: true\nhost: 0.0.0.0", "opened to the network"),
         ]
     )
 ]
