@@ -331,8 +331,18 @@ def test_estimates_that_wait_are_made_after_kills(tmp_path, fleet, every_s):
 # kills
 
 
-def run_child(folder, fleet, frames):
+def run_child(folder, fleet, frames, last=None):
+    """Run a monitor to the end, or until it asks for frames after `last` of them."""
     source = ListSource(frames, offset=folder / "offset", pauses=True)
+    if last is not None:
+        receive = source.receive
+
+        def received(timeout_s):
+            if source.at >= last:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return receive(timeout_s)
+
+        source.receive = received
     with open(folder / "published", "a") as file:
         source.publish = lambda *one: (file.write(f"{one}\n"), file.flush())
         monitored(folder, fleet, source)
@@ -351,14 +361,15 @@ def check_kills(folder, fleet, n_kills, seed):
     timed.start()
     timed.join(120)
     longest_s = (time.perf_counter() - start) / max(1, n_kills // 4)
-    for _ in range(20 * n_kills):  # each start gets further, or is killed before
-        child = fork.Process(target=run_child, args=(folder, fleet, frames))
+    for i in range(20 * n_kills):  # each start gets further, or is killed before
+        last = None if i else int(rng.integers(len(frames)))  # one kill is sure, however fast
+        child = fork.Process(target=run_child, args=(folder, fleet, frames, last))
         child.start()
-        child.join(rng.uniform(0, longest_s) if killed < n_kills else 120)
+        child.join(rng.uniform(0, longest_s) if 0 < killed < n_kills else 120)
         if child.is_alive():
             os.kill(child.pid, signal.SIGKILL)
-            killed += 1
         child.join()
+        killed += child.exitcode == -signal.SIGKILL
         if child.exitcode == 0:
             break
     assert child.exitcode == 0
