@@ -110,8 +110,9 @@ def read_healthy(
     FileNotFoundError
         If there is no such folder, or no manifest in it.
     TripError
-        If the trips are of another vehicle or bogie, of several suspensions or of sensors that differ, if a
-        recording is faulty, or if fewer than three trips have a stretch that can be used.
+        If the trips are of another vehicle or bogie, of several suspensions or of sensors that
+        differ, if a recording is faulty, or if fewer than three trips have a stretch that can be
+        used.
     """
     manifests = [read_manifest(path) for path in paths or find_manifests(folder)]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
