@@ -77,11 +77,16 @@ def init(arguments: Namespace) -> None:
     found = template(signals, path, [how for _, how in seen if how])
     write_atomically(path, found.text, force=arguments.force)
     print(
-        f"-> {path}: {len(signals)} columns of {len(files)} files\n"
+        f"-> {path}: {_count(len(signals), 'column')} of {_count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks)}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
         f"then run: suspnet-check {path}"
     )
+
+
+def _count(n: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{n} {noun}{'s' * (n != 1)}"
 
 
 def main() -> None:

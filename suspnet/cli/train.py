@@ -106,8 +106,8 @@ def _run(
 
 
 def _span(speeds: Sequence[float]) -> str:
-    """Return the lowest and the highest of some speeds."""
-    return f"{min(speeds):.1f} to {max(speeds):.1f} m/s"
+    """Return the lowest and the highest of some speeds, once if they are the same."""
+    return " to ".join(dict.fromkeys(f"{one:.1f}" for one in (min(speeds), max(speeds)))) + " m/s"
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:

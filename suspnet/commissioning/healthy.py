@@ -81,6 +81,7 @@ def read_healthy(
     settings: EstimateSettings,
     trips: TripSettings,
     *,
+    bogie: str | None = None,
     paths: Sequence[Path] | None = None,
     n_first: int | None = None,
     progress: bool = False,
@@ -96,6 +97,8 @@ def read_healthy(
     settings : EstimateSettings
         Bound to the vehicle: bins and window.
     trips : TripSettings
+    bogie : {"leading", "trailing"}, optional
+        The bogie that manifests must name which name one; None is any.
     paths : sequence of Path, optional
         Manifests of the folder that are read, where it holds those of others too; None is all.
     n_first : int, optional
@@ -107,13 +110,14 @@ def read_healthy(
     FileNotFoundError
         If there is no such folder, or no manifest in it.
     TripError
-        If the trips are of another vehicle, of several suspensions or of sensors that differ, if a
-        recording is faulty, or if fewer than three trips have a stretch that can be used.
+        If the trips are of another vehicle or bogie, of several suspensions or of sensors that
+        differ, if a recording is faulty, or if fewer than three trips have a stretch that can be
+        used.
     """
     manifests = [read_manifest(path) for path in paths or find_manifests(folder)]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     manifests = manifests[:n_first]
-    _check_same(folder, manifests, vehicle)
+    _check_same(folder, manifests, vehicle, bogie)
     kept: list[TripManifest] = []
     groups: list[HealthySpectra] = []
     paired: set[tuple[bool, bool, bool]] = set()
@@ -142,7 +146,9 @@ def read_healthy(
     return HealthyTrips(tuple(kept), tuple(groups), paired.pop(), tuple(left_out))
 
 
-def _check_same(folder: Path, manifests: Sequence[TripManifest], vehicle: str) -> None:
+def _check_same(
+    folder: Path, manifests: Sequence[TripManifest], vehicle: str, bogie: str | None
+) -> None:
     """Raise TripError unless all manifests are of one suspension of a vehicle."""
     for manifest in manifests:
         if manifest.vehicle != vehicle:
@@ -155,6 +161,12 @@ def _check_same(folder: Path, manifests: Sequence[TripManifest], vehicle: str) -
         raise TripError(
             f"{folder}: the trips are of several suspensions ({', '.join(places)}); each is "
             "commissioned on trips of its own: give a folder of one"
+        )
+    named = manifests[0].place.bogie
+    if named and bogie not in (None, named):
+        raise TripError(
+            f"{folder}: the trips are of the {named} bogie, the model would be of the {bogie} one: "
+            f"give generator.bogie={named}"
         )
 
 

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from suspnet.commissioning import words
 from suspnet.commissioning.fit import Commissioned, commission
@@ -54,14 +53,23 @@ def commission_folder(
     Raises
     ------
     FileNotFoundError, TripError
-        If the folder does not hold at least three healthy trips of one suspension of the vehicle.
+        If the folder does not hold at least three healthy trips of one suspension of the vehicle
+        and its bogie.
     ValueError
         If the generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
-    options: dict[str, Any] = {"paths": paths, "n_first": n_first, "progress": progress}
-    found = read_healthy(folder, generator.vehicle.name, settings, trips, **options)
+    found = read_healthy(
+        folder,
+        generator.vehicle.name,
+        settings,
+        trips,
+        bogie=generator.bogie,
+        paths=paths,
+        n_first=n_first,
+        progress=progress,
+    )
     outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):

@@ -43,6 +43,14 @@ def read_trips(
     return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
 
+def delete_trips(connection: Connection, keys: Collection[tuple[int, bytes]]) -> None:
+    """Delete trips with their curves, as far as they are there, by suspension and key."""
+    rows = [{"of": suspension, "gone": key} for suspension, key in sorted(keys)]
+    if rows:
+        of, key = trips.c.suspension_id == sql.bindparam("of"), trips.c.key == sql.bindparam("gone")
+        connection.execute(trips.delete().where(of, key), rows)
+
+
 def read_kept(
     connection: Connection,
     kind: type[Kept],

@@ -7,7 +7,7 @@ import json
 import logging
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import sqlalchemy as sql
@@ -89,6 +89,11 @@ def trip_key(result: TripResult) -> bytes:
     """Return what tells a trip from the others of its suspension: a hash of 16 bytes."""
     content = [result.trip, result.start, repr(float(result.mileage_km))]
     return hashlib.sha256(json.dumps(content).encode()).digest()[:16]
+
+
+def undated_key(result: TripResult) -> bytes:
+    """Return the key of a trip as it is where its start is not known."""
+    return trip_key(replace(result, start=""))
 
 
 def row_of(suspension: int, result: TripResult) -> dict[str, Any]:

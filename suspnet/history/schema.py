@@ -1,6 +1,7 @@
 """Tables of the history, the same in SQLite and PostgreSQL.
 
-A trip is known by its suspension and its key: a hash of name, start and mileage. NaN is NULL. The
+A trip is known by its suspension and its key: a hash of name, start and mileage. One that was
+kept without its start is replaced when it is known. NaN is NULL. The
 columns that a view of the whole fleet reads come first: SQLite reads a row only as far as it must.
 """
 

@@ -24,6 +24,7 @@ from suspnet.history.database import (
 )
 from suspnet.history.events import Event
 from suspnet.history.kept import (
+    delete_trips,
     other_alarms,
     read_kept,
     read_trips,
@@ -31,7 +32,7 @@ from suspnet.history.kept import (
     write_kept,
 )
 from suspnet.history.records import TripResult
-from suspnet.history.rows import BadRow, Key, log_once, row_of
+from suspnet.history.rows import BadRow, Key, log_once, row_of, undated_key
 from suspnet.history.schema import trips
 from suspnet.history.series import Series, read_series
 from suspnet.history.suspensions import (
@@ -137,6 +138,8 @@ class History:
     def write(self, results: Sequence[TripResult]) -> None:
         """Keep trips, all or none. One that is there already is replaced by what was read last.
 
+        One that is there without its start is the trip of the same name and mileage that has one.
+
         The curves of the first trip of each suspension that has any are kept, and those of the
         ``N_NEWEST`` newest; not the overview of its signals.
 
@@ -151,6 +154,8 @@ class History:
             )
             raise_revisions(connection, ids.values())  # locks them, always in this order
             rows = [row_of(ids[result.vehicle, result.place], result) for result in results]
+            dated = [r for r in results if r.start]
+            delete_trips(connection, [(ids[r.vehicle, r.place], undated_key(r)) for r in dated])
             upsert(connection, trips, rows)
             of_each: dict[int, dict[bytes, TripResult]] = {}
             for row, result in zip(rows, results, strict=True):

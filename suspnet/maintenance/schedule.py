@@ -230,7 +230,7 @@ class Plan:
         if self.waiting:
             first = self.waiting[0]
             when = f"within {first.plan_again_km:.0f} km" if first.plan_again_km else "at each trip"
-            lines.append(f"Plan again {when}, for {first.part}.")
+            lines.append(f"Plan again {when}, for train {first.part}.")
         return "\n".join(lines)
 
 

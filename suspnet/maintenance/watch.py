@@ -16,6 +16,8 @@ from suspnet.types import BoolArray, FloatArray
 
 N_QUIET = 3
 """Trips in a row within the limits that end an alarm: one that comes and goes stands."""
+ABSURD = 10.0
+"""Level over healthy beyond which words give no number: no suspension has it."""
 GOES_ON = 1.5
 """Ratio of a change now to what it was at its alarm from which words give both."""
 
@@ -187,7 +189,9 @@ def _beyond(
 
 
 def beside(value: float, limit: float) -> str:
-    """Return a level in %, with as many digits as tell it from a limit."""
+    """Return a level in %, with as many digits as tell it from a limit, or that it is absurd."""
+    if value > ABSURD > limit:
+        return f"at over {100 * ABSURD:.0f} %"
     digits = 0
     while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
         digits += 1

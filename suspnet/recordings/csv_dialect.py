@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from suspnet.recordings.checked_mapping import TripError
-from suspnet.recordings.dates import date_in_lines
+from suspnet.recordings.dates import date_in_lines, read_date
 from suspnet.recordings.manifest import DELIMITERS, CsvDialect
 from suspnet.recordings.units import is_unit, unit_in_name
 
@@ -43,6 +43,8 @@ _NUMBER = {
     ".": re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|{_INFINITE}"),
     ",": re.compile(rf"[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?|{_INFINITE}"),
 }
+_CLOCK = re.compile(r"(?:.* )?\d{1,2}:\d\d:\d\d,\d+")
+"""A time of day with a decimal comma, alone or after a date."""
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _STAMP = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?(Z|[+-]\d\d(?::?\d\d)?)?"
@@ -77,7 +79,7 @@ class Found:
         Of each column "" for numbers, "local" or "utc" for time stamps without or with a zone.
     has_bom : bool
     date : str or None
-        When the recording began, by the lines above the names.
+        When the recording began, by the lines above the names or columns of words in the first row.
     """
 
     encoding: str
@@ -187,8 +189,16 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         best.units,
         best.stamps,
         has_bom,
-        date_in_lines(lines[: (best.header_line or best.first_line) - 1]),
+        date_in_lines(lines[: (best.header_line or best.first_line) - 1])
+        or _date_in_row(lines[best.first_line - 1], candidate),
     )
+
+
+def _date_in_row(line: str, one: _Candidate) -> str | None:
+    """Return the date and time of day in a row's columns of words; None if there are none."""
+    read = {*one.numeric, *one.stamped}
+    text = " ".join(cell for i, cell in enumerate(one.splits(line)) if cell and i not in read)
+    return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
 
 def _unreadable(path: Path, reason: str) -> TripError:
@@ -268,6 +278,7 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
             commas += [cell for cell in numbers if "," in cell]
         others = [cell for cell in filled if not (is_number(cell) or _STAMP.fullmatch(cell))]
         n_broken += sum(cell.lstrip("+-.,")[:1].isdigit() for cell in others)
+        commas += [cell for cell in others if decimal == "," and _CLOCK.fullmatch(cell)]
     thousands = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
     places = tuple(numeric), tuple(stamped)
     return _Candidate(delimiter, decimal, len(rows[0]), *places, n_broken, thousands)

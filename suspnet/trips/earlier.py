@@ -10,7 +10,7 @@ import numpy as np
 
 from suspnet.history import Event, History
 from suspnet.history.records import ERROR, OK, TripResult
-from suspnet.history.rows import trip_key
+from suspnet.history.rows import trip_key, undated_key
 from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import Place
 from suspnet.trips.commissionings import since_km
@@ -34,8 +34,13 @@ def with_earlier(
     vehicle = models[0].vehicle.name
     kept = [r for r in results if r.status != ERROR and r.vehicle == vehicle]
     store.write(kept)
-    now = {trip_key(r) for r in results}
-    earlier = [r for r in store.read(vehicle, place) if trip_key(r) not in now]
+    now = {key(r) for r in results for key in (trip_key, undated_key)}
+    undated = {trip_key(r) for r in results if not r.start}
+    earlier = [
+        r
+        for r in store.read(vehicle, place)
+        if trip_key(r) not in now and undated_key(r) not in undated
+    ]
     fitting = [r for r in earlier if r.status != OK or any(_is_of(r, m) for m in models)]
     if len(fitting) < len(earlier):
         log.warning(

@@ -194,3 +194,12 @@ def test_a_folder_without_trips_is_named(folder, tmp_path):
     empty.mkdir()
     with pytest.raises(FileNotFoundError, match=r"holds no \*\.yaml file"):
         read(empty)
+
+
+def test_trips_of_the_other_bogie_are_refused_before_they_are_read(manifests, tmp_path):
+    for manifest, name in zip(manifests, NAMES, strict=True):
+        changed(manifest, tmp_path, name, bogie="trailing")
+    with pytest.raises(TripError, match=r"of the trailing bogie.*: give generator\.bogie=trailing"):
+        read(tmp_path, bogie="leading")
+    for bogie in ("trailing", None):
+        assert len(read(tmp_path, bogie=bogie).manifests) == 3

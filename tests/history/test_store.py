@@ -312,3 +312,14 @@ def test_the_password_is_not_shown():
         History("postgresql://me:secret@127.0.0.1:1/x")
     assert "secret" not in str(caught.value)
     assert "127.0.0.1" in str(caught.value)
+
+
+def test_a_trip_that_was_kept_without_its_date_is_the_same_trip(store):
+    store.write([trip(i, start="") for i in range(3)])
+    store.write([trip(i) for i in range(2)])  # its files said the date this time
+    found = store.read(VEHICLE, PLACE)
+    assert [one.trip for one in found] == ["trip_000", "trip_001", "trip_002"]
+    assert [one.start for one in found] == [trip(0).start, trip(1).start, ""]
+    assert [one.trip for one in store.responses(VEHICLE, PLACE)] == [r.trip for r in found]
+    store.write([trip(0, start="2025-01-01"), trip(0, start="", mileage_km=1.0)])
+    assert len(store.read(VEHICLE, PLACE)) == 5  # another date or mileage is another trip

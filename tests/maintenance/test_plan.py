@@ -436,6 +436,7 @@ def test_table_and_rows_say_where_what_and_until_when():
     waits = planned(part(300_000.0, "right"), settings=spared)
     assert waits.rows()[-1]["what"] == "plan again"
     assert "Plan again within" in str(waits)
+    assert str(waits).endswith(", for train T1, right, c_p.")
 
 
 def test_calendar_shows_the_most_urgent_trains():

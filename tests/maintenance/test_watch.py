@@ -205,3 +205,8 @@ def test_words_of_an_alarm_of_a_limit_give_the_present_value(last, words):
     (alarm,) = [one for one in found.alarms if one.cause == Cause.LIMIT]
     assert alarm.is_open
     assert alarm.words.startswith(words)
+
+
+def test_a_level_that_no_suspension_has_is_no_number():
+    assert beside(1.52e6, 1.25) == "at over 1000 %"
+    assert beside(3.65, 1.25) == "at 365 %"

@@ -158,6 +158,17 @@ def test_every_number_is_kept(tmp_path_factory, rows, dialect, encoding, n_lines
     np.testing.assert_array_equal(got, np.transpose(rows))
 
 
+def test_a_german_logger_with_columns_of_date_and_clock_says_start_and_decimal_sign(tmp_path):
+    path = tmp_path / "gps.csv"
+    rows = "".join(f"03.08.2015;06:20:{i:02d},000;252,000\n" for i in range(9))
+    path.write_text("Datum;Uhrzeit;Geschwindigkeit [km/h]\n" + rows)
+    found = find_dialect(path)
+    assert (found.decimal, found.date) == (",", "03.08.2015 06:20:00,000")
+    np.testing.assert_array_equal(read(path, "Geschwindigkeit [km/h]")[0], np.full(9, 252.0))
+    path.write_text("n;Datum;a\n" + "1;03/08/2015 06:20;0,5\n" * 9)  # March or August?
+    assert find_dialect(path).date is None
+
+
 # --- failure -------------------------------------------------------------------------------------
 
 

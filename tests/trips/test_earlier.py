@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from test_fleet import SETTINGS, no_figures  # noqa: F401
 from trip_fixtures import changed
-from trip_records import fleet
+from trip_records import fleet, trip
 
 from suspnet.history import Event, History
+from suspnet.history.records import ERROR
 from suspnet.maintenance import Acknowledgement, Cause, Severity
 from suspnet.trips import fleet as fleet_module
-from suspnet.trips.earlier import between
+from suspnet.trips.earlier import between, with_earlier
 from suspnet.trips.fleet import evaluate_fleet
 from suspnet.trips.trip import evaluate_trip
 
@@ -76,6 +77,16 @@ def test_a_folder_is_read_with_the_trips_of_earlier_ones(
     metrics = json.loads((tmp_path / "five" / "metrics.json").read_text())
     assert metrics["trends"][0]["n_trips"] == 1
     assert metrics["maintenance"][0]["words"] == "new springs"
+
+
+def test_a_trip_whose_date_is_known_once_is_listed_once(model, store):
+    healthy = dict(zip(model.healthy.names, model.healthy.values, strict=True))
+    known = trip(0, vehicle=model.vehicle.name, healthy_si=healthy)
+    undated = replace(known, start="")
+    store.write([undated])
+    assert with_earlier([known], known.place, [model], store) == [known]
+    failed = replace(undated, status=ERROR)  # before its files said their date
+    assert with_earlier([failed], known.place, [model], store) == [failed]
 
 
 def test_trips_between_maintenance():
