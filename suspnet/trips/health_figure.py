@@ -14,6 +14,7 @@ from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.watch import ABSURD
 from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
 from suspnet.trips.figures import MILEAGE_LABEL, by_mileage, say
@@ -122,15 +123,16 @@ def on_axis(values: FloatArray, flagged: BoolArray) -> FloatArray:
     """Return the values that an axis must hold, so that one odd trip does not squeeze all others.
 
     These are the unflagged trips, or all if all are flagged, and the median of neighbouring trips:
-    it follows a lasting change, be it flagged.
+    it follows a lasting change, be it flagged. A level that no suspension has is beyond the axis.
 
     Parameters
     ----------
-    values : array of shape (n_trips,)
+    values : array of shape (n_trips,), [%]
         In the order of the mileage, without NaN.
     flagged : bool array of shape (n_trips,)
     """
-    return np.append(values if flagged.all() else values[~flagged], running_median(values))
+    shown = np.append(values if flagged.all() else values[~flagged], running_median(values))
+    return np.minimum(shown, 100 * ABSURD)
 
 
 def _draw(axis: Axes, trips: Sequence[TripResult], name: str, level: float) -> None:
@@ -192,7 +194,7 @@ def _mark_cut_off(axis: Axes, mileage: FloatArray, values: FloatArray) -> None:
         axis.plot(mileage[beyond], heights, marker, label="beyond the axis", **style)
         for km, value in zip(mileage[beyond], values[beyond], strict=True):
             axis.annotate(
-                f"{value:.0f} %",
+                f"{value:.0f} %" if value <= 100 * ABSURD else f"over {100 * ABSURD:.0f} %",
                 (km, edge),
                 (6, -2 if edge else 2),
                 xycoords=edges,

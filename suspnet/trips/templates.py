@@ -13,6 +13,7 @@ from markupsafe import Markup
 from suspnet.dynamics.vehicle import UNITS
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.watch import ABSURD
 
 SEVERITIES = {
     Severity.ACT: ("act", "Act"),
@@ -73,6 +74,13 @@ def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
         return NO_NUMBER
     text = f"{value * scale:.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
+
+
+def level(ratio: float | None, digits: int) -> str:
+    """Return a level over healthy in %, without the number where no suspension has such a one."""
+    if ratio is not None and ratio > ABSURD:
+        return f"over {100 * ABSURD:.0f}"
+    return number(ratio, digits, 100)
 
 
 def _plus_minus(half_width: float, digits: int) -> Markup:
@@ -142,6 +150,7 @@ def _unbroken(words: str) -> str:
 
 
 FILTERS = {
+    "level": level,
     "number": number,
     "plus_minus": _plus_minus,
     "thousands": thousands,

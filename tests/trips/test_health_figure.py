@@ -143,6 +143,14 @@ def test_all_flagged_are_all_shown():
     assert len(points(axis, FLAGGED)[0]) == 11
 
 
+def test_levels_that_no_suspension_has_are_beyond_the_axis():
+    trips = [flagged(r, k_p=1.4e5 if i < 3 else 0.85) for i, r in enumerate(measured())]
+    axis = drawn(trips)[0]
+    assert 85 < axis.get_ylim()[1] < 2000
+    assert [text.get_text() for text in axis.texts] == ["over 1000 %"] * 3
+    assert len(points(axis, BEYOND)[0]) == 3
+
+
 def test_a_wide_interval_is_cut_off_at_the_span_of_the_others():
     trips = measured()
     trips[5] = replace(trips[5], half_widths=HALF_WIDTHS | {"k_p": 2.0})

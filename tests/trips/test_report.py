@@ -256,6 +256,15 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
     assert "A hollow circle is a flagged trip" in page.text
 
 
+def test_a_level_that_no_suspension_has_is_no_number_in_the_table(tmp_path):
+    results = measured()
+    results[3] = flagged(results[3], k_p=1.4e5)
+    text, _ = write(tmp_path / "r.html", results)
+    row = text[text.index("trip_003") : text.index("trip_004")]
+    assert "over 1000</td>" in row
+    assert "14000000" not in row
+
+
 @pytest.mark.parametrize(
     ("n", "sentence"),
     [
