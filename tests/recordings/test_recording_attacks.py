@@ -7,6 +7,7 @@ nothing of another file comes in.
 import hashlib
 import json
 import os
+import stat
 import subprocess
 import sys
 import warnings
@@ -50,7 +51,7 @@ def state(folder: Path) -> str:
     for path in sorted(folder.rglob("*")):
         found = path.lstat()
         digest.update(repr((str(path), found.st_mode, found.st_size, found.st_mtime_ns)).encode())
-        if path.is_file() and found.st_size < 10**6:
+        if stat.S_ISREG(found.st_mode) and found.st_size < 10**6:  # no link to a huge file
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
