@@ -107,8 +107,7 @@ def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
     handle = os.open(root / LEDGER, os.O_APPEND | os.O_WRONLY | NO_LINKS)
     with os.fdopen(handle, "wb") as stream:
         if HAS_LOCKS:  # network file systems append at the end that they know of
-            with suppress(OSError):  # the file system has no locks
-                fcntl.flock(stream, fcntl.LOCK_EX)
+            lock(stream.fileno())
         stream.write(b"\n" + json.dumps(entry).encode())  # whole after a line that was cut off
         stream.flush()
         os.fsync(stream.fileno())
@@ -134,6 +133,20 @@ def free_name(path: Path) -> Path:
         number += 1
         found = path.with_stem(f"{path.stem}_{number}")
     return found
+
+
+def lock(handle: int, wait: bool = True) -> bool:
+    """Lock an open file or folder until it is closed; return False if someone else has it.
+
+    True where the file system has no locks.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    except OSError:  # the file system has no locks
+        pass
+    return True
 
 
 def _root(folder: Path) -> Path | None:

@@ -74,11 +74,11 @@ class _Lines(tqdm):  # type: ignore[type-arg]
         """Return what is done, how long it took, and about how long the rest will take."""
         state = self.format_dict
         n, total, elapsed_s = state["n"], state["total"], state["elapsed"]
-        told = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
-        told += [_span(elapsed_s)] * (elapsed_s >= 1)
+        parts = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
+        parts += [_span(elapsed_s)] * (elapsed_s >= 1)
         if n and total and elapsed_s >= 1:
-            told.append(f"about {_span(elapsed_s * (total - n) / n)} left")
-        return f"{self.desc}: {', '.join(told)}" if told else self.desc
+            parts.append(f"about {_span(elapsed_s * (total - n) / n)} left")
+        return f"{self.desc}: {', '.join(parts)}" if parts else self.desc
 
 
 def _span(seconds: float) -> str:

@@ -19,15 +19,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from suspnet import ledger
+from suspnet.ledger import HAS_LOCKS, lock
 from suspnet.plain_files import MOST_BYTES, MOST_TEXT_BYTES, NotPlainError, read_plain
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    HAS_LOCKS = False
-else:
-    HAS_LOCKS = True
-
 
 DESCRIPTORS = "/proc/self/fd"
 """Where Linux shows a process the files that it has open."""
@@ -132,21 +125,10 @@ def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder, os.O_RDONLY) if HAS_LOCKS else None
     try:
-        yield handle is None or _locks(handle, wait)
+        yield handle is None or lock(handle, wait)
     finally:
         if handle is not None:
             os.close(handle)
-
-
-def _locks(handle: int, wait: bool) -> bool:
-    """Lock a folder until its descriptor is closed; return False if someone else has it."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
-        return False
-    except OSError:  # the file system has no locks
-        pass
-    return True
 
 
 def write_json(path: Path, content: Any) -> Path:

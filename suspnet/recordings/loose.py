@@ -273,18 +273,18 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
 
 def _words(loose: BoolArray, alone: BoolArray, duration_s: float, start_s: float) -> str:
     """Return since when a sensor is loose, as far as the train ran, and what that means."""
-    told = []
+    stretches = []
     for start, stop in zip(*runs(loose), strict=True):
         at = np.flatnonzero(alone[start:stop]) + start
         first, last = (start_s + at[[0, -1]] + [-1.0, 3.0]).tolist()
         if start <= EDGE_S:
-            told.append(f"up to about {last:.0f} s")
+            stretches.append(f"up to about {last:.0f} s")
         elif stop >= len(loose) - EDGE_S:
-            told.append(f"from about {first:.0f} s on")
+            stretches.append(f"from about {first:.0f} s on")
         else:
-            told.append(f"from about {first:.0f} to {last:.0f} s")
-    more = f" and {len(told) - LISTED} times more" if len(told) > LISTED else ""
+            stretches.append(f"from about {first:.0f} to {last:.0f} s")
+    more = f" and {len(stretches) - LISTED} times more" if len(stretches) > LISTED else ""
     return (
-        f"{', '.join(told[:LISTED])}{more}: it shows nothing there of the motion that the others "
-        "show, and that part is left out; check its cable and connector"
+        f"{', '.join(stretches[:LISTED])}{more}: it shows nothing there of the motion that the "
+        "others show, and that part is left out; check its cable and connector"
     )

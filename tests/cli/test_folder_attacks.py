@@ -11,7 +11,7 @@ import shutil
 from dataclasses import dataclass, field
 
 import pytest
-from cli_runner import SMALL, typed
+from cli_runner import SMALL, lay_configurations, typed
 
 from suspnet import ledger
 from suspnet.cli import check, evaluate, history, replay, simulate, train
@@ -101,16 +101,7 @@ def lay_out(attack, folder):
     (folder / "link").symlink_to(home)
     (cwd / "here").symlink_to(home)
     places = {"HOME": str(home), "LINK": str(folder / "link")}
-
-    def filled(text):
-        for word, place in places.items():
-            text = text.replace(word, place)
-        return text
-
-    for name, text in attack.files.items():
-        file = folder / "theirs" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(filled(text))
+    filled = lay_configurations(folder / "theirs", attack.files, places)
     if attack.ledger is not None:
         lines = [filled(line) for line in attack.ledger]
         (home / ledger.LEDGER).write_text("\n".join(lines))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from cli_runner import typed
+from cli_runner import lay_configurations, typed
 from live_frames import encoded, frame
 from trip_fixtures import model_at, small_fleet
 
@@ -193,17 +193,8 @@ def _short(monkeypatch):
 def configured(group, payload, listener, run, fleet, folder, **variables):
     """Run the program of a group with a configuration of somebody else's."""
     program = "monitor" if group == "source" else "replay"
-
-    def filled(text):
-        words = {"GROUP": group, "PORT": str(listener.port), "PROGRAM": program}
-        for word, value in words.items():
-            text = text.replace(word, value)
-        return text
-
-    for name, text in payload.files.items():
-        file = folder / "theirs" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(filled(text))
+    words = {"GROUP": group, "PORT": str(listener.port), "PROGRAM": program}
+    filled = lay_configurations(folder / "theirs", payload.files, words)
     (cwd := folder / "cwd").mkdir()
     given = {
         "source": (monitor, f"run={run}", f"suspensions={fleet}", "store=fleet.db"),
@@ -385,6 +376,15 @@ def all_read(incoming, then):
     return source, found
 
 
+def only_good_is_gone(before, after, then):
+    """Assert that nothing has changed but the one file of frames, which is moved or deleted."""
+    good = before.pop("incoming/good.frames")
+    if then == "move":
+        assert after.pop("incoming/taken/good.frames") == good
+        after.pop("incoming/taken")
+    assert after == before
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("then", ["move", "delete"])
 @pytest.mark.parametrize("name", IN_FOLDER, ids=ascii)
@@ -394,12 +394,7 @@ def test_nothing_in_a_folder_but_our_frames_is_touched(name, then, tmp_path, mon
     lie(incoming, name)
     before = tree(tmp_path)
     source, found = all_read(incoming, then)
-    after = tree(tmp_path)
-    good = before.pop("incoming/good.frames")
-    if then == "move":
-        assert after.pop("incoming/taken/good.frames") == good
-        after.pop("incoming/taken")
-    assert after == before
+    only_good_is_gone(before, tree(tmp_path), then)
     assert set(OURS) <= set(found)
     is_silent = name.startswith("name:..") or (name.startswith("other:") and "folder" in name)
     assert source.counts["left"] == (0 if is_silent else 1)
@@ -418,12 +413,7 @@ def test_nothing_in_a_full_folder_but_our_frames_is_touched(then, tmp_path, monk
             lie(incoming, name)
     before = tree(tmp_path)
     all_read(incoming, then)
-    after = tree(tmp_path)
-    good = before.pop("incoming/good.frames")
-    if then == "move":
-        assert after.pop("incoming/taken/good.frames") == good
-        after.pop("incoming/taken")
-    assert after == before
+    only_good_is_gone(before, tree(tmp_path), then)
 
 
 @pytest.mark.slow
