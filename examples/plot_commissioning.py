@@ -27,7 +27,8 @@ from suspnet import (
     read_vehicles,
     train,
 )
-from suspnet.commissioning import commission, read_healthy
+from suspnet.estimation.commissioning import commission
+from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.simulation import Fleet, Scenario, write_fleet
 
 plt.style.use("tableau-colorblind10")

@@ -14,7 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from suspnet import PARAMETERS, EstimateSettings, VerticalVehicle, read_vehicles
-from suspnet.theory import cramer_rao, fisher_information, places, recording_information
+from suspnet.estimation.information import cramer_rao, fisher_information
+from suspnet.estimation.sensor_information import places, recording_information
 
 plt.style.use("tableau-colorblind10")
 MINUTES = 20.0

@@ -12,43 +12,81 @@ from suspnet._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from suspnet.cli.configs import read_protocol, read_vehicles
-    from suspnet.data import CurveSettings, EstimateSettings, Protocol, Task
-    from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
-    from suspnet.features import (
-        CurveFeatures,
-        PeakFeatures,
-        PeakFit,
-        Welch,
-        findpeaks,
-        tfestimate,
-    )
-    from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression
-    from suspnet.model import Estimate, ModelFileError, TrainedModel, load_model, save_model
-    from suspnet.model.from_recording import TripSettings
-    from suspnet.problem import Problem
-    from suspnet.recordings import Recording, TripError, load_recording, read_manifest
-    from suspnet.recordings.segments import NoEstimateError
+    from suspnet.dynamics.quarter_car import QuarterCar
+    from suspnet.dynamics.vehicle import Vehicle
+    from suspnet.dynamics.vertical_vehicle import VerticalVehicle
+    from suspnet.estimation.checkpoint import load_model, save_model
+    from suspnet.estimation.estimate import Estimate
+    from suspnet.estimation.fitted import ModelFileError
+    from suspnet.estimation.from_recording import TripSettings
+    from suspnet.estimation.problem import Problem
+    from suspnet.estimation.protocols import Protocol, Task
+    from suspnet.estimation.trained import TrainedModel
+    from suspnet.ground.parameters import PARAMETERS
+    from suspnet.learning.baselines import SVR, LinearRegression
+    from suspnet.learning.least_squares import CurveFit
+    from suspnet.learning.msvr import MSVR
+    from suspnet.learning.mvgpr import MVGPR
+    from suspnet.recordings.checked_mapping import TripError
+    from suspnet.recordings.manifest_files import read_manifest
+    from suspnet.recordings.recording import Recording, load_recording
     from suspnet.runs.train import train
+    from suspnet.spectra.components import CurveFeatures
+    from suspnet.spectra.curves import CurveSettings
+    from suspnet.spectra.estimates import EstimateSettings
+    from suspnet.spectra.extraction import PeakFeatures
+    from suspnet.spectra.peaks import PeakFit, findpeaks
+    from suspnet.spectra.segments import NoEstimateError
+    from suspnet.spectra.transfer_estimate import tfestimate
+    from suspnet.spectra.welch import Welch
 
 _HOMES = {
-    "suspnet.cli.configs": ("read_protocol", "read_vehicles"),
-    "suspnet.data": ("CurveSettings", "EstimateSettings", "Protocol", "Task"),
-    "suspnet.dynamics": ("PARAMETERS", "QuarterCar", "Vehicle", "VerticalVehicle"),
-    "suspnet.features": (
-        "CurveFeatures",
-        "PeakFeatures",
-        "PeakFit",
-        "Welch",
-        "findpeaks",
-        "tfestimate",
+    "suspnet.cli.configs": (
+        "read_protocol",
+        "read_vehicles",
     ),
-    "suspnet.learning": ("MSVR", "MVGPR", "SVR", "CurveFit", "LinearRegression"),
-    "suspnet.model": ("Estimate", "ModelFileError", "TrainedModel", "load_model", "save_model"),
-    "suspnet.model.from_recording": ("TripSettings",),
-    "suspnet.problem": ("Problem",),
-    "suspnet.recordings": ("Recording", "TripError", "load_recording", "read_manifest"),
-    "suspnet.recordings.segments": ("NoEstimateError",),
+    "suspnet.dynamics.quarter_car": ("QuarterCar",),
+    "suspnet.dynamics.vehicle": ("Vehicle",),
+    "suspnet.dynamics.vertical_vehicle": ("VerticalVehicle",),
+    "suspnet.estimation.checkpoint": (
+        "load_model",
+        "save_model",
+    ),
+    "suspnet.estimation.estimate": ("Estimate",),
+    "suspnet.estimation.fitted": ("ModelFileError",),
+    "suspnet.estimation.from_recording": ("TripSettings",),
+    "suspnet.estimation.problem": ("Problem",),
+    "suspnet.estimation.protocols": (
+        "Protocol",
+        "Task",
+    ),
+    "suspnet.estimation.trained": ("TrainedModel",),
+    "suspnet.ground.parameters": ("PARAMETERS",),
+    "suspnet.learning.baselines": (
+        "LinearRegression",
+        "SVR",
+    ),
+    "suspnet.learning.least_squares": ("CurveFit",),
+    "suspnet.learning.msvr": ("MSVR",),
+    "suspnet.learning.mvgpr": ("MVGPR",),
+    "suspnet.recordings.checked_mapping": ("TripError",),
+    "suspnet.recordings.manifest_files": ("read_manifest",),
+    "suspnet.recordings.recording": (
+        "Recording",
+        "load_recording",
+    ),
     "suspnet.runs.train": ("train",),
+    "suspnet.spectra.components": ("CurveFeatures",),
+    "suspnet.spectra.curves": ("CurveSettings",),
+    "suspnet.spectra.estimates": ("EstimateSettings",),
+    "suspnet.spectra.extraction": ("PeakFeatures",),
+    "suspnet.spectra.peaks": (
+        "PeakFit",
+        "findpeaks",
+    ),
+    "suspnet.spectra.segments": ("NoEstimateError",),
+    "suspnet.spectra.transfer_estimate": ("tfestimate",),
+    "suspnet.spectra.welch": ("Welch",),
 }
 """Every public name by the module that defines it."""
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -6,14 +6,14 @@ from pathlib import Path
 import torch
 from vehicles import AM96
 
-from suspnet.commissioning import HealthySpectra, commission
-from suspnet.commissioning.healthy import HealthyTrips
-from suspnet.data.estimates import EstimateSettings
-from suspnet.data.speeds import Speeds
-from suspnet.data.wishart import moving_average_with, sample_spectra
 from suspnet.dynamics import VerticalVehicle
-from suspnet.features.cross_spectra import CrossSpectra
+from suspnet.estimation.commissioning import commission
+from suspnet.estimation.healthy_trips import HealthySpectra, HealthyTrips
 from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.wishart import moving_average_with, sample_spectra
 
 SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0

@@ -14,8 +14,8 @@ from protocols import shipped_protocol
 from threadpoolctl import threadpool_limits
 from vehicles import AM96
 
-from suspnet.data import Protocol, Task
 from suspnet.dynamics import QuarterCar, Vehicle
+from suspnet.estimation.protocols import Protocol, Task
 
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")

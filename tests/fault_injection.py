@@ -22,9 +22,9 @@ import yaml
 from PIL import Image
 
 from suspnet.cli import evaluate, simulate, train
+from suspnet.ground.storage import read_arrays, read_json
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.storage import read_arrays, read_json
-from suspnet.trips.finished import FOLDER
+from suspnet.trips.result_cache import FOLDER
 
 RATES_HZ = (400.0, 250.0, 250.0)
 FEW = [

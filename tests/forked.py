@@ -55,7 +55,7 @@ def run_apart(function, *arguments):
 
 def _begin(files, function, arguments):
     """Call a function whose output goes to files."""
-    multiprocessing.process._parent_process = None  # it is no worker: see suspnet.workers
+    multiprocessing.process._parent_process = None  # it is no worker: see suspnet.ground.workers
     for number, file in enumerate(files, start=1):
         os.dup2(os.open(file, os.O_WRONLY | os.O_APPEND), number)
     try:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
+from suspnet.ground.storage import write_atomically
 from suspnet.recordings import read_manifest
+from suspnet.recordings.frames import Frame, encode
 from suspnet.recordings.manifest import SpeedSource
-from suspnet.storage import write_atomically
-from suspnet.stream import Frame, encode
 
 
 def columns_of(manifest):

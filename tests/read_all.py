@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.recordings import apart
+from suspnet.recordings import reader_process as apart
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripError
 

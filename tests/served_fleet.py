@@ -8,10 +8,10 @@ import numpy as np
 from trip_records import curves
 from waitress import wasyncore
 
-from suspnet.depot.board import Board, BoardSettings
 from suspnet.history import History
 from suspnet.history.records import Quality, TripResult
 from suspnet.recordings.manifest import Place
+from suspnet.report.board import Board, BoardSettings
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher
 from suspnet.web.server import http_server

@@ -17,14 +17,14 @@ from trip_fixtures import model_at, small_fleet
 
 from suspnet.cli.configs import CONFIGS, TABLES
 from suspnet.cli.trusted import check_configuration
-from suspnet.data import CurveSettings
+from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.physics import COSTLY, INCOMPLETE
+from suspnet.estimation.problem import Problem
 from suspnet.learning import LinearRegression
-from suspnet.model import save_model
-from suspnet.problem import Problem
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
-from suspnet.uncertainty.physics import COSTLY, INCOMPLETE
+from suspnet.spectra.curves import CurveSettings
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "tests" / "benchmarks"))

@@ -7,46 +7,46 @@ from pathlib import Path
 
 import pytest
 
-from suspnet.features import PeakReason
 from suspnet.history.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest import Channel, CsvDialect, Source, SpeedSource, TripManifest
+from suspnet.spectra.peaks import PeakReason
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
 TELLING = (
     *(path.relative_to(ROOT).as_posix() for path in (ROOT / "suspnet/recordings").glob("*.py")),
-    "suspnet/commissioning/healthy.py",
-    "suspnet/inspection/check.py",
-    "suspnet/inspection/manifests.py",
-    "suspnet/model/delays.py",
-    "suspnet/model/from_recording.py",
-    "suspnet/model/from_spectra.py",
-    "suspnet/model/sides.py",
-    "suspnet/model/speed_bin.py",
-    "suspnet/model/speed_groups.py",
-    "suspnet/trips/places.py",
+    "suspnet/estimation/healthy_trips.py",
+    "suspnet/trips/check.py",
+    "suspnet/trips/checked_manifests.py",
+    "suspnet/estimation/delays.py",
+    "suspnet/estimation/from_recording.py",
+    "suspnet/estimation/from_spectra.py",
+    "suspnet/estimation/sides.py",
+    "suspnet/estimation/speed_bin.py",
+    "suspnet/estimation/speed_groups.py",
+    "suspnet/trips/grouping.py",
     "suspnet/trips/trip.py",
-    "suspnet/uncertainty/ood.py",
-    "suspnet/uncertainty/physics.py",
-    "suspnet/workers.py",
+    "suspnet/estimation/ood.py",
+    "suspnet/estimation/physics.py",
+    "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""
 RAISING = (
-    "suspnet/plain_files.py",
+    "suspnet/ground/plain_files.py",
     "suspnet/trips/commissionings.py",
     "suspnet/trips/fleet.py",
     "suspnet/trips/models.py",
-    "suspnet/inspection/summary.py",
+    "suspnet/report/check_page.py",
 )
 """Modules of which only what is raised or listed here is one."""
-OF_FILES = ("suspnet/inspection/contents.py",)
+OF_FILES = ("suspnet/trips/file_contents.py",)
 """Modules whose errors are of data files without a trip, which suspnet-init tells."""
 OF_STREAMS = (
     "suspnet/live/replay.py",
     "suspnet/live/suspensions.py",
-    "suspnet/stream/running.py",
+    "suspnet/recordings/running.py",
 )
 """Modules whose errors are of a stream, or of a replay as one."""
 ALSO = ("reads the same data as", "commissioning needs", "the trips differ in their sensors")

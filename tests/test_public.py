@@ -22,13 +22,13 @@ from suspnet import (
     read_manifest,
     save_model,
 )
-from suspnet.data import CurveSettings
-from suspnet.model.from_recording import speed_bins
-from suspnet.problem import TEST
-from suspnet.recordings.segments import NoEstimateError, recording_segments
+from suspnet.estimation.from_recording import speed_bins
+from suspnet.estimation.problem import TEST
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
+from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)

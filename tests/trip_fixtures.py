@@ -9,10 +9,9 @@ import yaml
 from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
+from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
-from suspnet.problem import TEST, Problem
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
@@ -20,6 +19,7 @@ from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import rms_percent
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.writing import Fleet, write_fleet
+from suspnet.spectra.estimates import EstimateSettings
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 RATES_HZ = (400.0, 250.0, 250.0)

@@ -9,18 +9,18 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from suspnet import ledger, progress
-from suspnet.checks import check_number
 from suspnet.cli import program
 from suspnet.cli.configs import read_vehicles
 from suspnet.cli.named_runs import named_runs
-from suspnet.inspection.check import CheckSettings, check_trip
-from suspnet.inspection.manifests import Opened, find_trips
-from suspnet.inspection.records import PROBLEM, TripCheck
-from suspnet.inspection.summary import summary, with_shared_data, write_checks
-from suspnet.model.checkpoint import load_model
-from suspnet.storage import new_folder
-from suspnet.workers import LostWorkerError, each
+from suspnet.estimation.checkpoint import load_model
+from suspnet.ground import ledger, progress
+from suspnet.ground.checks import check_number
+from suspnet.ground.storage import new_folder
+from suspnet.ground.workers import LostWorkerError, each
+from suspnet.report.check_page import summary, with_shared_data, write_checks
+from suspnet.report.check_records import PROBLEM, TripCheck
+from suspnet.trips.check import CheckSettings, check_trip
+from suspnet.trips.checked_manifests import Opened, find_trips
 
 DESCRIPTION = """\
 Read manifests and recordings, with a model or without. Show everything that is wrong with all of

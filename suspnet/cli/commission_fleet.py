@@ -15,14 +15,14 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
 
-from suspnet import ledger
-from suspnet.checks import check_number
 from suspnet.cli import folders, program
-from suspnet.progress import bar as progress_bar
-from suspnet.storage import read_json, write_atomically, write_json
-from suspnet.studies.sweeps import run_errors
-from suspnet.trips.places import Group, find_groups
-from suspnet.workers import LostWorkerError, each
+from suspnet.ground import ledger
+from suspnet.ground.checks import check_number
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.storage import read_json, write_atomically, write_json
+from suspnet.ground.workers import LostWorkerError, each
+from suspnet.runs.sweeps import run_errors
+from suspnet.trips.grouping import Group, find_groups
 
 log = logging.getLogger(__name__)
 LOG = "train.log"

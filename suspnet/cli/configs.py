@@ -10,10 +10,10 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
-from suspnet.checks import check_choice
-from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle
-from suspnet.plain_files import read_plain
+from suspnet.estimation.protocols import Protocol
+from suspnet.ground.checks import check_choice
+from suspnet.ground.plain_files import read_plain
 from suspnet.recordings.core_yaml import parse_yaml
 
 

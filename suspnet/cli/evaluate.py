@@ -17,15 +17,15 @@ from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
 from suspnet.cli.named_runs import named_runs
-from suspnet.depot.state import State
+from suspnet.estimation.checkpoint import load_model
+from suspnet.ground.storage import write_atomically
 from suspnet.history import History
 from suspnet.maintenance.limits import Severity
-from suspnet.model.checkpoint import load_model
+from suspnet.maintenance.state import State
+from suspnet.report.overview import Evaluated
 from suspnet.runs.evaluate import evaluate
-from suspnet.storage import write_atomically
-from suspnet.studies.sweeps import write_table6
+from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
-from suspnet.trips.overview import Evaluated
 
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
 """Exit codes: nothing to tell; a user's mistake; a trip without an estimate, or a parameter that

@@ -15,8 +15,8 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from suspnet import ledger
-from suspnet.storage import new_folder, write_atomically
+from suspnet.ground import ledger
+from suspnet.ground.storage import new_folder, write_atomically
 
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
@@ -34,8 +34,8 @@ class OwnFolder(Callback):
     """Gives each run and multirun a folder of its own, or the one that `resume` names.
 
     A folder that is named, by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume``, must be empty
-    or hold nothing but results: see `suspnet.ledger`. A multirun one of whose jobs failed ends
-    with exit code 1 after the others.
+    or hold nothing but results: see `suspnet.ground.ledger`. A multirun one of whose jobs failed
+    ends with exit code 1 after the others.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:

@@ -13,16 +13,16 @@ import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
-from suspnet import ledger
 from suspnet.cli import program
 from suspnet.dynamics import PARAMETERS
+from suspnet.ground import ledger
 from suspnet.history import Event, History, HistoryError
 from suspnet.history.acknowledging import acknowledge_alarms
 from suspnet.history.events import KINDS
 from suspnet.history.schema import PLACE
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
 from suspnet.recordings.manifest import Place
-from suspnet.trips.output import write_table
+from suspnet.report.output import write_table
 
 DESCRIPTION = """\
 The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance

@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from suspnet.cli import program
-from suspnet.inspection.contents import look_into
-from suspnet.inspection.template import template
+from suspnet.ground.storage import write_atomically
 from suspnet.recordings.checked_mapping import TripError, all_of
 from suspnet.recordings.formats import READERS
-from suspnet.storage import write_atomically
+from suspnet.trips.file_contents import look_into
+from suspnet.trips.manifest_template import template
 
 DESCRIPTION = """\
 Write a manifest of one trip from its data files: their columns, with the rates and units that the

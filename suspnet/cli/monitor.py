@@ -11,12 +11,12 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.named_runs import named_runs
+from suspnet.estimation.checkpoint import load_model
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
 from suspnet.live.suspensions import read_suspensions
-from suspnet.model.checkpoint import load_model
 
 log = logging.getLogger(__name__)
 

@@ -28,16 +28,16 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 from sklearn.exceptions import ConvergenceWarning
 
-from suspnet import progress
-from suspnet.checks import check_number
 from suspnet.cli import configs, folders, naming, reference
 from suspnet.cli.terminal import visible
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.cli.values import read_values
-from suspnet.dynamics.limits import DEFAULT_LIMITS, read_limits
+from suspnet.ground import progress
+from suspnet.ground.checks import check_number
+from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
+from suspnet.ground.storage import printable, write_atomically
+from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
 from suspnet.learning import ranks
-from suspnet.storage import printable, write_atomically
-from suspnet.workers import LostWorkerError, end_with_parent, guard_joblib
 
 CONFIGS = configs.CONFIGS
 """Absolute path of the folder that Hydra composes from."""

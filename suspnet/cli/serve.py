@@ -18,11 +18,11 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.checks import check_number
 from suspnet.cli import program, start
-from suspnet.depot.board import LOOK_S, Board
+from suspnet.ground.checks import check_number
 from suspnet.history import History
 from suspnet.history.database import BusyError
+from suspnet.report.board import LOOK_S, Board
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")

@@ -10,8 +10,8 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from suspnet.checks import check_number
 from suspnet.cli import program
+from suspnet.ground.checks import check_number
 from suspnet.simulation.fleet_writing import write_trains
 from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.trains import Trains

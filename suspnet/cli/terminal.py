@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import Any, TextIO, cast
 
-from suspnet.storage import printable
+from suspnet.ground.storage import printable
 
 MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
 """What progress bars write alone to move the cursor: to the start of a line, and lines up."""

@@ -33,7 +33,10 @@ from omegaconf.grammar_parser import parse
 from suspnet.cli.configs import CONFIGS, check_file, walk
 from suspnet.cli.typed import check_typed
 
-OBSERVATIONS = ("suspnet.data.curves.CurveSettings", "suspnet.data.estimates.EstimateSettings")
+OBSERVATIONS = (
+    "suspnet.spectra.curves.CurveSettings",
+    "suspnet.spectra.estimates.EstimateSettings",
+)
 TARGETS: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("suspnet.dynamics.Vehicle",),
     "generator": (
@@ -43,7 +46,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     ),
     "data": OBSERVATIONS,
     "settings": OBSERVATIONS,
-    "protocol": ("suspnet.data.protocols.Protocol",),
+    "protocol": ("suspnet.estimation.protocols.Protocol",),
     "model": (
         "suspnet.learning.MSVR",
         "suspnet.learning.MVGPR",
@@ -56,18 +59,18 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "scenario": ("suspnet.simulation.scenarios.Scenario",),
     "monitor": ("suspnet.trips.fleet.FleetSettings",),
     "changes": ("suspnet.maintenance.change.ChangeSettings",),
-    "trips": ("suspnet.model.from_recording.TripSettings",),
+    "trips": ("suspnet.estimation.from_recording.TripSettings",),
     "study": (
-        "suspnet.studies.identifiability.write_identifiability",
-        "suspnet.studies.reliability.write_reliability",
-        "suspnet.depot.study.write_maintenance",
+        "suspnet.runs.identifiability.write_identifiability",
+        "suspnet.runs.reliability.write_reliability",
+        "suspnet.runs.maintenance.write_maintenance",
     ),
     "live": ("suspnet.live.suspension.LiveSettings",),
-    "order": ("suspnet.stream.assembler.OrderSettings",),
-    "board": ("suspnet.depot.board.BoardSettings",),
+    "order": ("suspnet.recordings.assembler.OrderSettings",),
+    "board": ("suspnet.report.board.BoardSettings",),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
-    "costs": ("suspnet.maintenance.visits.Costs",),
+    "costs": ("suspnet.maintenance.visit_costs.Costs",),
     "source": (
         "suspnet.live.pipe.Pipe",
         "suspnet.live.drop_folder.DropFolder",
@@ -87,12 +90,12 @@ OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (
     "suspnet.cli.evaluate.WorstExitCode",
     OWN_FOLDER,
-    "suspnet.studies.sweeps.Ablation",
-    "suspnet.studies.sweeps.Comparison",
-    "suspnet.studies.sweeps.Jobs",
-    "suspnet.studies.sweeps.Sensitivity",
-    "suspnet.studies.sweeps.Table5",
-    "suspnet.studies.sweeps.Table6",
+    "suspnet.runs.sweeps.Ablation",
+    "suspnet.runs.sweeps.Comparison",
+    "suspnet.runs.sweeps.Jobs",
+    "suspnet.runs.sweeps.Sensitivity",
+    "suspnet.runs.sweeps.Table5",
+    "suspnet.runs.sweeps.Table6",
 )
 """All that may stand below hydra.callbacks."""
 SWEEPERS = ("hydra._internal.core_plugins.basic_sweeper.BasicSweeper",)

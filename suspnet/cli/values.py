@@ -6,7 +6,7 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
 
 SWITCHES = frozenset(
     {
@@ -38,7 +38,7 @@ def read_values(config: DictConfig) -> None:
     ------
     TypeError, ValueError
         If a switch is neither on nor off, or a number NaN, infinite or beyond `LARGEST` of
-        ``suspnet.checks``.
+        ``suspnet.ground.checks``.
     """
     stack: list[tuple[str, Any]] = [("", config)]
     while stack:  # a configuration as written is a tree: each node is taken off once

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.checks import check_number
 from suspnet.dynamics.quantities import OFFSETS, QUANTITIES, UNMEASURED
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 TOLERANCE = 1e-9
 """Largest negative eigenvalue of a covariance, relative to its largest one, that is rounding."""

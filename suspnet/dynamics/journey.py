@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.types import FloatArray
+from suspnet.ground.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from suspnet.types import ComplexArray, FloatArray
+from suspnet.ground.types import ComplexArray, FloatArray
 
 LARGEST_CONDITION = 1e10
 """Above this condition number of the eigenvectors two modes coincide and cannot be told apart."""

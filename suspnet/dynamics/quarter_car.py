@@ -23,8 +23,8 @@ from torch import Tensor
 from suspnet.dynamics.generator import check_ratios
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, check_vehicle
-from suspnet.tensors import as_tensor, check_device
-from suspnet.types import FloatArray
+from suspnet.ground.tensors import as_tensor, check_device
+from suspnet.ground.types import FloatArray
 
 
 @dataclass(frozen=True)

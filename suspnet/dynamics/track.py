@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
-from suspnet.checks import check_number
 from suspnet.dynamics.track_spectra import (
     TRACKS,
     TrackSpectrum,
@@ -19,7 +18,8 @@ from suspnet.dynamics.track_spectra import (
     cross_level_spectrum,
     track_spectrum,
 )
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 __all__ = [
     "TRACKS",

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
-from suspnet.checks import check_choice, check_number
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.types import FloatArray
 
 MM2_IN_M2 = 1e-6
 CROSS_LEVEL_RAD_PER_M = 0.4380

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from suspnet.checks import LARGEST, check_number
-from suspnet.dynamics.limits import DEFAULT_LIMITS, Limits, read_limits
-from suspnet.dynamics.limits import PARAMETERS as PARAMETERS
+from suspnet.ground.checks import LARGEST, check_number
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 
 UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
 """SI unit of each parameter."""

@@ -27,7 +27,7 @@ from suspnet.dynamics.elements import (
     secondary_element,
 )
 from suspnet.dynamics.motion import Branch, LinearSystem
-from suspnet.types import FloatArray
+from suspnet.ground.types import FloatArray
 
 RAIL_LATERAL_M = 0.75
 """Half distance of the rails' centres, of standard gauge."""

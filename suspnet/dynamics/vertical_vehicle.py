@@ -16,7 +16,6 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.checks import check_choice, check_number
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.elements import primary, secondary
 from suspnet.dynamics.generator import ResponseGenerator, check_ratios
@@ -26,7 +25,8 @@ from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle, check_vehicle
 from suspnet.dynamics.vertical_motion import vertical_motion
 from suspnet.dynamics.vertical_response import Layout, bounced, rolled, wheels_of
-from suspnet.tensors import as_tensor, check_device
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.tensors import as_tensor, check_device
 
 SIDES = ("leading", "trailing")
 N_ALL = len(PARAMETERS) + len(UNMEASURED)

@@ -11,12 +11,12 @@ import numpy as np
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
+from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.records import TripCurves, TripResult
 from suspnet.history.rows import or_nan
 from suspnet.history.schema import curves, suspensions, trips
-from suspnet.storage import DamagedFileError, dump_arrays, load_arrays
-from suspnet.types import ComplexArray, FloatArray
 
 N_NEWEST = 3
 """Number of the newest trips of a suspension whose curves are kept, besides those of the first."""

@@ -15,8 +15,8 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
+from suspnet.ground.sqlite_file import ACTING, check_own
 from suspnet.history.schema import SCHEMA, metadata, versions
-from suspnet.sqlite_file import ACTING, check_own
 
 log = logging.getLogger(__name__)
 WAIT_S = 60.0

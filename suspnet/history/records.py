@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import Place
-from suspnet.types import ComplexArray, FloatArray
 
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
 SI_COLUMNS = {

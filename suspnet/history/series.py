@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from sqlalchemy.engine import Connection
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.history.events import Event
 from suspnet.history.kept import read_kept
 from suspnet.history.rows import BadRow, Key, bad_row, check_types
 from suspnet.history.schema import VALUES, trips
 from suspnet.history.suspensions import is_one_of, known_suspensions
 from suspnet.recordings.manifest import HIGHEST_KM, Place
-from suspnet.types import BoolArray, FloatArray
 
 ROWS = 20_000
 """Rows that are held as Python's objects at once."""

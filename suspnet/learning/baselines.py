@@ -13,8 +13,8 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from suspnet.checks import check_number
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 PREDICT_ROWS = 1024
 

@@ -14,8 +14,8 @@ import torch
 from sklearn.base import BaseEstimator
 from torch import Tensor
 
-from suspnet.checks import check_number
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12

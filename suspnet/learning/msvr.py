@@ -17,13 +17,13 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.checks import check_choice, check_number
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.tensors import check_device
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
 from suspnet.learning.maps import MAPS
-from suspnet.tensors import check_device
-from suspnet.types import FloatArray, IntArray
 
 PREDICT_ROWS = 8192
 SAME_GRAM_PARAMETERS = ("C", "epsilon")

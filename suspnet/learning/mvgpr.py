@@ -18,10 +18,10 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.checks import check_choice, check_number
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.tensors import check_device
+from suspnet.ground.types import FloatArray
 from suspnet.learning.landmarks import rbf_kernel, squared_distances
-from suspnet.tensors import check_device
-from suspnet.types import FloatArray
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}

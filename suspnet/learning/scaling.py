@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from suspnet.ground.types import FloatArray
 from suspnet.learning.ranks import AllReduce, identity
-from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import root_mean_squared_error
 from sklearn.model_selection import KFold, ParameterGrid
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning.msvr import MSVR, SAME_GRAM_PARAMETERS
 from suspnet.learning.scaling import Scaling
-from suspnet.types import FloatArray, IntArray
 
 Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
 Levels = dict[str, list[float]]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from suspnet.checks import check_flag, check_number
+from suspnet.ground.checks import check_flag, check_number
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client

@@ -14,11 +14,10 @@ from typing import BinaryIO, Literal
 
 import pyarrow as pa
 
-from suspnet.checks import check_choice, check_flag, check_number
+from suspnet.ground.checks import check_choice, check_flag, check_number
 from suspnet.live.framing import CONTINUATION, Splitter
 from suspnet.live.source import Kind, print_result
-from suspnet.stream import FrameError, decode
-from suspnet.stream.frames import MOST_BYTES
+from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 
 log = logging.getLogger(__name__)
 TAKEN = "taken"

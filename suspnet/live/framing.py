@@ -13,7 +13,7 @@ import re
 import struct
 from collections import Counter
 
-from suspnet.stream.frames import MOST_BYTES, FrameError, flatbuffer_field
+from suspnet.recordings.frames import MOST_BYTES, FrameError, flatbuffer_field
 
 CONTINUATION = b"\xff\xff\xff\xff"
 END = CONTINUATION + bytes(4)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from suspnet.sqlite_file import ACTING, check_own
+from suspnet.ground.sqlite_file import ACTING, check_own
 
 FORMAT = "suspnet-journal-2"
 

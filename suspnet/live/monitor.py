@@ -24,8 +24,9 @@ import numpy as np
 
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.source import Source
+from suspnet.live.stream_state import StateError
 from suspnet.live.suspension import Due, Job, LiveSuspension, Made, Told
-from suspnet.stream import FrameError, StateError, decode
+from suspnet.recordings.frames import FrameError, decode
 
 log = logging.getLogger(__name__)
 

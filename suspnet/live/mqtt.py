@@ -11,11 +11,11 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
 from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
-from suspnet.live.parts import is_in_part, read_part
+from suspnet.live.sharding import is_in_part, read_part
 from suspnet.live.source import Kind, plain_json
-from suspnet.stream.frames import MOST_BYTES
+from suspnet.recordings.frames import MOST_BYTES
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -47,7 +47,7 @@ class Mqtt:
     client_id : str
         Name by which the broker keeps the session; that of the part is added.
     part : str
-        "K/N" for the Kth of N processes that share a broker; see `suspnet.live.parts`.
+        "K/N" for the Kth of N processes that share a broker; see `suspnet.live.sharding`.
     in_flight : int
         Number of frames that may be on the way to the monitor.
     session_h : float, [h]

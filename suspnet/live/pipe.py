@@ -9,7 +9,7 @@ import threading
 from collections import Counter
 from collections.abc import Sequence
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
 from suspnet.live.framing import Splitter
 from suspnet.live.inbox import Inbox
 from suspnet.live.source import Kind, print_result

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
 from suspnet.recordings.faults import find_gaps, runs
+from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     SPEED_UNITS,
@@ -24,8 +26,6 @@ from suspnet.recordings.manifest import (
 from suspnet.recordings.recording import even_values, known_rate
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
 from suspnet.recordings.timeline import Timeline
-from suspnet.stream.frames import MOST_SAMPLES, Frame, end_ns
-from suspnet.types import FloatArray
 
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the begin of a trip."""

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from datetime import datetime, tzinfo
 from pathlib import Path
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
 from suspnet.live.recorded import nanoseconds, trip_clock, trip_frames
 from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.frames import Frame, end_ns
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest, time_zone
-from suspnet.stream.frames import Frame, end_ns
-from suspnet.trips.places import find_groups
+from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
 PAUSE_S = 3600

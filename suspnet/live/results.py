@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.storage import json_bytes
 from suspnet.history import History, HistoryError
 from suspnet.history.records import ERROR, OK, TripResult
 from suspnet.live.source import Kind
@@ -15,11 +17,9 @@ from suspnet.live.suspension import LiveSuspension, Told
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.watch import km_words
-from suspnet.model.trained import TrainedModel
-from suspnet.runs.tensorboard import RunLog
-from suspnet.storage import json_bytes
+from suspnet.maintenance.watching import keep_trips
+from suspnet.report.tensorboard import RunLog
 from suspnet.trips.fleet import FleetSettings
-from suspnet.trips.watching import keep_trips
 
 log = logging.getLogger(__name__)
 

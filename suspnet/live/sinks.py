@@ -10,12 +10,12 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.storage import write_atomically
 from suspnet.live.broker import KEEPALIVE_S, Broker
 from suspnet.live.drop_folder import TAKEN
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.storage import write_atomically
-from suspnet.stream.frames import Frame, encode
+from suspnet.recordings.frames import Frame, encode
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client

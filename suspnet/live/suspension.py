@@ -10,17 +10,19 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from suspnet.checks import check_number
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.checks import check_number
 from suspnet.history.records import TripResult
-from suspnet.live.slow_values import SlowValues
-from suspnet.model.from_recording import TripSettings
-from suspnet.model.trained import TrainedModel
+from suspnet.live.operating_conditions import SlowValues
+from suspnet.live.sections import Sections
+from suspnet.live.stream_state import dump_state, load_state
+from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.frames import Frame
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.recording import Recording
-from suspnet.stream import Frame, Running, Sections
-from suspnet.stream.assembler import OrderSettings
-from suspnet.stream.state import dump_state, load_state
+from suspnet.recordings.running import Running
 from suspnet.trips.trip import evaluate_recording
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from suspnet.estimation.trained import TrainedModel
 from suspnet.live.suspension import LiveSettings, LiveSuspension
-from suspnet.model.trained import TrainedModel
+from suspnet.recordings.frames import MOST_CHARACTERS
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_live_manifest
-from suspnet.stream.frames import MOST_CHARACTERS
 from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.grouping import find_groups
 from suspnet.trips.models import models_of
-from suspnet.trips.places import find_groups
 
 
 def read_suspensions(

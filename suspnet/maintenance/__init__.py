@@ -14,7 +14,7 @@ from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
-from suspnet.maintenance.visits import Costs
+from suspnet.maintenance.visit_costs import Costs
 from suspnet.maintenance.watch import Watched, alarm_table, watch
 
 if TYPE_CHECKING:

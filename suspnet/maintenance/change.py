@@ -9,9 +9,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
-from suspnet.checks import LARGEST, check_number
+from suspnet.ground.checks import LARGEST, check_number
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.cusum import CLIP, MAX_CORRELATION, Residuals, cusum, residuals, threshold
-from suspnet.types import BoolArray, FloatArray, IntArray
 
 N_BACK = 5
 """Least number of trips whose median must be back near the reference for a change to have ended."""

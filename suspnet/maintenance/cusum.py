@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.checks import check_number
-from suspnet.types import BoolArray, FloatArray, IntArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 ALLOWANCE = 0.5
 """k of the CUSUM, in standard deviations: half of the smallest change that it is best for."""

@@ -17,8 +17,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
-from suspnet.types import FloatArray, IntArray
 
 MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
 LEAST_EIGENVALUE = 1e-9

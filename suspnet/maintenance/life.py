@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
     FIRST_CHANGING,
@@ -26,6 +27,12 @@ from suspnet.maintenance.degradation import (
     powered,
     shares,
 )
+from suspnet.maintenance.first_passage import (
+    FUTURE,
+    HORIZON_KM,
+    changing_passage_km,
+    first_passage_km,
+)
 from suspnet.maintenance.noise import (
     LEAST_NOISE,
     UNIT_KM,
@@ -34,8 +41,6 @@ from suspnet.maintenance.noise import (
     robust_spread,
     tame,
 )
-from suspnet.maintenance.passage import FUTURE, HORIZON_KM, changing_passage_km, first_passage_km
-from suspnet.types import BoolArray, FloatArray, IntArray
 
 BEST_TRIP = 0.01
 """Least noise of a trip over the median of all: an interval of no width is not believed."""

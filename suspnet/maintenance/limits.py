@@ -8,8 +8,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.dynamics.limits import DEFAULT_LIMITS, Limits, read_limits
-from suspnet.types import BoolArray, IntArray
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.types import BoolArray, IntArray
 
 __all__ = [
     "DEFAULT_LIMITS",

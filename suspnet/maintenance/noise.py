@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.types import FloatArray, IntArray
+from suspnet.ground.types import FloatArray, IntArray
 
 UNIT_KM = 100_000.0
 """Unit of mileage inside, which keeps numbers near 1."""

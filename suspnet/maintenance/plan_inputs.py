@@ -9,10 +9,10 @@ from datetime import date, datetime
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.visits import Costs
-from suspnet.types import FloatArray
+from suspnet.maintenance.visit_costs import Costs
 
 MOST_DAYS = 36_525.0
 """A century, the longest horizon."""

@@ -21,10 +21,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import stats
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.limits import N_LAST, Severity
-from suspnet.types import BoolArray, FloatArray
 
 CORRELATION = 0.5
 """Largest correlation between the errors of one trip and the next that is allowed for."""

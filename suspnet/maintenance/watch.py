@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tabulate import tabulate
 
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.limits import N_LAST, Limits, Severity, judge
-from suspnet.types import BoolArray, FloatArray
 
 N_QUIET = 3
 """Trips in a row within the limits that end an alarm: one that comes and goes stands."""

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.faults import (
     fill,
     find_clipping,
@@ -21,7 +22,6 @@ from suspnet.recordings.faults import (
     paint,
     runs,
 )
-from suspnet.types import BoolArray, FloatArray
 
 KINDS = (
     *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),

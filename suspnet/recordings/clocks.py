@@ -13,13 +13,13 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Column
 from suspnet.recordings.dates import date_problem, read_date
 from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
 from suspnet.recordings.manifest_files import time_zone
 from suspnet.recordings.units import size_of
-from suspnet.types import FloatArray
 
 SECOND_NS = 10**9
 DATED_S = (3.15e8, 4.1e9)

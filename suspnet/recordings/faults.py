@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from suspnet.types import BoolArray, FloatArray, IntArray
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
 """Magnitude above which a value is a gap: loggers write 3.4e38 or infinity for a missing one."""

@@ -13,8 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.io.matlab import MatReadError
 
-from suspnet.plain_files import NotPlainError, open_plain
-from suspnet.recordings.apart import Reader, apart
+from suspnet.ground.plain_files import NotPlainError, open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.bounds import check_samples
 from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, as_block, choose
@@ -22,6 +21,7 @@ from suspnet.recordings.csv_files import open_csv, to_float
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
 from suspnet.recordings.manifest import CsvDialect, TripError
 from suspnet.recordings.mdf_files import open_mdf
+from suspnet.recordings.reader_process import Reader, apart
 
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 

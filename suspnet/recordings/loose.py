@@ -21,9 +21,9 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import binary_propagation, correlate1d, uniform_filter1d
 from scipy.signal import get_window
 
+from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.faults import runs
-from suspnet.types import BoolArray, ComplexArray, FloatArray
 
 FRAME_S, STEP_S = 2.0, 1.0
 """Length of the frames whose spectra are averaged, and time from one to the next, [s]."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.recording import Recording
-from suspnet.types import BoolArray, FloatArray
 
 WINDOWS = 600
 """Largest number of windows, about as many as a figure has pixels across."""

@@ -16,18 +16,18 @@ from itertools import chain
 
 import numpy as np
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
+from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
-from suspnet.recordings.drifting import clock_faults
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.resampling import Resampler, decimate
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 from suspnet.recordings.timeline import Timeline
-from suspnet.types import BoolArray, FloatArray
 
 MOST_AT_ONCE = 2
 """Number of sensors that are read at the same time, which bounds the memory that this takes."""

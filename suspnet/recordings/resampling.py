@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
-from suspnet.types import BoolArray, FloatArray, IntArray
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 PASS, STOP = 0.25, 0.75
 """Ends of the pass band and of the transition band, as fractions of the wanted rate."""

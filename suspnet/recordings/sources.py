@@ -7,13 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, choose
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import Channel, Source, TripManifest
 from suspnet.recordings.units import agreed_size, size_of
-from suspnet.types import FloatArray
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference of a stated rate from that in the header of a file."""

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.recordings.manifest import TripError
-from suspnet.types import FloatArray, IntArray
 
 GAP_STEPS = 1.5
 """A time step longer than this multiple of the usual one is a gap."""

@@ -1,1 +1,1 @@
-"""One run: fit, calibrate, predict, score, and what a run folder holds."""
+"""Training runs and studies: fit, calibrate, predict, score, and what a run folder holds."""

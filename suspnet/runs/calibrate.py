@@ -8,17 +8,17 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from suspnet.data import FeatureData
-from suspnet.data.estimate_observer import EstimateObserver
-from suspnet.model.fitted import FittedMethod
-from suspnet.model.from_curves import estimate_curves, identified
-from suspnet.problem import CALIBRATE, TRAIN, Problem
+from suspnet.estimation.conformal import Conformal
+from suspnet.estimation.feature_data import FeatureData
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.from_curves import estimate_curves, identified
+from suspnet.estimation.intervals import Intervals, residuals
+from suspnet.estimation.ood import OODDetector
+from suspnet.estimation.physics import WORN, Residual, Unexplained
+from suspnet.estimation.problem import CALIBRATE, TRAIN, Problem
+from suspnet.ground.types import FloatArray
 from suspnet.runs.predict import refine_stream, regress_stream
-from suspnet.types import FloatArray
-from suspnet.uncertainty.conformal import Conformal
-from suspnet.uncertainty.intervals import Intervals, residuals
-from suspnet.uncertainty.ood import OODDetector
-from suspnet.uncertainty.physics import WORN, Residual, Unexplained
+from suspnet.spectra.estimate_observer import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 128
 """Refined calibration curves from which the usual misfit is learnt; the second where uncertain

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning.search import SearchResult
-from suspnet.model.fitted import FittedMethod
-from suspnet.problem import TEST, Problem
-from suspnet.runs import plots
+from suspnet.report import plots
+from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import Outcome
-from suspnet.runs.tensorboard import RunLog
 
 
 def draw_run(

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from suspnet.data import Protocol, Task
-from suspnet.model import ModelFileError, load_model
-from suspnet.problem import TEST, Problem
-from suspnet.progress import stage
+from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.problem import TEST, Problem
+from suspnet.estimation.protocols import Protocol, Task
+from suspnet.ground.progress import stage
+from suspnet.ground.storage import write_json
+from suspnet.report.tensorboard import RunLog
 from suspnet.runs.drawing import draw_predictions
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import Metrics, headline, log_hyperparameters, report, scores
-from suspnet.runs.tensorboard import RunLog
-from suspnet.storage import write_json
 
 
 def evaluate(

@@ -11,15 +11,16 @@ from typing import Any
 
 import torch
 
-from suspnet.data import FeatureData, Task
+from suspnet.estimation.checkpoint import parameters
+from suspnet.estimation.feature_data import FeatureData
+from suspnet.estimation.problem import TRAIN, Problem
+from suspnet.estimation.protocols import Task
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
-from suspnet.model.checkpoint import parameters
-from suspnet.model.trained import TrainedModel
-from suspnet.problem import TRAIN, Problem
-from suspnet.progress import bar as progress_bar
-from suspnet.runs.tensorboard import RunLog
-from suspnet.types import FloatArray
+from suspnet.report.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02

@@ -10,10 +10,9 @@ from typing import TypeVar
 import numpy as np
 from torch import Tensor
 
-from suspnet.data import FeatureData
-from suspnet.data.parallel import pool_of
-from suspnet.model.fitted import FittedMethod
-from suspnet.model.from_curves import (
+from suspnet.estimation.feature_data import FeatureData
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.from_curves import (
     MASS,
     identified,
     missing_words,
@@ -21,11 +20,12 @@ from suspnet.model.from_curves import (
     regress,
     residual_scales,
 )
-from suspnet.problem import BATCH, BLOCK, STREAM_NAMES, Problem
-from suspnet.progress import bar as progress_bar
-from suspnet.types import FloatArray
-from suspnet.uncertainty.ood import Flags
-from suspnet.uncertainty.refine import Refined
+from suspnet.estimation.ood import Flags
+from suspnet.estimation.parallel import pool_of
+from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, Problem
+from suspnet.estimation.refine import Refined
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.types import FloatArray
 
 Part = TypeVar("Part")
 

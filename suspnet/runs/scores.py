@@ -10,21 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.data import Task
-from suspnet.model.fitted import FittedMethod
-from suspnet.problem import Problem
-from suspnet.runs.metrics import METRICS, interval_scores, score
-from suspnet.runs.predict import Outcome
-from suspnet.runs.tables import REFINED, scores_table
-from suspnet.runs.tensorboard import RunLog
-from suspnet.theory.information import (
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.information import (
     best_possible,
     output_bounds,
     range_limited,
     relative_percent,
 )
-from suspnet.types import FloatArray
-from suspnet.uncertainty.ood import KINDS
+from suspnet.estimation.ood import KINDS
+from suspnet.estimation.problem import Problem
+from suspnet.estimation.protocols import Task
+from suspnet.ground.types import FloatArray
+from suspnet.learning.metrics import METRICS, interval_scores, score
+from suspnet.report.table6 import REFINED, scores_table
+from suspnet.report.tensorboard import RunLog
+from suspnet.runs.predict import Outcome
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]

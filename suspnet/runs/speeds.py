@@ -11,10 +11,10 @@ from typing import Any
 
 from tabulate import tabulate
 
-from suspnet.checks import check_number
-from suspnet.data.speeds import SpeedRange
+from suspnet.ground.checks import check_number
+from suspnet.ground.storage import write_json
 from suspnet.runs.scores import Metrics
-from suspnet.storage import write_json
+from suspnet.spectra.speeds import SpeedRange
 
 log = logging.getLogger(__name__)
 

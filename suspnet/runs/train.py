@@ -15,11 +15,15 @@ from typing import Any
 
 import torch
 
+from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.physics import Residual
+from suspnet.estimation.problem import TEST, Problem
+from suspnet.ground.progress import stage
+from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch
-from suspnet.model import FittedMethod, save_model
-from suspnet.problem import TEST, Problem
-from suspnet.progress import stage
+from suspnet.report.tensorboard import RunLog
 from suspnet.runs.calibrate import calibrated, with_unexplained
 from suspnet.runs.drawing import draw_run
 from suspnet.runs.fit import fit, method_name, tune
@@ -32,9 +36,6 @@ from suspnet.runs.scores import (
     rms_percent,
     scores,
 )
-from suspnet.runs.tensorboard import RunLog
-from suspnet.storage import write_json
-from suspnet.uncertainty.physics import Residual
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")

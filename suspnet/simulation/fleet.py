@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from suspnet.checks import check_choice, check_flag, check_number
 from suspnet.dynamics.journey import Journey, service_journey, steady_journey
 from suspnet.dynamics.track import track_spectrum
+from suspnet.ground.checks import check_choice, check_flag, check_number
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS, HIGHEST_KM
 from suspnet.simulation.sensors import Sensor
-from suspnet.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from pathlib import Path
 from joblib import effective_n_jobs
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.progress import bar
+from suspnet.ground.progress import bar
+from suspnet.ground.storage import write_json
+from suspnet.ground.workers import LostWorkerError, each
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.folders import TRUTH, described, is_finished, own_folder, unfinished
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.trains import Suspension, Trains
 from suspnet.simulation.writing import SimulatedVehicle, write_fleet
-from suspnet.storage import write_json
-from suspnet.workers import LostWorkerError, each
 
 
 def write_trains(

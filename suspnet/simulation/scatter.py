@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from suspnet.checks import check_number
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 MAX_DRAWS = 100
 """Number of draws after which no vehicle is taken to be physical."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from suspnet.checks import check_number
 from suspnet.dynamics import PARAMETERS
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 
 @dataclass(frozen=True)

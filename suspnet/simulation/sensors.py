@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.checks import check_number
-from suspnet.types import FloatArray
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
 
 STANDARD_GRAVITY = 9.80665
 

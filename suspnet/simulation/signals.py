@@ -9,7 +9,7 @@ import numpy as np
 from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
 from suspnet.dynamics.track import TrackProfile
-from suspnet.types import FloatArray
+from suspnet.ground.types import FloatArray
 
 BLOCK = 1 << 18
 """Number of samples simulated at once."""

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from suspnet.checks import check_number
+from suspnet.ground.checks import check_number
 from suspnet.recordings.manifest import Place
 
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)

@@ -23,7 +23,10 @@ from scipy.signal import resample_poly
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.track import cross_level_spectrum, make_profile, track_spectrum
-from suspnet.progress import bar as progress_bar
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.types import FloatArray
+from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.fleet import Fleet
@@ -32,9 +35,6 @@ from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.signals import profile_length_m, simulate_trip
 from suspnet.simulation.trains import FIRST_DAY, Aboard
-from suspnet.storage import write_atomically, write_json
-from suspnet.types import FloatArray
-from suspnet.workers import LostWorkerError, each
 
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)

@@ -1,1 +1,1 @@
-"""Recorded trips: single trips, fleets, trends along the mileage, figures and reports."""
+"""Recorded trips: checks and evaluation of folders of trips."""

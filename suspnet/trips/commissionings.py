@@ -13,9 +13,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.trained import TrainedModel
 from suspnet.history.records import TripResult, relative_truth
-from suspnet.model import ModelFileError, TrainedModel
-from suspnet.trips.trend import PAYLOAD
+from suspnet.maintenance.trend import PAYLOAD
 
 
 @dataclass(frozen=True)

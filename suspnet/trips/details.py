@@ -8,13 +8,13 @@ from datetime import datetime
 from pathlib import Path
 
 from suspnet._version import __version__
-from suspnet.dynamics.limits import limits_words
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.parameters import limits_words
+from suspnet.ground.storage import printable
 from suspnet.history.records import TripResult, first_trips
 from suspnet.maintenance.limits import Limits
 from suspnet.maintenance.schedule import count
-from suspnet.model import TrainedModel
-from suspnet.model.from_spectra import trip_settings
-from suspnet.storage import printable
 from suspnet.trips.commissionings import eras
 from suspnet.trips.models import speed_words
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from suspnet.estimation.trained import TrainedModel
 from suspnet.history import Event, History
 from suspnet.history.records import ERROR, OK, TripResult
 from suspnet.history.rows import trip_key, undated_key
-from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import Place
 from suspnet.trips.commissionings import since_km
 

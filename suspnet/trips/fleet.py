@@ -13,22 +13,35 @@ from typing import Any, Literal
 
 import numpy as np
 
-from suspnet.checks import check_choice, check_number
-from suspnet.dynamics.limits import PARAMETERS, TIGHTEST
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.parameters import PARAMETERS, TIGHTEST
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.progress import stage
+from suspnet.ground.storage import printable
+from suspnet.ground.workers import LostWorkerError, each
 from suspnet.history import Event, History, Series
 from suspnet.history.records import ERROR, TripResult, relative_to_first
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement
+from suspnet.maintenance.assessment import Assessment, assess, last_trips, spoken
 from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.fleet_lives import (
+    Wear,
+    learn_wear,
+    lives_of,
+    present,
+    series_of,
+    unknown_lives,
+)
 from suspnet.maintenance.limits import Limits, Severity, read_limits
+from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
 from suspnet.maintenance.watch import Watched, detector_words
-from suspnet.model import TrainedModel
-from suspnet.model.from_recording import TripSettings
-from suspnet.model.from_spectra import trip_settings
-from suspnet.progress import bar as progress_bar
-from suspnet.progress import stage
+from suspnet.maintenance.watching import watch_trips
 from suspnet.recordings.manifest_files import partial_words, read_manifest
-from suspnet.storage import printable
-from suspnet.trips.assessment import Assessment, assess, last_trips, spoken
+from suspnet.report.output import summary, write_pages, write_tables
+from suspnet.report.overview import Evaluated, write_overview
 from suspnet.trips.commissionings import (
     Commissioning,
     check_one_reference,
@@ -39,16 +52,10 @@ from suspnet.trips.commissionings import (
 )
 from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details
 from suspnet.trips.earlier import between, with_earlier
-from suspnet.trips.finished import FinishedTrips
-from suspnet.trips.lives import Wear, learn_wear, lives_of, present, series_of, unknown_lives
+from suspnet.trips.grouping import Group, find_groups
 from suspnet.trips.models import models_of
-from suspnet.trips.output import summary, write_pages, write_tables
-from suspnet.trips.overview import Evaluated, write_overview
-from suspnet.trips.places import Group, find_groups
-from suspnet.trips.trend import LEAST_PERCENT, flagged_trend
+from suspnet.trips.result_cache import FinishedTrips
 from suspnet.trips.trip import evaluate_trip, lost_trip
-from suspnet.trips.watching import watch_trips
-from suspnet.workers import LostWorkerError, each
 
 try:
     import distributed

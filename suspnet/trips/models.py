@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from suspnet.data.speeds import range_words
-from suspnet.model import ModelFileError, TrainedModel
-from suspnet.model.from_spectra import trip_settings
-from suspnet.model.speed_groups import speed_range
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.speed_groups import speed_range
+from suspnet.estimation.trained import TrainedModel
 from suspnet.recordings.manifest import Place
+from suspnet.spectra.speeds import range_words
 from suspnet.trips.commissionings import eras
 
 NAMED = 6

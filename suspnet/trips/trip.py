@@ -14,20 +14,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.features.transfer_estimate import SegmentSpectra
-from suspnet.features.welch import Welch
+from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.sides import with_sides
+from suspnet.estimation.speed_bin import SpeedBin, combined, largest
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.storage import printable
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
-from suspnet.model.from_recording import TripSettings, no_segment, speed_bins
-from suspnet.model.from_spectra import trip_settings
-from suspnet.model.sides import with_sides
-from suspnet.model.speed_bin import SpeedBin, combined, largest
-from suspnet.model.trained import TrainedModel
 from suspnet.recordings.manifest import Place, TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
-from suspnet.recordings.segments import NoEstimateError, recording_segments
-from suspnet.storage import printable
+from suspnet.spectra.segments import NoEstimateError, recording_segments
+from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import Welch
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)

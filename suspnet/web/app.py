@@ -12,14 +12,14 @@ from werkzeug.exceptions import HTTPException, SecurityError
 
 from suspnet import __version__
 from suspnet.history import HistoryError
-from suspnet.trips.templates import FILTERS, LABELS, packaged
+from suspnet.report.templates import FILTERS, LABELS, packaged
 from suspnet.web.assets import assets, file_digest
 from suspnet.web.fleet_page import MARKS
 from suspnet.web.pages import REFRESHER, pages
 from suspnet.web.refresher import Refresher, clock
 from suspnet.web.security import protect
 
-PACKAGES = "suspnet.web", "suspnet.depot"
+PACKAGES = ("suspnet.web",)
 """Packages whose templates the pages use, besides those of the trips."""
 IN_WORDS = {
     400: "The form or the address could not be understood.",

@@ -16,7 +16,7 @@ from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.schedule import Plan
 
 FILES = {
-    "style.css": ("text/css", ("suspnet.trips:style.css", "suspnet.web:page.css")),
+    "style.css": ("text/css", ("suspnet.report:style.css", "suspnet.web:page.css")),
     "live.js": ("text/javascript", ("suspnet.web:live.js",)),
     "plots.js": ("text/javascript", ("suspnet.web:plots.js",)),
     "icon.svg": ("image/svg+xml", ("suspnet.web:icon.svg",)),

@@ -20,13 +20,13 @@ from flask import (
 )
 from flask.typing import ResponseReturnValue
 
-from suspnet.depot.state import State
-from suspnet.depot.view import FleetView
 from suspnet.dynamics import PARAMETERS
 from suspnet.history import History, HistoryError
 from suspnet.history.acknowledging import acknowledge_alarms
-from suspnet.trips.overview import finding
-from suspnet.trips.trend import PAYLOAD
+from suspnet.maintenance.state import State
+from suspnet.maintenance.trend import PAYLOAD
+from suspnet.report.fleet_view import FleetView
+from suspnet.report.overview import finding
 from suspnet.web import assets, fleet_page
 from suspnet.web.fleet_page import Choice
 from suspnet.web.refresher import Refresher

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 
-from suspnet.depot.board import Board
+from suspnet.report.board import Board
 
 log = logging.getLogger(__name__)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.history.curves import TripResponses
-from suspnet.trips.templates import thousands
+from suspnet.report.templates import thousands
 from suspnet.web.plotly_figure import MARGINS, PLAIN, axis_title, finite, html
 
 FIRST, NEWEST, BETWEEN = "#8a8f98", "#3b82c4", "#9cc3e6"

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.depot.view import FleetView
 from suspnet.dynamics import PARAMETERS
 from suspnet.history.curves import TripResponses
 from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
+from suspnet.report.fleet_view import FleetView
+from suspnet.report.report import NAMES
+from suspnet.report.trip_table import trip_table
 from suspnet.trips.details import files_read_as
-from suspnet.trips.report import NAMES
-from suspnet.trips.trip_table import trip_table
 from suspnet.web.response_figure import response_table
 from suspnet.web.trend_figure import ranges
 

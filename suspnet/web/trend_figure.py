@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.depot.state import State
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.maintenance.fleet_lives import present
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits, Severity
-from suspnet.trips.health_figure import on_axis
-from suspnet.trips.lives import present
-from suspnet.trips.report import NAMES
-from suspnet.trips.templates import thousands
-from suspnet.trips.trend import PAYLOAD
-from suspnet.types import BoolArray, FloatArray
+from suspnet.maintenance.state import State
+from suspnet.maintenance.trend import PAYLOAD
+from suspnet.report.health_figure import on_axis
+from suspnet.report.report import NAMES
+from suspnet.report.templates import thousands
 from suspnet.web.plotly_figure import MARGINS, PLAIN, axis_title, finite, html, symbol
 
 TRIP, FLAGGED = "#3b82c4", "#9467bd"

@@ -23,10 +23,10 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from tabulate import tabulate
 
-from suspnet.model.checkpoint import load_model
-from suspnet.problem import Problem
+from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.problem import Problem
+from suspnet.runs.reliability import IN_RANGE, Reliability, measure
 from suspnet.runs.train import train
-from suspnet.studies.reliability import IN_RANGE, Reliability, measure
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"

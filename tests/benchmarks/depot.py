@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from history import size, timed, trips
 
-from suspnet.depot.study import write_maintenance
 from suspnet.history import History
 from suspnet.history.records import TripResult
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
+from suspnet.runs.maintenance import write_maintenance
 
 
 def fleet(n_suspensions: int, n_trips: int, seed: int) -> Iterator[list[TripResult]]:

@@ -17,8 +17,8 @@ from cells import Parser, Row
 from tabulate import tabulate
 
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
-from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
-from suspnet.storage import write_atomically
+from suspnet.ground.storage import write_atomically
+from suspnet.report.table6 import MODEL_TITLES, table6_caption, table6_markdown
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"

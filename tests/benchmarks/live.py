@@ -34,16 +34,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
 from suspnet.live.suspension import LiveSettings, LiveSuspension
-from suspnet.model.checkpoint import load_model
-from suspnet.model.from_recording import TripSettings
+from suspnet.recordings.frames import Frame, encode
 from suspnet.recordings.manifest_files import read_live_manifest
-from suspnet.stream import Frame, encode
 from suspnet.trips.fleet import FleetSettings
 
 TRAIN, TIME_NS, SEQUENCE = "987654", 1234567890123456789, 9876543

@@ -37,7 +37,7 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
     from hydra import compose, initialize_config_dir
     from hydra.utils import instantiate
 
-    from suspnet.problem import TEST, TRAIN, Problem
+    from suspnet.estimation.problem import TEST, TRAIN, Problem
     from suspnet.runs.fit import scalings
 
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
@@ -73,7 +73,7 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
 def measure(cell: Row) -> Row:
     """Return the measurements of one map with one setting."""
     from suspnet.learning import MSVR, Scaling
-    from suspnet.runs.metrics import score
+    from suspnet.learning.metrics import score
 
     data = np.load(cell["data"])
     model = MSVR(cell["C"], cell["sigma"], EPSILON, cell["map"], cell["asked"], dtype=cell["dtype"])

@@ -33,20 +33,21 @@ from rich_train import FAMILY, RichTrain  # noqa: E402
 from rich_train_trips import true_ratios, write_train_trips  # noqa: E402
 from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
-from suspnet.commissioning import Commissioned, HealthySpectra, commission  # noqa: E402
-from suspnet.commissioning.run import commission_folder  # noqa: E402
-from suspnet.data.speeds import Speeds  # noqa: E402
 from suspnet.dynamics.distribution import LogNormal  # noqa: E402
 from suspnet.dynamics.quantities import PARTS  # noqa: E402
-from suspnet.features.cross_spectra import CrossSpectra  # noqa: E402
-from suspnet.model.estimate import Estimate  # noqa: E402
-from suspnet.model.from_recording import NoEstimateError, TripSettings  # noqa: E402
-from suspnet.model.trained import TrainedModel  # noqa: E402
-from suspnet.problem import TRAIN, Problem  # noqa: E402
+from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
+from suspnet.estimation.commissioning_run import commission_folder  # noqa: E402
+from suspnet.estimation.estimate import Estimate  # noqa: E402
+from suspnet.estimation.from_recording import NoEstimateError, TripSettings  # noqa: E402
+from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
+from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
+from suspnet.estimation.trained import TrainedModel  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
 from suspnet.runs.calibrate import calibrated, with_unexplained  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
+from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402
+from suspnet.spectra.speeds import Speeds  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"

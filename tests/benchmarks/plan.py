@@ -32,11 +32,11 @@ from cells import Parser, at_least
 from tabulate import tabulate
 from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 
+from suspnet.ground.types import FloatArray
 from suspnet.maintenance.life import MIN_TRIPS, predict_life
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
-from suspnet.maintenance.visits import Costs
-from suspnet.types import FloatArray
+from suspnet.maintenance.visit_costs import Costs
 
 STEP_KM = 20_000.0
 DURATION_KM = 3_000_000.0

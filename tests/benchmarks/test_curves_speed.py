@@ -11,9 +11,9 @@ from scipy.optimize import curve_fit
 from scipy.signal import find_peaks, savgol_filter
 from vehicles import AM96
 
-from suspnet.data import CurveSettings
 from suspnet.dynamics import QuarterCar
-from suspnet.problem import BLOCK, TRAIN, Problem
+from suspnet.estimation.problem import BLOCK, TRAIN, Problem
+from suspnet.spectra.curves import CurveSettings
 
 PEAKS = ["secondary", "primary_lower", "primary_upper"]
 WHOLE_GRID = 364_816

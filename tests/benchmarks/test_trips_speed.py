@@ -16,13 +16,13 @@ from protocols import shipped_protocol
 from scipy.signal import csd, resample_poly, welch
 from trip_fixtures import AM96, SPEED, NoLog, write_trips
 
-from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import VerticalVehicle
+from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.problem import Problem
 from suspnet.learning import MSVR
-from suspnet.model.checkpoint import save_model
-from suspnet.model.from_recording import TripSettings
-from suspnet.problem import Problem
 from suspnet.runs.fit import fit
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.trips.trip import evaluate_trip
 
 MINUTES = 60.0
@@ -33,7 +33,7 @@ MEMORY = r"""
 import json, re, sys
 from pathlib import Path
 import torch
-from suspnet.model.checkpoint import load_model
+from suspnet.estimation.checkpoint import load_model
 from suspnet.trips.trip import TripSettings, evaluate_trip
 
 def peak_kib():

@@ -12,14 +12,14 @@ from trip_fixtures import changed, model_at, write_trips
 
 from suspnet.cli import check
 from suspnet.cli.configs import read_vehicles
-from suspnet.data.estimates import SPEED_HALF_WIDTH
-from suspnet.data.speeds import SpeedRange, covering
+from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.history.records import NO_ESTIMATE, OK
-from suspnet.inspection.check import CheckSettings, check_trip
-from suspnet.inspection.records import READY, TOO_LITTLE
-from suspnet.model.checkpoint import save_model
-from suspnet.model.from_recording import TripSettings
+from suspnet.report.check_records import READY, TOO_LITTLE
 from suspnet.runs.speeds import speed_ranges
+from suspnet.spectra.estimates import SPEED_HALF_WIDTH
+from suspnet.spectra.speeds import SpeedRange, covering
+from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.trip import evaluate_trip
 
 LOW, HIGH = 61.0, 78.0

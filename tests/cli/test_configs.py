@@ -11,11 +11,11 @@ from omegaconf import OmegaConf
 
 from suspnet.cli.configs import TABLES, read_protocol, read_vehicles
 from suspnet.cli.trusted import check_configuration
-from suspnet.data import Protocol
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
 from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.features import PeakFeatures
+from suspnet.estimation.protocols import Protocol
 from suspnet.learning import METHODS
+from suspnet.spectra.extraction import PeakFeatures
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 NAMES = {

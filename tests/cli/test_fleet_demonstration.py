@@ -7,8 +7,8 @@ import pytest
 from cli_runner import run_program
 
 from suspnet.cli import evaluate, simulate, train
+from suspnet.estimation.checkpoint import load_model
 from suspnet.history import History
-from suspnet.model import load_model
 from suspnet.runs.evaluate import find_runs
 from suspnet.trips.models import place_of
 

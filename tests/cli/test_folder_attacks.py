@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import pytest
 from cli_runner import SMALL, lay_configurations, typed
 
-from suspnet import ledger
 from suspnet.cli import check, evaluate, history, replay, simulate, train
+from suspnet.ground import ledger
 
 TRAIN = ["model=linear", "data.n_calibrate=null", *SMALL[:2], *SMALL[4:]]
 SIMULATE = ["fleet.n_trips=1", "fleet.minutes=2", "progress=false"]
@@ -174,7 +174,7 @@ CONFIGURATIONS = [
     packaged("unguarded", "hydra: {callbacks: {folders: null}, run: {dir: HOME}}"),
     packaged(
         "unguarded_by_another",
-        "hydra: {callbacks: {folders: {_target_: suspnet.studies.sweeps.Jobs}}}",
+        "hydra: {callbacks: {folders: {_target_: suspnet.runs.sweeps.Jobs}}}",
     ),
     packaged("output_subdir", "hydra: {output_subdir: sub}", "hydra.run.dir=HOME"),
     packaged("job_name", "hydra: {job: {name: ../../home/train}}"),

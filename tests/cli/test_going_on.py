@@ -15,11 +15,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import open_dict, read_write
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from suspnet import ledger
 from suspnet.cli import evaluate, folders, program, simulate, train
 from suspnet.cli.program import CONFIGS
-from suspnet.storage import read_json
-from suspnet.studies.sweeps import job_rows
+from suspnet.ground import ledger
+from suspnet.ground.storage import read_json
+from suspnet.runs.sweeps import job_rows
 
 EVENTS = "events.out.tfevents.*"
 LINEAR = ["model=linear", "data.n_calibrate=null", *(o for o in SMALL if "calibrate" not in o)]

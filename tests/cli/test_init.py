@@ -13,11 +13,11 @@ from recording_files import WRITERS
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init
-from suspnet.inspection import guess
-from suspnet.inspection.contents import look_into
-from suspnet.inspection.template import BLANK
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.trips import column_guess as guess
+from suspnet.trips.file_contents import look_into
+from suspnet.trips.manifest_template import BLANK
 
 FILLED = {"vehicle": "am96", "suspension": "car 7", "mileage_km": "1000.0"}
 

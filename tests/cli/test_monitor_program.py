@@ -8,8 +8,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from trip_fixtures import model_at, small_fleet
 
 from suspnet.cli import monitor, replay
+from suspnet.estimation.checkpoint import save_model
 from suspnet.history import History
-from suspnet.model.checkpoint import save_model
 
 LIVE = ("source=folder", "source.folder=incoming", "source.once=true", "live.section_s=300")
 

@@ -9,7 +9,7 @@ from cli_runner import typed
 from tqdm import tqdm
 
 from suspnet.cli import check, evaluate, folders, program, terminal, train
-from suspnet.storage import printable
+from suspnet.ground.storage import printable
 
 STEERING = "\x1b[31m\x1b]0;title\x07\r\x9b2J\u202e\u2066\u200f\x00\x7f"
 """Colour, the title of the window, the start of the line, a blank screen, and writing reversed."""

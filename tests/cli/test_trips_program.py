@@ -27,9 +27,10 @@ from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
 from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.runs.tensorboard import RunLog
+from suspnet.report import output
+from suspnet.report.tensorboard import RunLog
 from suspnet.simulation.scatter import scattered, true_numbers
-from suspnet.trips import fleet, output
+from suspnet.trips import fleet
 
 QUICK = ("manchester", "truck")
 """One of each generator; am96 is that of every other test, the rest are tested on request only."""

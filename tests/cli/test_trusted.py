@@ -15,19 +15,20 @@ from hydra.utils import get_object
 from suspnet.cli import evaluate, simulate, train, trusted
 
 RUNSTRING = (
-    "{_target_: suspnet.model.checkpoint.np.testing.runstring, "
+    "{_target_: suspnet.estimation.checkpoint.np.testing.runstring, "
     "astr: \"open('MARKER', 'w')\", dict: {}}"
 )
 TOUCH = "{_target_: suspnet.cli.configs.Path.touch, _args_: [MARKER]}"
 UNLINK = "{_target_: suspnet.simulation.writing.Path.unlink, _args_: [VICTIM]}"
-LOAD = "{_target_: suspnet.tensors.torch.load, _args_: [PICKLE], weights_only: false}"
+LOAD = "{_target_: suspnet.ground.tensors.torch.load, _args_: [PICKLE], weights_only: false}"
 WRITE = (
-    "{_target_: suspnet.storage.write_atomically, content: x, "
-    "path: {_target_: suspnet.storage.Path, _args_: [MARKER]}}"
+    "{_target_: suspnet.ground.storage.write_atomically, content: x, "
+    "path: {_target_: suspnet.ground.storage.Path, _args_: [MARKER]}}"
 )
 EXEC = "{_target_: builtins.exec, _args_: [\"open('MARKER', 'w')\"]}"
 CALL = "{_target_: subprocess.check_call, _args_: [[touch, MARKER]]}"
-LINE = "{_target_: suspnet.model.checkpoint.np.testing.measure, code_str: \"open('MARKER', 'w')\"}"
+CHECKPOINT = "suspnet.estimation.checkpoint"
+LINE = f"{{_target_: {CHECKPOINT}.np.testing.measure, code_str: \"open('MARKER', 'w')\"}}"
 GADGETS = {
     "runstring": RUNSTRING,
     "touch": TOUCH,
@@ -42,7 +43,9 @@ GADGETS = {
 SLOW = {"unlink", "write_atomically", "exec", "subprocess", "measure"}
 """Gadgets that are tried in the slow tests only."""
 HANDLER = "{class: logging.FileHandler, filename: MARKER}"
-FACTORY = "{\"()\": suspnet.model.checkpoint.np.testing.runstring, astr: \"open('MARKER', 'w')\"}"
+FACTORY = (
+    "{\"()\": suspnet.estimation.checkpoint.np.testing.runstring, astr: \"open('MARKER', 'w')\"}"
+)
 EXPERIMENT = "# @package _global_\n"
 
 
@@ -105,10 +108,11 @@ PAYLOADS = [
     # our own functions and classes, where they do not belong
     in_experiment(
         "study_as_model",
-        "model: {_target_: suspnet.studies.identifiability.write_identifiability, folder: CWD}",
+        "model: {_target_: suspnet.runs.identifiability.write_identifiability, folder: CWD}",
     ),
     in_experiment(
-        "writer_as_model", "model: {_target_: suspnet.storage.write_json, path: MARKER, content: 1}"
+        "writer_as_model",
+        "model: {_target_: suspnet.ground.storage.write_json, path: MARKER, content: 1}",
     ),
     in_experiment("vehicle_as_model", "model: ${vehicle}"),
     in_experiment("private_home_of_a_class", "model: {_target_: suspnet.learning.msvr.MSVR}"),
@@ -159,7 +163,7 @@ PAYLOADS = [
     in_experiment("callback_elsewhere", f"x: {TOUCH}\nhydra: {{callbacks: {{x: '${{x}}'}}}}"),
     in_experiment(
         "argument_of_our_callback",
-        f"hydra: {{callbacks: {{x: {{_target_: suspnet.studies.sweeps.Table6, note: {TOUCH}}}}}}}",
+        f"hydra: {{callbacks: {{x: {{_target_: suspnet.runs.sweeps.Table6, note: {TOUCH}}}}}}}",
     ),
     in_experiment(
         "pickling_callback",

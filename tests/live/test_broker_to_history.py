@@ -9,6 +9,7 @@ import pytest
 from live_frames import Mosquitto
 from trip_fixtures import OUTPUTS, model_at, small_fleet
 
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.history import History
 from suspnet.live.broker import Broker
 from suspnet.live.journal import Journal
@@ -18,7 +19,6 @@ from suspnet.live.recorded import trip_clock, trip_frames
 from suspnet.live.results import Results
 from suspnet.live.sinks import MqttSink
 from suspnet.live.suspension import LiveSettings, LiveSuspension
-from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import read_manifest
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.trip import evaluate_trip

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from live_frames import encoded, frame
 
 from suspnet.live.framing import Splitter
-from suspnet.stream import encode
-from suspnet.stream.frames import MOST_BYTES, MOST_SAMPLES
+from suspnet.recordings.frames import MOST_BYTES, MOST_SAMPLES, encode
 
 FRAMES = [
     *encoded(3),

@@ -13,18 +13,18 @@ from monitor_frames import AtOnce, ListSource, all_frames, by_time, mileage_fram
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, small_fleet
 
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
+from suspnet.live.sections import MOST_OPEN
 from suspnet.live.suspension import Job, LiveSettings, LiveSuspension
 from suspnet.live.suspensions import read_suspensions
-from suspnet.model.from_recording import TripSettings
 from suspnet.recordings import read_manifest
+from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.frames import Frame, decode, encode
 from suspnet.recordings.manifest import Place, TripError
-from suspnet.stream import Frame, decode, encode
-from suspnet.stream.assembler import OrderSettings
-from suspnet.stream.sections import MOST_OPEN
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.trip import evaluate_trip
 

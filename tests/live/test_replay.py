@@ -17,8 +17,8 @@ from suspnet.live import replay as replay_module
 from suspnet.live.recorded import trip_clock, trip_frames
 from suspnet.live.replay import Pace, Replay
 from suspnet.recordings import load_recording, read_manifest
-from suspnet.stream import Running
-from suspnet.stream.frames import end_ns
+from suspnet.recordings.frames import end_ns
+from suspnet.recordings.running import Running
 
 SENSORS = ("axle_box", "bogie", "body")
 BEGIN = datetime(2026, 3, 1, 6, tzinfo=UTC)

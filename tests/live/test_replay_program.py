@@ -16,7 +16,7 @@ from suspnet.live.framing import Splitter
 from suspnet.live.mqtt import Mqtt
 from suspnet.live.replay import Replay
 from suspnet.live.sinks import Folder, StandardOutput
-from suspnet.stream import decode, encode
+from suspnet.recordings.frames import decode, encode
 
 
 @pytest.fixture(scope="module")

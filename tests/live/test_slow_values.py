@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.live.slow_values import MOST_KEPT, SlowValues
-from suspnet.stream import Frame, FrameError
+from suspnet.live.operating_conditions import MOST_KEPT, SlowValues
+from suspnet.recordings.frames import Frame, FrameError
 
 SECOND = 10**9
 

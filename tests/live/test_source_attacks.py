@@ -14,10 +14,10 @@ from live_frames import encoded, frame
 from trip_fixtures import model_at, small_fleet
 
 from suspnet.cli import monitor, replay, serve
+from suspnet.estimation.checkpoint import save_model
 from suspnet.live.drop_folder import DropFolder
 from suspnet.live.mqtt import Mqtt
-from suspnet.model.checkpoint import save_model
-from suspnet.stream import encode
+from suspnet.recordings.frames import encode
 
 SECRET = "the key of a cloud"
 GLOBAL = "# @package _global_\n"

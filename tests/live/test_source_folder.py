@@ -13,7 +13,7 @@ from live_frames import encoded, frame, numbers
 
 from suspnet.live import drop_folder
 from suspnet.live.drop_folder import DropFolder
-from suspnet.stream import encode
+from suspnet.recordings.frames import encode
 
 FRAMES = encoded(30)
 

@@ -16,10 +16,9 @@ from live_frames import Mosquitto, encoded, frame, numbers, received, until
 
 from suspnet.live.broker import Broker
 from suspnet.live.mqtt import Mqtt
-from suspnet.live.parts import is_in_part, read_part
+from suspnet.live.sharding import is_in_part, read_part
 from suspnet.live.sinks import MqttSink
-from suspnet.stream import encode
-from suspnet.stream.frames import MOST_SAMPLES
+from suspnet.recordings.frames import MOST_SAMPLES, encode
 
 paho = pytest.importorskip("paho.mqtt.client")
 NAMES = [f"train {k // 4}, car {k % 4}, leading bogie" for k in range(12)]

@@ -12,7 +12,7 @@ from live_frames import encoded, frame, until
 
 from suspnet.live.inbox import Inbox
 from suspnet.live.pipe import Pipe
-from suspnet.stream import encode
+from suspnet.recordings.frames import encode
 
 FRAMES = encoded(50)
 

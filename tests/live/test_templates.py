@@ -11,19 +11,19 @@ from monitor_frames import ListSource
 from trip_fixtures import OUTPUTS, RATES_HZ, model_at, signal, small_fleet
 
 from suspnet.cli import init
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.history import History
-from suspnet.inspection.template import BLANK
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
 from suspnet.live.suspension import LiveSettings
 from suspnet.live.suspensions import read_suspensions
-from suspnet.model.from_recording import TripSettings
+from suspnet.recordings.frames import encode
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.stream import encode
 from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.manifest_template import BLANK
 from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = FleetSettings(TripSettings())

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from suspnet.maintenance.degradation import MODELS
+from suspnet.maintenance.first_passage import HORIZON_KM
 from suspnet.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, learn_fleet, predict_life
 from suspnet.maintenance.noise import UNIT_KM
-from suspnet.maintenance.passage import HORIZON_KM
 
 LIMITS = (0.7, 1.4)
 KM = 2_000.0 * np.arange(150)

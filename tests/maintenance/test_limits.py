@@ -9,7 +9,8 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.limits import limits_words
+from suspnet.ground.parameters import limits_words
+from suspnet.maintenance.assessment import assess, last_trips, overall
 from suspnet.maintenance.limits import (
     DEFAULT_LIMITS,
     N_CONFIRMING,
@@ -19,9 +20,8 @@ from suspnet.maintenance.limits import (
     judge,
     read_limits,
 )
+from suspnet.maintenance.trend import trend
 from suspnet.simulation.scenarios import Scenario
-from suspnet.trips.assessment import assess, last_trips, overall
-from suspnet.trips.trend import trend
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = yaml.safe_load((CONFIGS / "scenarios.yaml").read_text())

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from misbehaving_readers import attempts, open_misbehaving
 
-from suspnet.recordings import apart, confinement, formats
+from suspnet.recordings import confinement, formats
+from suspnet.recordings import reader_process as apart
 from suspnet.recordings.formats import open_file
 from suspnet.recordings.manifest import TripError
 

@@ -10,9 +10,7 @@ from recording_files import WRITERS
 from scipy.io import savemat
 from trip_fixtures import changed, model_at, signal, small_fleet
 
-from suspnet.inspection.contents import look_into
-from suspnet.inspection.template import template
-from suspnet.model.from_recording import TripSettings
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.recordings import dates
 from suspnet.recordings.clocks import Zero, first_moment
 from suspnet.recordings.dates import date_in_lines, date_problem, read_date
@@ -20,6 +18,8 @@ from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
 from suspnet.simulation.writing import DAYS_BETWEEN, time_between
+from suspnet.trips.file_contents import look_into
+from suspnet.trips.manifest_template import template
 from suspnet.trips.trip import evaluate_trip
 
 START = datetime(2024, 5, 6, 8, 15, 30)

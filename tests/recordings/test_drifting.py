@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.drifting import clock_faults, find_drift
+from suspnet.recordings.clock_drift import clock_faults, find_drift
 from suspnet.recordings.manifest import CHANNELS, Channel, TripError, TripManifest
 
 RATE_HZ, SECONDS = 100.0, 600.0

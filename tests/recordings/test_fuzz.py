@@ -9,7 +9,7 @@ import pytest
 import yaml
 from recording_files import WRITERS
 
-from suspnet.recordings import apart
+from suspnet.recordings import reader_process as apart
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.manifest_files import read_manifest, read_place

@@ -8,8 +8,8 @@ from scipy.ndimage import binary_erosion
 from trip_fixtures import RATES_HZ, changed, signal, write_trips
 from vehicles import AM96
 
-from suspnet.commissioning.run import FAMILY
 from suspnet.dynamics import VerticalVehicle
+from suspnet.estimation.commissioning_run import FAMILY
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest

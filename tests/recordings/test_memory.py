@@ -18,9 +18,9 @@ CODE = """
 import re, sys
 from pathlib import Path
 import torch
-from suspnet.features.welch import Welch
+from suspnet.spectra.welch import Welch
 from suspnet.recordings import load_recording, read_manifest
-from suspnet.recordings.segments import recording_segments
+from suspnet.spectra.segments import recording_segments
 recording_segments(load_recording(read_manifest(Path(sys.argv[1]))), Welch())
 # not ru_maxrss, which begins with that of the process that started this one
 print(re.search("VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1])

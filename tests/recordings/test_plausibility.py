@@ -15,13 +15,13 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.journey import steady_journey
 from suspnet.dynamics.quantities import PARTS
 from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.features.cross_spectra import PAIRS, CrossSpectra
-from suspnet.features.transfer_estimate import segment_spectra
-from suspnet.features.welch import Welch
 from suspnet.recordings.manifest import CHANNELS, TripError
-from suspnet.recordings.plausibility import check_channels
 from suspnet.simulation.scatter import scattered
 from suspnet.simulation.writing import profile_length_m, simulate_trip
+from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
+from suspnet.spectra.plausibility import check_channels
+from suspnet.spectra.transfer_estimate import segment_spectra
+from suspnet.spectra.welch import Welch
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))

@@ -9,20 +9,20 @@ import torch
 from protocols import shipped_protocol
 from vehicles import AM96
 
-from suspnet.data import CurveSettings
-from suspnet.data.estimates import EstimateSettings
-from suspnet.data.misfit import CurveMisfit
 from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.estimation.checkpoint import load_model, save_model
+from suspnet.estimation.from_curves import estimate_curves
+from suspnet.estimation.information import output_bounds
+from suspnet.estimation.ood import KINDS
+from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
+from suspnet.estimation.refine import refine
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
-from suspnet.model.checkpoint import load_model, save_model
-from suspnet.model.from_curves import estimate_curves
-from suspnet.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
-from suspnet.theory.information import output_bounds
-from suspnet.uncertainty.ood import KINDS
-from suspnet.uncertainty.refine import refine
+from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.misfit import CurveMisfit
 
 SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 METHODS = {

@@ -4,7 +4,7 @@ import json
 
 from test_tables import run
 
-from suspnet.studies.sweeps import Table5, Table6
+from suspnet.runs.sweeps import Table5, Table6
 
 EDGE = "the best C, 100, is on the edge: slow"
 

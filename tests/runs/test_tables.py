@@ -7,7 +7,7 @@ import math
 import pytest
 
 from suspnet.learning import METHODS
-from suspnet.runs.tables import (
+from suspnet.report.table6 import (
     MODEL_TITLES,
     PUBLISHED,
     records_csv,

@@ -10,10 +10,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from suspnet.model.checkpoint import load_model
-from suspnet.problem import Problem
+from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.physics import Residual
+from suspnet.estimation.problem import Problem
 from suspnet.runs.train import train
-from suspnet.uncertainty.physics import Residual
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODELS = sorted(file.stem for file in (CONFIGS / "model").glob("*.yaml"))

@@ -8,13 +8,13 @@ from trip_fixtures import SENSORS
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar
+from suspnet.ground.storage import locked
 from suspnet.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.simulation import writing
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.writing import write_fleet
-from suspnet.storage import locked
 
 FLEET = Fleet(n_trips=4, minutes=0.1, sensors=SENSORS)
 LOADS = Scenario("loads")

@@ -16,7 +16,7 @@ from suspnet.simulation.fleet_writing import write_trains
 from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.trains import Trains
-from suspnet.trips.places import find_groups
+from suspnet.trips.grouping import find_groups
 
 FLEET = Fleet(n_trips=2, minutes=0.1, last_mileage_km=1000.0, sensors=SENSORS)
 WORN = Scenario("worn", {"c_s": {"from_km": 0.0, "to_km": 1000.0, "ratio": 0.5}})

@@ -6,8 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
-from suspnet.trips.assessment import (
+from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
     LastTrips,
     assess,
@@ -16,7 +15,8 @@ from suspnet.trips.assessment import (
     spoken,
     worst_first,
 )
-from suspnet.trips.trend import Shape, Step, Trend, flagged_trend
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30

@@ -13,9 +13,10 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS
-from suspnet.model import ModelFileError
-from suspnet.model.from_recording import TripSettings
+from suspnet.report.health_figure import ANEW, health_trend
 from suspnet.trips.commissionings import (
     Commissioning,
     commissionings,
@@ -28,7 +29,6 @@ from suspnet.trips.commissionings import (
 )
 from suspnet.trips.details import healthy_words
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.health_figure import ANEW, health_trend
 from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import OUTPUTS, curves, fleet, trip
 
-from suspnet.trips import figures, health_figure
+from suspnet.report import figures, health_figure
 
 
 def draw(figure):

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.maintenance import Alarm, Cause, Life, Severity
-from suspnet.trips.health_figure import AHEAD, LEAST_SPAN_PERCENT, health_trend
+from suspnet.report.health_figure import AHEAD, LEAST_SPAN_PERCENT, health_trend
 
 FEW = OUTPUTS[:2]
 FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"

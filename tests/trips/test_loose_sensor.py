@@ -3,11 +3,11 @@
 import pytest
 from trip_fixtures import OUTPUTS, RATES_HZ, changed, signal
 
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.history.records import NO_ESTIMATE, OK
-from suspnet.inspection.check import CheckSettings, check_trip
-from suspnet.inspection.records import READY, TOO_LITTLE
-from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import CHANNELS
+from suspnet.report.check_records import READY, TOO_LITTLE
+from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.trip import evaluate_trip
 
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))

@@ -5,12 +5,12 @@ from dataclasses import asdict, replace
 import pytest
 from trip_fixtures import changed, model_at
 
-from suspnet.model import ModelFileError
-from suspnet.model.from_recording import TripSettings
-from suspnet.model.validity import check_model
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.validity import check_model
 from suspnet.recordings.manifest import Place
-from suspnet.runs.tensorboard import RunLog
-from suspnet.trips import output
+from suspnet.report import output
+from suspnet.report.tensorboard import RunLog
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 from suspnet.trips.models import NAMED, models_of, place_of
 

@@ -10,15 +10,16 @@ import pytest
 from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
 from trip_records import HALF_WIDTHS, trip
 
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
-from suspnet.model import ModelFileError
-from suspnet.model.from_recording import TripSettings
 from suspnet.recordings.manifest import Place
-from suspnet.runs.tensorboard import RunLog
-from suspnet.trips import fleet, output
+from suspnet.report import output
+from suspnet.report.overview import Evaluated, finding, write_overview
+from suspnet.report.tensorboard import RunLog
+from suspnet.trips import fleet
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 from suspnet.trips.models import models_of
-from suspnet.trips.overview import Evaluated, finding, write_overview
 
 SETTINGS = FleetSettings(TripSettings())
 

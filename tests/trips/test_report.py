@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
+from suspnet.maintenance.assessment import assess, last_trips
 from suspnet.maintenance.limits import DEFAULT_LIMITS
+from suspnet.maintenance.trend import flagged_trend
 from suspnet.recordings.manifest import Place
-from suspnet.trips import figures, health_figure, report
-from suspnet.trips.assessment import assess, last_trips
+from suspnet.report import figures, health_figure, report
 from suspnet.trips.details import files_read_as
-from suspnet.trips.trend import flagged_trend
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}

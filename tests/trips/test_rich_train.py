@@ -25,9 +25,9 @@ from scipy.signal import csd
 from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
-from suspnet.data.estimates import EstimateSettings
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
+from suspnet.spectra.estimates import EstimateSettings
 
 SPEED = 70.0
 HEALTHY = np.ones(5)

@@ -12,7 +12,7 @@ from recording_files import write_csv, write_hdf5, write_mat, write_mdf, write_t
 from scipy.io import savemat, wavfile
 from trip_fixtures import RATES_HZ, signal
 
-from suspnet.model.from_recording import TripSettings
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.trip import evaluate_trip
 

@@ -11,11 +11,11 @@ from roll_reference import CHANNELS, sided_responses, track_amplitudes
 from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
-from suspnet.features.side_difference import SideDifference
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.sides import UNEXPLAINED, spoken_sides
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK
-from suspnet.model.from_recording import TripSettings
-from suspnet.model.sides import UNEXPLAINED, spoken_sides
-from suspnet.trips.sides import sides_finding
+from suspnet.report.sides_summary import sides_finding
+from suspnet.spectra.side_difference import SideDifference
 from suspnet.trips.trip import evaluate_trip
 
 RATE_HZ, TOP_HZ = 250.0, 30.0

@@ -20,17 +20,17 @@ from trip_fixtures import (
 )
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
-from suspnet.features.welch import Welch
+from suspnet.estimation import from_recording as recording
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.ood import Flags
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK
-from suspnet.model import from_recording as recording
-from suspnet.model.from_recording import TripSettings
-from suspnet.model.from_spectra import estimate_with_noise
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scenarios import Scenario
+from suspnet.spectra.welch import Welch
 from suspnet.trips import trip
 from suspnet.trips.trip import evaluate_trip
-from suspnet.uncertainty.ood import Flags
 
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))

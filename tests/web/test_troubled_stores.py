@@ -12,8 +12,8 @@ from cli_runner import typed
 from served_fleet import FAILED, HEALTHY, SETTINGS, fill, name_of, trips
 
 from suspnet.cli import serve
-from suspnet.depot.board import Board
 from suspnet.history import History
+from suspnet.report.board import Board
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher
 

@@ -1,0 +1,1 @@
+"""From frequency responses to stiffness and damping: problem, model, intervals."""

@@ -1,0 +1,294 @@
+"""Trained models as two files, model.safetensors and model.json; no pickle, checked when loaded."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from suspnet._version import __version__
+from suspnet.dynamics import GENERATORS, Vehicle
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.ood import OODDetector
+from suspnet.estimation.physics import Unexplained
+from suspnet.estimation.protocols import Task
+from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
+from suspnet.ground.storage import (
+    DamagedFileError,
+    content_hash,
+    dump_arrays,
+    locked,
+    read_arrays,
+    read_json,
+    write_atomically,
+    write_json,
+)
+from suspnet.ground.tensors import check_device
+from suspnet.ground.types import FloatArray
+from suspnet.learning import METHODS, Scaling
+from suspnet.spectra.components import FEATURE_SETS
+from suspnet.spectra.estimates import OBSERVATIONS
+
+SCHEMA_VERSION = 7
+FEATURES, INTERVALS, OOD, PHYSICS = "features.", "intervals.", "ood.", "physics."
+"""Prefixes of the names of the arrays of the feature set and of the calibrated parts."""
+NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
+"""Entries of model.json that do not describe the model itself."""
+NOT_A_MODEL = (
+    *(ValueError, TypeError, KeyError, AttributeError, IndexError, ArithmeticError),
+    *(AssertionError, RuntimeError, MemoryError, Warning),
+)
+"""What building a model from files that hold something else may raise."""
+UNITS = {
+    "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
+    "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
+    "healthy_features": "position and width in Hz, height dimensionless",
+    "vehicle": "kg, N/m, N s/m",
+}
+
+
+def save_model(folder: Path, model: TrainedModel) -> None:
+    """Write model.safetensors, then model.json, each atomically, and no other model's between.
+
+    Raises
+    ------
+    TypeError
+        If `model` is none of `load_model` or `train`, such as an estimator.
+    OSError
+        If the folder cannot be written.
+    """
+    if not isinstance(model, TrainedModel):
+        raise TypeError(
+            f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
+            "estimator such as MSVR is kept by joblib.dump"
+        )
+    content, description = _files(model)
+    with locked(folder):
+        write_atomically(folder / "model.safetensors", content)
+        write_json(folder / "model.json", description)
+
+
+def fingerprint(model: TrainedModel) -> str:
+    """Return a hash of all that a model's files would hold."""
+    return str(_files(model)[1]["description_sha256"])
+
+
+def _files(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
+    """Return what model.safetensors and model.json hold."""
+    arrays = dict(model.estimator.state())
+    for prefix, part in ((FEATURES, model.task.extractor), *_calibration(model)):
+        arrays |= {prefix + name: array for name, array in part.state().items()}
+    content = dump_arrays(arrays)
+    description = _described(model) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
+    description["description_sha256"] = content_hash(description)
+    return content, description
+
+
+def _described(model: TrainedModel) -> dict[str, Any]:
+    """Return what a model is as JSON-able values, without the hashes of its files."""
+    description = {
+        "schema_version": SCHEMA_VERSION,
+        "suspnet_version": __version__,
+        "model": model.name,
+        "parameters": parameters(model.estimator),
+        "inputs": _scaling_json(model.task.inputs, model.input_scaling),
+        "outputs": _scaling_json(model.task.outputs, model.output_scaling),
+        "units": UNITS,
+        "healthy_features": model.healthy_features.tolist(),
+        "generator": _tagged(model.generator, GENERATORS),
+        "task": model.task.describe(),
+        "settings": _tagged(model.settings, OBSERVATIONS),
+        "corrected": model.corrected,
+        "refined": model.refined,
+        "training": model.training,
+    }
+    plain: dict[str, Any] = _plain(description)
+    if model.vehicle.limits is None:
+        del plain["generator"]["vehicle"]["limits"]  # as models of before have none
+    return plain
+
+
+def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:
+    """Return the calibrated parts that a model has, with the prefixes of their arrays."""
+    pairs = ((INTERVALS, model.intervals), (OOD, model.ood), (PHYSICS, model.unexplained))
+    return [(prefix, part) for prefix, part in pairs if part is not None]
+
+
+def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
+    """Return the model that `save_model` wrote to a folder.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no model in the folder.
+    ModelFileError
+        If a file is damaged, foreign or of another schema version.
+    """
+    folder = Path(folder)
+    path = folder / "model.json"
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no model.json; is it the folder of a run?")
+    check_device(device)
+    try:
+        content = read_json(path)
+        _check_description(path, content)
+        arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
+        return _checked(content, arrays, device)
+    except ModelFileError:
+        raise
+    except DamagedFileError as error:
+        raise ModelFileError(f"{error}; train again or copy the run again") from error
+    except FileNotFoundError as error:
+        raise ModelFileError(f"{folder} holds model.json but no model.safetensors") from error
+    except RecursionError as error:
+        raise ModelFileError(f"{path} is not a suspnet model: it is nested too deeply") from error
+    except NOT_A_MODEL as error:
+        raise ModelFileError(f"{path} is not a suspnet model: {error!r}") from error
+
+
+def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+    """Return the model of a description and its arrays, after all checks.
+
+    Raises
+    ------
+    TypeError, ValueError, KeyError, ...
+        If a setting, a shape or a number is not that of a model.
+    """
+    check_numbers(content)
+    check_arrays(arrays)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # arithmetic that warns is that of a forged model
+        model = _build(content, dict(arrays), device)
+        check_model(model)
+        built = _described(model)
+    for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
+        built[part][key] = content[part].get(key)  # which depend on where the model is used
+    told = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
+    check_same(told, built)
+    return model
+
+
+def parameters(estimator: Any) -> dict[str, Any]:
+    """Return the constructor's arguments of a method, all but its callback."""
+    return {k: v for k, v in estimator.get_params().items() if k != "callback"}
+
+
+def _check_description(path: Path, content: Any) -> None:
+    """Raise ModelFileError if model.json is foreign, outdated or altered."""
+    if not isinstance(content, dict) or "schema_version" not in content:
+        raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
+    if content["schema_version"] != SCHEMA_VERSION:
+        raise ModelFileError(
+            f"{path} has schema version {content['schema_version']}, this suspnet reads "
+            f"{SCHEMA_VERSION}; train again"
+        )
+    claimed = content.pop("description_sha256", None)
+    if claimed != content_hash(content):
+        raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
+    if content["model"] not in METHODS:
+        raise ModelFileError(f"{path}: unknown model {content['model']!r}")
+
+
+def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
+    """Return the model of a checked description and its arrays."""
+    estimator_type = METHODS[content["model"]]
+    arguments = dict(content["parameters"])
+    if "device" in arguments:
+        arguments["device"] = device
+    estimator = estimator_type(**arguments)
+    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, OOD, PHYSICS)}
+    learnt = parts[FEATURES]
+    task = _with_tuples(content["task"])
+    extractor = _with_tuples(task["extractor"])
+    feature_set = FEATURE_SETS[extractor.pop("kind")](**extractor)
+    try:
+        if arrays:
+            estimator.restore(arrays)
+        if learnt:
+            feature_set = feature_set.restored(learnt)
+        intervals = Intervals.restored(parts[INTERVALS]) if parts[INTERVALS] else None
+        ood = OODDetector.restored(parts[OOD]) if parts[OOD] else None
+        unexplained = Unexplained.restored(parts[PHYSICS]) if parts[PHYSICS] else None
+    except ValueError as error:
+        raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
+    generator = dict(content["generator"])
+    generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
+    return TrainedModel(
+        name=content["model"],
+        estimator=estimator,
+        task=Task(**task | {"extractor": feature_set}),
+        generator=_untagged(generator, GENERATORS),
+        settings=_untagged(_without_folder(content["settings"]), OBSERVATIONS),
+        healthy_features=np.array(content["healthy_features"]),
+        input_scaling=_scaling(content["inputs"]),
+        output_scaling=_scaling(content["outputs"]),
+        corrected=content["corrected"],
+        refined=content["refined"],
+        intervals=intervals,
+        ood=ood,
+        unexplained=unexplained,
+        training=content["training"],
+    )
+
+
+def _without_folder(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return settings whose cache is where it is by default, or nowhere: a file names no folder."""
+    default = {field.name: field.default for field in fields(OBSERVATIONS[settings["kind"]])}
+    folder = settings.get("cache_dir")
+    return settings | {"cache_dir": folder if folder == default["cache_dir"] else None}
+
+
+def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+    """Remove the arrays whose name begins with a prefix; return them without it."""
+    names = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): arrays.pop(name) for name in names}
+
+
+def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
+    """Return a dataclass as JSON-able values with the name of its kind."""
+    kind = next(name for name, one in kinds.items() if type(value) is one)
+    return {"kind": kind, **asdict(value)}
+
+
+def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
+    """Return the dataclass that `_tagged` made JSON-able."""
+    arguments = _with_tuples(content)
+    return kinds[arguments.pop("kind")](**arguments)
+
+
+def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping with tuples for JSON's lists."""
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
+
+
+def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:
+    """Return a scaling as JSON-able values, with the names of its columns."""
+    if scaling is None:
+        return {"names": list(names)}
+    arrays = {f.name: getattr(scaling, f.name) for f in fields(scaling)}
+    return {"names": list(names), **_plain(arrays)}
+
+
+def _scaling(content: dict[str, Any]) -> Scaling | None:
+    """Return the scaling that `_scaling_json` made JSON-able."""
+    if "mean" not in content:
+        return None
+    return Scaling(np.array(content["mean"]), np.array(content["scale"]), content["log"])
+
+
+def _plain(value: Any) -> Any:
+    """Return a JSON-able copy; floats survive the round trip exactly."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,127 @@
+"""Result of a model for some curves or one recording: values, intervals and flags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.estimation.healthy import HealthyValues
+from suspnet.estimation.ood import Flags
+from suspnet.ground.types import FloatArray
+
+ENDS = ("value", "low", "high")
+SHOWN = 10
+"""Number of rows that the readable form shows."""
+
+
+@dataclass(frozen=True, repr=False)
+class Estimate:
+    """Parameters relative to healthy, one row a curve or recording; 1 is healthy.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the parameters, the columns of all arrays.
+    values : array of shape (n, n_outputs), [-]
+        NaN where there is no estimate.
+    low, high : arrays of shape (n, n_outputs), [-]
+        Prediction intervals; NaN where the model was not calibrated.
+    level : float
+        Probability with which an interval holds the truth.
+    flags : Flags
+        Reasons not to trust a row; none, if the model was not calibrated.
+    healthy : HealthyValues or None
+        What 1 means in SI units.
+
+    Examples
+    --------
+    >>> one = np.array([[0.93, 1.02]])
+    >>> Estimate(("k_p", "c_p"), one, one - 0.01, one + 0.02, 0.9, Flags.none(1))
+    k_p 0.93 (0.92 to 0.95), c_p 1.02 (1.01 to 1.04)
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    level: float
+    flags: Flags
+    healthy: HealthyValues | None = None
+
+    @property
+    def half_widths(self) -> FloatArray:
+        """Half the width of each interval in logarithms, shape (n, n_outputs), [-]."""
+        with np.errstate(divide="ignore", invalid="ignore"):  # from 0 or below: nothing is known
+            return np.asarray((np.log(self.high) - np.log(self.low)) / 2)
+
+    def si(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return values and ends of intervals in SI units, each (n, n_outputs).
+
+        Raises
+        ------
+        ValueError
+            If the healthy values are not known.
+        """
+        if self.healthy is None:
+            raise ValueError("the estimate does not know its healthy values: give `healthy`")
+        return self.healthy.si(self.values, self.half_widths, self.level)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __repr__(self) -> str:
+        lines = [self._line(row) for row in range(min(len(self), SHOWN))]
+        if len(self) > SHOWN:
+            lines.append(f"... and {len(self) - SHOWN} more")
+        return "\n".join(lines) or "no curves"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the same as values that JSON can hold; None where there is no number.
+
+        In SI units too, with their `unit`, where the healthy values are known.
+        """
+        si = None if self.healthy is None else self.si()
+        return {
+            "level": self.level,
+            "estimates": [
+                {
+                    "parameters": {
+                        name: {
+                            "value": _number(self.values[row, j]),
+                            "low": _number(self.low[row, j]),
+                            "high": _number(self.high[row, j]),
+                        }
+                        | ({} if si is None else self._si(si, row, j))
+                        for j, name in enumerate(self.names)
+                    },
+                    "flags": self.flags.reasons[row],
+                }
+                for row in range(len(self))
+            ],
+        }
+
+    def _si(self, si: tuple[FloatArray, ...], row: int, j: int) -> dict[str, Any]:
+        """Return one parameter of one row in SI units."""
+        assert self.healthy is not None
+        ends = {key: _number(part[row, j]) for key, part in zip(ENDS, si, strict=True)}
+        return {"si": ends | {"unit": self.healthy.units[j]}}
+
+    def _line(self, row: int) -> str:
+        """Return one row in words: values, intervals and flags."""
+        parts = []
+        for j, name in enumerate(self.names):
+            if np.isnan(self.values[row, j]):
+                parts.append(f"{name} no estimate")
+                continue
+            parts.append(f"{name} {self.values[row, j]:.3g}")
+            if not np.isnan(self.low[row, j]):
+                parts[-1] += f" ({self.low[row, j]:.3g} to {self.high[row, j]:.3g})"
+        reason = self.flags.reasons[row]
+        return ", ".join(parts) + (f"; flagged: {reason}" if reason else "")
+
+
+def _number(value: float) -> float | None:
+    """Return a number, None if it is not finite."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,154 @@
+"""A fitted method with all that is needed to use it: task, scaling, generator, calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+
+from suspnet.dynamics import ResponseGenerator, Vehicle
+from suspnet.estimation.healthy import HealthyValues
+from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.ood import OODDetector
+from suspnet.estimation.physics import Unexplained
+from suspnet.estimation.protocols import Task
+from suspnet.ground.types import FloatArray
+from suspnet.learning import Scaling
+from suspnet.spectra.observation import Observation, Observer
+
+
+class ModelFileError(ValueError):
+    """A model file is damaged, foreign or of another kind than needed."""
+
+
+@dataclass(frozen=True)
+class FittedMethod:
+    """A fitted method with all that is needed to use it.
+
+    Attributes
+    ----------
+    name : str
+        A key of ``suspnet.learning.METHODS``.
+    estimator : object
+        The fitted method; works on scaled inputs and outputs.
+    task : Task
+        Its feature set with what that has learnt.
+    generator : ResponseGenerator
+        Generator of the training curves.
+    settings : Observation
+        How the training curves were observed.
+    healthy_features : array of shape (n_features,)
+        Features of the healthy vehicle, which the inputs are relative to.
+    input_scaling, output_scaling : Scaling or None
+        None for methods that fit curves directly.
+    corrected : bool
+        Whether the regression's own error is taken from its estimates: see `from_curves`.
+    refined : bool
+        Whether its estimates are refined by `refine`.
+    intervals : Intervals or None
+    ood : OODDetector or None
+        None, both, where the model was not calibrated.
+    unexplained : Unexplained or None
+        What the healthy trips of a commissioned vehicle leave unexplained; None of a nominal one.
+    training : dict
+        How the training went.
+    """
+
+    name: str
+    estimator: Any
+    task: Task
+    generator: ResponseGenerator
+    settings: Observation
+    healthy_features: FloatArray
+    input_scaling: Scaling | None = None
+    output_scaling: Scaling | None = None
+    corrected: bool = False
+    refined: bool = False
+    intervals: Intervals | None = None
+    ood: OODDetector | None = None
+    unexplained: Unexplained | None = None
+    training: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
+
+    @cached_property
+    def observer(self) -> Observer:
+        """Makes curves like those of the training, on the CPU."""
+        return self.settings.observer(self.generator.on("cpu"))
+
+    @property
+    def log(self) -> bool:
+        """Whether residuals are those of logarithms."""
+        return self.output_scaling is None or self.output_scaling.log
+
+    @cached_property
+    def healthy(self) -> HealthyValues:
+        """Values of the healthy vehicle in SI units, which estimates are relative to."""
+        return HealthyValues.of(self.generator, self.task.outputs)
+
+    def relative_features(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
+        """Return the features of measured curves, relative to the healthy vehicle's.
+
+        Parameters
+        ----------
+        curves : array of shape (n_curves, 2, n_freq), [-]
+            G_p and G_s, complex; for the feature set `peaks` their magnitudes suffice.
+        frequencies_hz : array of shape (n_freq,), [Hz]
+            Evenly spaced; the spacing of `settings` is what the model was trained on.
+
+        Returns
+        -------
+        array of shape (n_curves, n_features), [-]
+            NaN where a peak is missing.
+        """
+        values = np.asarray(curves)
+        values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
+        bins = torch.as_tensor(np.asarray(frequencies_hz, dtype=np.float64))
+        table = self.task.extractor.extract(torch.as_tensor(values), bins)
+        return self.task.extractor.relative(table.values.numpy(), self.healthy_features)
+
+    def predict(self, inputs: ArrayLike) -> FloatArray:
+        """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
+
+        Parameters
+        ----------
+        inputs : array of shape (n_curves, n_inputs), [-]
+            Features relative to the healthy vehicle's, named as ``task.inputs``.
+
+        Raises
+        ------
+        ValueError
+            If the inputs do not fit the model, or it fits curves and has no inputs.
+        """
+        if self.input_scaling is None or self.output_scaling is None:
+            raise ValueError(f"{self.name} works on curves, not on features")
+        inputs = np.asarray(inputs, dtype=np.float64)
+        if inputs.ndim != 2 or inputs.shape[1] != len(self.task.inputs):
+            raise ValueError(
+                f"`inputs` must have shape (n_curves, {len(self.task.inputs)}) with columns "
+                f"{self.task.inputs}, got {inputs.shape}"
+            )
+        if not np.isfinite(inputs).all() or (self.input_scaling.log and not (inputs > 0).all()):
+            raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
+        scaled = self.estimator.predict(self.input_scaling.apply(inputs))
+        return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
+
+    def scaled(self, inputs: FloatArray) -> FloatArray:
+        """Return scaled inputs (n_curves, n_inputs); what is missing stays NaN."""
+        if self.input_scaling is None:
+            return np.full_like(inputs, np.nan)
+        unusable = ~np.isfinite(inputs) | (self.input_scaling.log & ~(inputs > 0))
+        return self.input_scaling.apply(np.where(unusable, np.nan, inputs))
+
+    def with_estimates(self, inputs: FloatArray, estimates: FloatArray) -> FloatArray:
+        """Return scaled inputs and estimates side by side: the inputs of a residual scale."""
+        if self.output_scaling is None:
+            return np.log(estimates)
+        return np.column_stack([self.scaled(inputs), self.output_scaling.apply(estimates)])

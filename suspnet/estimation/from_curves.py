@@ -1,0 +1,250 @@
+"""From observed curves to estimates: regression, refinement on the curve, intervals, flags."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.ood import Flags
+from suspnet.estimation.protocols import Task
+from suspnet.estimation.refine import Refined, complete_ratios, refine
+from suspnet.ground.types import FloatArray, IntArray
+from suspnet.spectra.extraction import FeatureSet
+from suspnet.spectra.observation import Misfit, Observer
+
+MASS = PARAMETERS.index("M_s")
+ONE_SIGMA = 0.6827
+"""Level of an interval whose half width is one standard deviation of a normal error."""
+ROWS = 256
+"""Number of curves made at once to correct estimates."""
+
+
+def estimate_curves(
+    method: FittedMethod,
+    observer: Observer,
+    curves: Tensor,
+    level: float,
+    mass: FloatArray | None = None,
+) -> Estimate:
+    """Return estimates, intervals and flags of any curves.
+
+    Parameters
+    ----------
+    method : FittedMethod
+    observer : Observer
+        How the curves were observed, with the method's own generator.
+    curves : tensor of shape (n_curves, 2, n_freq), [-]
+    level : float
+        Probability of the intervals.
+    mass : array of shape (n_curves,), optional
+        The measured car-body mass ratio, where the task knows it.
+
+    Raises
+    ------
+    ValueError
+        If the curves do not fit the method, or none identifies an output that is to be refined.
+    """
+    task = method.task
+    seen = observer.for_features(curves)
+    table = task.extractor.extract(seen, observer.frequencies_hz.to(curves.device))
+    inputs = task.extractor.relative(table.values.cpu().numpy(), method.healthy_features)
+    if mass is not None:
+        inputs = np.column_stack([inputs, mass])
+    predicted = regress(method, observer, inputs, curves, mass)
+    refined = None
+    if method.refined or method.ood is not None:
+        refined = refine_curves(task, observer, curves, predicted, mass)
+    values = predicted
+    if method.refined and refined is not None:
+        values, deviations = refined.of(task.outputs)
+        told = np.asarray(np.isfinite(deviations).all(axis=1))
+        if not told.any():
+            identified(task, refined)
+        values = np.where(told[:, None], values, np.nan)
+    low = high = np.full_like(values, np.nan)
+    if method.intervals is not None:
+        scales = residual_scales(method, inputs, values, refined)
+        low, high = method.intervals.ends(values, _widened(method, values, scales), level)
+    flags = Flags.none(len(values))
+    if method.ood is not None and refined is not None:
+        missing = missing_words(task.extractor, table.reasons.cpu().numpy())
+        flags = method.ood.flags(task, missing, method.scaled(inputs), refined)
+    if method.unexplained is not None:
+        flags = method.unexplained.flagged(flags)
+    return Estimate(task.outputs, values, low, high, level, flags, method.healthy)
+
+
+def _widened(method: FittedMethod, values: FloatArray, scales: FloatArray) -> FloatArray:
+    """Return residual scales with the cost of what is unexplained as one more deviation."""
+    if method.unexplained is None or method.intervals is None:
+        return scales
+    usual = method.intervals.conformal.factors(ONE_SIGMA)
+    costs = method.unexplained.costs / usual
+    return np.hypot(scales, costs if method.intervals.log else costs * values)
+
+
+def regress(
+    method: FittedMethod,
+    observer: Observer,
+    inputs: FloatArray,
+    curves: Tensor,
+    mass: FloatArray | None = None,
+) -> FloatArray:
+    """Return the regression's estimates, shape (n_curves, n_outputs); NaN where a peak is missing.
+
+    Parameters
+    ----------
+    method : FittedMethod
+    observer : Observer
+    inputs : array of shape (n_curves, n_inputs), [-]
+        Features relative to healthy (and the mass).
+    curves : tensor of shape (n_curves, 2, n_freq), [-]
+        Input of a method that works on curves.
+    mass : array of shape (n_curves,), optional
+    """
+    if method.estimator.works_on_curves:
+        return _fit_curves(method, observer, curves, mass)
+    predicted = np.full((len(inputs), len(method.task.outputs)), np.nan)
+    complete = np.isfinite(inputs).all(axis=1)
+    if complete.any():
+        predicted[complete] = corrected(method, observer, method.predict(inputs[complete]))
+    return predicted
+
+
+def corrected(
+    method: FittedMethod, observer: Observer, predicted: FloatArray, n_steps: int = 1
+) -> FloatArray:
+    """Return estimates without the regression's own error at the vehicles they tell of.
+
+    With g(p) what the regression g makes of the noise-free curve of vehicle p, and p_0 its estimate
+    of the observed curve, each step is p <- p p_0 / g(p): towards the p with g(p) = p_0, indirect
+    inference (Gourieroux, Monfort and Renault 1993). It takes the speed and the noise of the
+    observation as they are, whatever the regression was trained for.
+
+    Parameters
+    ----------
+    method : FittedMethod
+        Estimates of one that is not `corrected` come back as they are.
+    observer : Observer
+        Of the curves, with the method's own generator.
+    predicted : array of shape (n_curves, n_outputs), [-]
+        p_0; estimates must be all that is unknown of the curves.
+    n_steps : int
+        One is enough for curves like the training curves.
+    """
+    columns, bins = method.task.output_indices, observer.frequencies_hz.cpu().numpy()
+    estimates = predicted
+    for _ in range(n_steps if method.corrected else 0):
+        parts = []
+        for rows in np.array_split(np.arange(len(predicted)), math.ceil(len(predicted) / ROWS)):
+            near = complete_ratios(method.task, estimates[rows])
+            curves = observer.for_features(observer.noise_free(torch.as_tensor(near)))
+            inputs = method.relative_features(curves.cpu().numpy(), bins)
+            usable = np.isfinite(inputs).all(axis=1)
+            again = near[:, columns]  # no step where the vehicle lacks a feature
+            again[usable] = method.predict(inputs[usable])
+            parts.append(near[:, columns] * predicted[rows] / again)
+        estimates = np.concatenate(parts)
+    return estimates
+
+
+def refine_curves(
+    task: Task, observer: Observer, curves: Tensor, predicted: FloatArray, mass: FloatArray | None
+) -> Refined:
+    """Return maximum-likelihood estimates of all unknown parameters, started from `predicted`."""
+
+    def misfit(near: Tensor) -> Misfit:
+        return observer.misfit(curves, near, task.used_responses)
+
+    start = misfit(torch.as_tensor(complete_ratios(task, predicted, mass)))
+    return refine(task, start, predicted, mass, directions=observer.directions, near=misfit)
+
+
+def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
+    """Return refined outputs and their standard deviations, each (n_curves, n_outputs).
+
+    Raises
+    ------
+    ValueError
+        If the curves do not identify an output.
+    """
+    estimates, deviations = refined.of(task.outputs)
+    for name, column in zip(task.outputs, deviations.T, strict=True):
+        if not np.isfinite(column).all():
+            raise ValueError(
+                f"refine=true needs curves that tell {name}, and these of protocol "
+                f"{task.protocol!r} do not: see python evaluate.py "
+                f"study=identifiability protocol={task.protocol}"
+            )
+    return estimates, deviations
+
+
+def residual_scales(
+    method: FittedMethod, inputs: FloatArray, estimates: FloatArray, refined: Refined | None
+) -> FloatArray:
+    """Return the residual scale of curves for a calibrated method, (n_curves, n_outputs), [-].
+
+    NaN where a peak is missing and the method cannot do without.
+    """
+    intervals = method.intervals
+    assert intervals is not None
+    if intervals.residual_scale is None:
+        assert refined is not None
+        return refined.of(method.task.outputs)[1]
+    known = method.with_estimates(inputs, estimates)
+    complete = np.isfinite(known).all(axis=1)
+    values = np.full((len(inputs), len(method.task.outputs)), np.nan)
+    if complete.any():
+        values[complete] = intervals.residual_scale.predict(known[complete])
+    return values
+
+
+def missing_words(extractor: FeatureSet, reasons: IntArray) -> list[str]:
+    """Return what is missing of each curve, in words; empty where nothing is."""
+    return [extractor.missing(row) if row.any() else "" for row in reasons]
+
+
+def curve_model(
+    generator: ResponseGenerator, task: Task, frequencies_hz: Tensor
+) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return curves (n, n_responses, n_freq) as a function of the unknown and the known ratios."""
+
+    def forward(unknown: Tensor, known: Tensor) -> Tensor:
+        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
+        if task.mass_known:
+            columns["M_s"] = known[:, 0]
+        healthy = torch.ones_like(unknown[:, 0])
+        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
+        return generator.magnitudes(ratios, frequencies_hz)[:, task.used_responses]
+
+    return forward
+
+
+def _fit_curves(
+    method: FittedMethod, observer: Observer, curves: Tensor, mass: FloatArray | None
+) -> FloatArray:
+    """Return the outputs whose magnitudes lie nearest to those observed, (n_curves, n_outputs)."""
+    task = method.task
+    if curves.is_complex():
+        raise ValueError(
+            f"model={method.name} fits magnitudes with white noise; it cannot be used with "
+            "data=trips"
+        )
+    known = torch.empty(len(curves), 0) if mass is None else torch.as_tensor(mass)[:, None]
+    solution = method.estimator.fit_curves(
+        curve_model(observer.generator, task, observer.frequencies_hz),
+        curves[:, task.used_responses],
+        known.to(curves),
+        task.lower,
+        task.upper,
+        len(task.unknown),
+    )
+    found = solution.parameters.cpu().numpy()
+    return np.asarray(found[:, [task.unknown.index(name) for name in task.outputs]])

@@ -1,0 +1,272 @@
+"""From a recording to an estimate: segments at one speed -> transfer functions -> k and c."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from torch import Tensor
+
+from suspnet.dynamics import ResponseGenerator
+from suspnet.estimation.delays import delay_words
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
+from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
+from suspnet.estimation.sides import with_sides
+from suspnet.estimation.speed_bin import SpeedBin, combined
+from suspnet.estimation.speed_groups import (
+    group_speed,
+    groups_of,
+    groups_to_read,
+    no_group_words,
+    readable_words,
+    reads_at_any_speed,
+)
+from suspnet.ground.checks import check_flag, check_number
+from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.recording import Recording
+from suspnet.spectra.plausibility import check_channels, check_pairs
+from suspnet.spectra.segments import (
+    NoEstimateError,
+    difference_segments,
+    in_band,
+    recording_segments,
+    segment_speeds,
+)
+from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import Welch
+
+
+@dataclass(frozen=True)
+class TripSettings:
+    """How trips are read, and the conditions for an estimate.
+
+    Parameters
+    ----------
+    rate_hz : float, [Hz]
+        Common rate of the three channels.
+    speed_tolerance : float, [-]
+        The speeds of a segment stay within 1 +- this of its mean, and segments that are averaged
+        within 1 +- this of each other's middle.
+    min_speed_m_per_s : float, [m/s]
+        Least speed for models that do not depend on it.
+    min_coherence : float, [-]
+        Segments of lower coherence with the trip's response are left out if it is also much lower
+        than that of the other segments.
+    min_averages : float
+        Below this many independent averages in a bin there is no estimate from it.
+    max_deviation : float, [-]
+        If the log-magnitudes are less certain than this (standard deviation, median over the bins
+        in use) there is no estimate.
+    level : float
+        Probability that an interval holds the truth.
+    check_channels : bool
+        Look for wrong units, signs and swapped channels.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    rate_hz: float = 100.0
+    speed_tolerance: float = 0.02
+    min_speed_m_per_s: float = 10.0
+    min_coherence: float = 0.3
+    min_averages: float = 10.0
+    max_deviation: float = 0.3
+    level: float = 0.9
+    check_channels: bool = True
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("rate_hz", 20, 1000),
+            ("speed_tolerance", 0, 0.5),
+            ("min_speed_m_per_s", 0, 200),
+            ("min_coherence", 0, 1),
+            ("min_averages", 3, 1e6),
+            ("max_deviation", 0, 10),
+            ("level", 0.01, 0.999),
+        ):
+            check_number(f"trips.{name}", getattr(self, name), low=low, high=high)
+        check_flag("trips.check_channels", self.check_channels)
+
+
+def estimate_recording(
+    method: FittedMethod, recording: Recording, settings: TripSettings
+) -> Estimate:
+    """Return a method's estimate from a recording, of one row; raises what `speed_bins` does."""
+    welch = trip_settings(method).welch
+    segments = recording_segments(recording, welch)
+    if not len(segments.values):
+        raise NoEstimateError(no_segment(recording, welch))
+    bins = speed_bins(method, recording, segments, settings)
+    return with_sides(combined(bins), bins, recording)[0]
+
+
+def speed_bins(
+    method: FittedMethod,
+    recording: Recording,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+    models: Sequence[FittedMethod] = (),
+) -> list[SpeedBin]:
+    """Return a method's estimate from each group of segments at one of its speeds.
+
+    Parameters
+    ----------
+    method : FittedMethod
+        Trained on estimates from trips.
+    recording : Recording
+    segments : SegmentSpectra
+        Of the recording, from `recording_segments`, cut as the method's training curves.
+    settings : TripSettings
+    models : sequence of FittedMethod
+        All models that read the recording, with the method itself: a group of segments is for one
+        of them. The method alone if there are none.
+
+    Returns
+    -------
+    list of SpeedBin
+        Empty if all that can be read is for others of the models.
+
+    Raises
+    ------
+    NoEstimateError
+        If the recording is sound but nothing can be estimated from it; the message is that of the
+        largest group, or names the trip's speeds and those of the models.
+    TripError
+        If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
+        meets a model that was trained for a sensor on one side.
+    """
+    _check_places(recording, method.generator)
+    together = models or [method]
+    speeds = segment_speeds(recording, segments)
+    tolerance, any_speed = settings.speed_tolerance, reads_at_any_speed(method)
+    least = settings.min_speed_m_per_s if any_speed else 0.0
+    groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    if not any(groups_of(one, together, speeds, groups) for one in together):
+        if segments.welch.n_averages(len(speeds)) < settings.min_averages:
+            raise NoEstimateError(_too_short(recording, segments, settings))
+        raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
+    bins, reasons = [], []
+    for group in groups_of(method, together, speeds, groups):
+        try:
+            bins.append(_speed_bin(method, recording, group, together, speeds, segments, settings))
+        except NoEstimateError as reason:
+            reasons.append(reason)
+    if reasons and not bins:
+        raise reasons[0]
+    return bins
+
+
+def _speed_bin(
+    method: FittedMethod,
+    recording: Recording,
+    group: Tensor,
+    models: Sequence[FittedMethod],
+    speeds: Tensor,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+) -> SpeedBin:
+    """Return a method's estimate from a group of segments."""
+    trained = trip_settings(method)
+    band = in_band(segments, trained.frequencies_hz())
+    found = group_spectra(band, group, settings.min_coherence, trained)
+    chosen, doubts = found.chosen, ""
+    n_candidates = int(found.candidates.sum())
+    if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
+        looked_at = chosen if found.spectra is not None else found.candidates
+        if any(recording.paired):
+            differences = difference_segments(recording, segments.welch)
+            check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
+        doubts = _checked(segments, looked_at, method)
+    if found.spectra is None or found.n_averages < settings.min_averages:
+        raise NoEstimateError(_too_few(found, group, models, recording, speeds, segments, settings))
+    if found.deviation > settings.max_deviation:
+        raise NoEstimateError(
+            f"the responses are uncertain by {100 * found.deviation:.2g} % (coherence "
+            f"{min(found.coherences):.2f}, {found.n_averages:.0f} averages), "
+            f"at most {100 * settings.max_deviation:.2g} % are accepted"
+        )
+    mean, deviation = speed_of(speeds[chosen], segments)
+    at = Speeds.of(mean, deviation)
+    try:
+        estimate, noise_share = estimate_with_noise(method, found.spectra, settings.level, at)
+    except MissingFeaturesError as error:
+        raise NoEstimateError(f"features are missing: {error}") from None
+    late = delay_words(method, found.spectra, estimate, at)
+    if late:
+        estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
+    return SpeedBin(method, found.spectra, band, chosen, mean, estimate, noise_share, doubts)
+
+
+def _too_few(
+    found: GroupSpectra,
+    group: Tensor,
+    models: Sequence[FittedMethod],
+    recording: Recording,
+    speeds: Tensor,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+) -> str:
+    """Return that a group of segments has too few averages, and what else the trip holds."""
+    if segments.welch.n_averages(len(group)) < settings.min_averages:
+        return _too_short(recording, segments, settings)
+    where = f"steady at {group_speed(speeds, group):.1f} m/s"
+    if reads_at_any_speed(models[0]):
+        where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
+    return (
+        f"{int(group.sum())} of {len(group)} segments without faults are {where}, "
+        f"{found.n_incoherent} of them of low coherence: {found.n_averages:.1f} averages, at least "
+        f"{settings.min_averages:g} are needed (half of the trip is run at "
+        f"{float(speeds.mean(dim=1).median()):.1f} m/s or less, {readable_words(models)})"
+    )
+
+
+def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
+    """Return that all of a recording, or what is free of faults, is too short."""
+    n_segments, faults = len(segments.values), unrepaired_words(recording)
+    return (
+        f"{n_segments} segments without faults: {segments.welch.n_averages(n_segments):.1f} "
+        f"averages, at least {settings.min_averages:g} are needed: "
+        + (f"too little is free of faults: {faults}" if faults else "the recording is too short")
+    )
+
+
+def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
+    """Raise TripError if a pair of sensors meets a model of a sensor on one side.
+
+    A single sensor suits both kinds of model: it may be at the middle, or an average itself.
+    """
+    places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
+    wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
+    if wrong:
+        told = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
+        raise TripError(
+            "the trip has sensors left and right, the model was trained for one sensor beside the "
+            f"middle: {told}; give one sensor in the manifest, or train with "
+            "generator.sensor_lateral_m=[0,0,0]"
+        )
+
+
+def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:
+    """Return what could not be checked of the channels; TripError if one is wrong."""
+    spectra = segments.average(chosen)
+    return check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
+
+
+def no_segment(recording: Recording, welch: Welch) -> str:
+    """Return why no segment of a recording is free of faults."""
+    return f"no segment of {welch.segment_s:g} s is free of faults: {unrepaired_words(recording)}"
+
+
+def unrepaired_words(recording: Recording) -> str:
+    """Return the faults that make parts of a recording unusable; empty if there are none."""
+    faults = [str(fault) for fault in recording.faults if not fault.repaired]
+    if not np.isfinite(recording.speed_m_per_s).all():
+        faults.append("the speed is unknown in part")
+    return "; ".join(faults)

@@ -1,0 +1,254 @@
+"""Interval and flags of one trip's estimate.
+
+Intervals are calibrated on curves with the averages and the noise that a model was trained for,
+and a trip has its own. So the noise part of the residual scale in training is replaced by that of
+the trip::
+
+    s^2 = w^2 (l^2 + b^2 + f^2) + n^2,    l^2 = max(s_0^2 - n_0^2, 0)
+    half width = s q(level) / q(ONE_SIGMA)
+
+with s_0 the standard deviation that the calibration gives and q its quantiles, n_0 the noise part
+expected of such a vehicle in training, n that of the trip. l^2 is the variance of the
+regression's own error and of the generator's uncertain quantities; b is the cost of what the
+healthy trips of a commissioned vehicle left unexplained (`suspnet.estimation.physics`), f that of
+damping and stiffness which do not wear (`unworn_deviations`), w is ``COMMON`` for these; others
+have w = 1 and b = f = 0. Of refined estimates n is the deviation that Gauss-Newton gives if all
+numbers are known, and what it gives beyond that adds to l^2; of others n is the spread of estimates
+from drawn spectra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.fitted import FittedMethod, ModelFileError
+from suspnet.estimation.from_curves import ONE_SIGMA, corrected
+from suspnet.estimation.information import output_bounds
+from suspnet.estimation.ood import Flags
+from suspnet.estimation.refine import Refined, complete_ratios, refine
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.speeds import Speeds
+
+
+class MissingFeaturesError(ValueError):
+    """A trip lacks features that the regression needs; the message says which and why."""
+
+
+N_DRAWS = 64
+"""Number of draws of a trip's noise. It gives n and n_0 to 0.96 / sqrt(64) = 12 %, but both come
+from the same random numbers and err alike: at a quarter of the averages half widths err by 4 %."""
+CORRECTIONS = 3
+"""Number of steps that correct a trip's estimate; measured, a fourth changes nothing where the
+speed is within a tenth of that trained for."""
+COMMON = 1.8
+"""Factor on what lasts from trip to trip of a commissioned vehicle: the error that healthy trips
+leave is one draw for all that follow. Without it 90 % intervals hold in 90 % of the trips of many
+vehicles, but in far fewer of those of a vehicle whose draw is bad."""
+UNWORN = {"k_p": 0.003, "c_p": 0.05}
+"""Standard deviation of the share of a healthy vehicle's stiffness and damping that does not wear.
+Dry friction in a primary suspension acts as a damper does where it slips and as a spring where it
+sticks, and no healthy trip tells them apart."""
+CONFIRMED = 1.05
+"""Factor on the deviations of refined estimates up to which a calibration confirms them."""
+
+
+def estimate_spectra(
+    method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
+) -> Estimate:
+    """Return one trip's estimate with interval and flags, from its spectra.
+
+    Parameters
+    ----------
+    method : FittedMethod
+        Trained on estimates from trips.
+    spectra : CrossSpectra
+        Of the trip on the method's bins, (3, n_freq).
+    level : float
+        Probability of the interval.
+    speeds : Speeds, optional
+        Of the segments behind the spectra; None is the speed that the method was trained for.
+
+    Raises
+    ------
+    MissingFeaturesError
+        If the regression lacks a feature; the message says which and why.
+    """
+    return estimate_with_noise(method, spectra, level, speeds)[0]
+
+
+def estimate_with_noise(
+    method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
+) -> tuple[Estimate, FloatArray]:
+    """Return one trip's estimate as `estimate_spectra` does, and the share of noise in it.
+
+    Returns
+    -------
+    estimate : Estimate
+    noise_share : array of shape (n_outputs,), [-]
+        n^2 / s^2; 1 without an interval.
+    """
+    observer = trip_observer(method)
+    if speeds is not None:
+        observer = observer.at(speeds)
+    inputs = _inputs(method, spectra, observer)
+    predicted = corrected(method, observer, method.predict(inputs), CORRECTIONS)
+    unknown = np.ones(len(method.task.outputs))
+    if method.intervals is None and not method.refined:
+        return _estimate(method, predicted[0], None, level), unknown
+    refined = _refined(method, observer, spectra, predicted)
+    if method.intervals is None or method.ood is None:
+        return _estimate(method, refined.of(method.task.outputs)[0][0], None, level), unknown
+    seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
+    flags = method.ood.flags(method.task, [""], method.scaled(inputs), seen)
+    factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
+    ratios = torch.as_tensor(complete_ratios(method.task, predicted))
+    if method.refined:
+        values, deviation = (part[0] for part in refined.of(method.task.outputs))
+        noise = refined.noise_of(method.task.outputs)[0]
+        lasting = _lasting(deviation, noise)
+        if not (usual < CONFIRMED).all():
+            bounds = output_bounds(method.task, observer, ratios.numpy())
+            bounds = bounds[0] / ratios.numpy()[0, method.task.output_indices]
+            lasting = lasting + _lasting(usual * bounds, bounds)
+    else:
+        values = predicted[0]
+        expected = observer.expected(ratios)
+        mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
+        noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
+        scale = _residual_scale(method, inputs, predicted)
+        lasting = _lasting(usual * scale, noise_0)
+    if method.unexplained is not None:
+        costs = method.unexplained.costs**2 + unworn_deviations(method.task.outputs, values) ** 2
+        lasting = COMMON**2 * (lasting + costs)
+    spread = np.sqrt(lasting + noise**2)
+    estimate = _estimate(method, values, factor / usual * spread, level, flags)
+    return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
+
+
+def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
+    """Return what damping and stiffness that do not wear cost the logarithm of each output.
+
+    A damper at the ratio r beside a share u of the healthy damping that stays as it is reads as
+    (1 - u) r + u: wrong by u (1 - r) / r of r, which is nothing where nothing is worn.
+
+    Parameters
+    ----------
+    outputs : sequence of str
+    ratios : array of shape (n_outputs,), [-]
+        Estimates.
+
+    Returns
+    -------
+    array of shape (n_outputs,), [-]
+        u |1 - r| / r with u the deviation of ``UNWORN``, 0 of what it does not hold.
+    """
+    shares = np.array([UNWORN.get(name, 0.0) for name in outputs])
+    return np.asarray(shares * np.abs(1 - ratios) / ratios)
+
+
+def trip_settings(method: FittedMethod) -> EstimateSettings:
+    """Return how the trips that a method was trained for are estimated.
+
+    Raises
+    ------
+    ModelFileError
+        If the method was trained on other curves.
+    """
+    if not isinstance(method.settings, EstimateSettings):
+        raise ModelFileError(
+            f"the model of protocol {method.task.protocol!r} was trained on curves of section "
+            "III-B; trips need one of: python train.py experiment=trips"
+        )
+    return method.settings
+
+
+def trip_observer(method: FittedMethod) -> EstimateObserver:
+    """Return what observes trips as a method's training did; raises as `trip_settings`."""
+    trip_settings(method)
+    observer = method.observer
+    assert isinstance(observer, EstimateObserver)
+    return observer
+
+
+def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:
+    """Return the features of a trip, shape (1, n_inputs)."""
+    extractor = method.task.extractor
+    responses = observer.for_features(spectra.responses(observer.settings.method)[None])
+    table = extractor.extract(responses, observer.frequencies_hz)
+    inputs = extractor.relative(table.values.numpy(), method.healthy_features)
+    if not np.isfinite(inputs).all():
+        raise MissingFeaturesError(extractor.missing(table.reasons[0].numpy()))
+    return inputs
+
+
+def _estimate(
+    method: FittedMethod,
+    values: FloatArray,
+    half_widths: FloatArray | None,
+    level: float,
+    flags: Flags | None = None,
+) -> Estimate:
+    """Return an estimate of one row whose interval is symmetric in logarithms."""
+    half = np.full(len(values), np.nan) if half_widths is None else half_widths
+    with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+        low, high = values * np.exp(-half), values * np.exp(half)
+    flags = flags or Flags.none(1)
+    if method.unexplained is not None:
+        flags = method.unexplained.flagged(flags)
+    rows = values[None], low[None], high[None]
+    return Estimate(method.task.outputs, *rows, level, flags, method.healthy)
+
+
+def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
+    """Return max(s_0^2 - n_0^2, 0), the variance without noise; 0 where both are infinite."""
+    s_0, n_0 = (np.nan_to_num(part, posinf=0.0) for part in (usual, noise_0))
+    return np.asarray(np.maximum(s_0**2 - n_0**2, 0))
+
+
+def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Return the residual scale of one curve's logarithms, (n_outputs,)."""
+    intervals = method.intervals
+    assert intervals is not None
+    assert intervals.residual_scale is not None
+    scale = intervals.residual_scale.predict(method.with_estimates(inputs, predicted))[0]
+    return np.asarray(scale if intervals.log else scale / predicted[0])
+
+
+def _refined(
+    method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
+) -> Refined:
+    """Return the maximum-likelihood estimate from a trip's spectra."""
+    misfit = observer.measured_misfit(spectra)
+    return refine(method.task, misfit, predicted, directions=observer.directions)
+
+
+def _as_in_training(refined: Refined, share: float) -> Refined:
+    """Return estimates with the misfit scaled to the number of averages of the training.
+
+    The mean square beyond 1 is that of the generator's own errors over that of the noise. It grows
+    with the averages, while the threshold of the misfit belongs to those of the training. Shorter
+    trips keep their misfit: it is noise.
+    """
+    beyond = (refined.misfit**2 - 1) * min(share, 1.0)
+    return replace(refined, misfit=np.sqrt(1 + beyond))
+
+
+def _noise(method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra) -> FloatArray:
+    """Return the spread of the estimates' logarithms over draws of some spectra, (n_outputs,)."""
+    drawn = observer.observe_again(spectra, N_DRAWS, seed=0)
+    curves = observer.for_features(drawn).numpy()
+    inputs = method.relative_features(curves, observer.frequencies_hz.numpy())
+    inputs = inputs[np.isfinite(inputs).all(axis=1)]
+    if len(inputs) < N_DRAWS // 2:
+        return np.full(len(method.task.outputs), np.inf)
+    estimates = corrected(method, observer, method.predict(inputs), CORRECTIONS)
+    low, high = np.quantile(estimates, [0.1587, 0.8413], axis=0)
+    return np.asarray(np.log(high / low) / 2)

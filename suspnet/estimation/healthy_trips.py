@@ -1,0 +1,183 @@
+"""Healthy trips of a folder: recordings -> spectra at each of their speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from suspnet.estimation.from_recording import TripSettings, unrepaired_words
+from suspnet.estimation.group_spectra import group_spectra, speed_of
+from suspnet.estimation.speed_groups import groups_to_read
+from suspnet.ground.progress import bar
+from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest_files import find_manifests, read_manifest
+from suspnet.recordings.recording import Recording, load_recording
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import in_band, recording_segments, segment_speeds
+from suspnet.spectra.speeds import Speeds
+
+LEAST_TRIPS = 3
+"""Fewer healthy trips tell too little of a vehicle."""
+
+
+@dataclass(frozen=True)
+class HealthySpectra:
+    """Spectra of one healthy trip at one speed.
+
+    Attributes
+    ----------
+    trip : int
+        Index of the trip, which has one car-body mass.
+    name : str
+        The trip's.
+    speeds : Speeds
+        Of the segments behind the spectra.
+    spectra : CrossSpectra
+        Of shape (3, n_freq) on the bins of the settings.
+    """
+
+    trip: int
+    name: str
+    speeds: Speeds
+    spectra: CrossSpectra
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Mean speed, [m/s]."""
+        pairs = zip(self.speeds.m_per_s, self.speeds.weights, strict=True)
+        return sum(speed * weight for speed, weight in pairs)
+
+
+@dataclass(frozen=True)
+class HealthyTrips:
+    """What the healthy trips of one suspension give.
+
+    Attributes
+    ----------
+    manifests : tuple of TripManifest
+        Those that were read.
+    groups : tuple of HealthySpectra
+    paired : tuple of 3 bool
+        Which of axle box, frame and body have a sensor left and right.
+    left_out : tuple of str
+        Trips without any usable stretch, and why.
+    """
+
+    manifests: tuple[TripManifest, ...]
+    groups: tuple[HealthySpectra, ...]
+    paired: tuple[bool, bool, bool]
+    left_out: tuple[str, ...] = ()
+
+
+def read_healthy(
+    folder: Path,
+    vehicle: str,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    bogie: str | None = None,
+    paths: Sequence[Path] | None = None,
+    n_first: int | None = None,
+    progress: bool = False,
+) -> HealthyTrips:
+    """Return the spectra of a folder's healthy trips.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds a manifest for each trip of one suspension.
+    vehicle : str
+        The vehicle that the manifests must name.
+    settings : EstimateSettings
+        Bound to the vehicle: bins and window.
+    trips : TripSettings
+    bogie : {"leading", "trailing"}, optional
+        The bogie that manifests must name which name one; None is any.
+    paths : sequence of Path, optional
+        Manifests of the folder that are read, where it holds those of others too; None is all.
+    n_first : int, optional
+        Take the first trips by mileage only.
+    progress : bool
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no manifest in it.
+    TripError
+        If the trips are of another vehicle or bogie, of several suspensions or of sensors that
+        differ, if a recording is faulty, or if fewer than three trips have a stretch that can be
+        used.
+    """
+    manifests = [read_manifest(path) for path in paths or find_manifests(folder)]
+    manifests.sort(key=lambda manifest: manifest.mileage_km)
+    manifests = manifests[:n_first]
+    _check_same(folder, manifests, vehicle, bogie)
+    kept: list[TripManifest] = []
+    groups: list[HealthySpectra] = []
+    paired: set[tuple[bool, bool, bool]] = set()
+    left_out = []
+    for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
+        recording = load_recording(manifest, trips.rate_hz)
+        found = _spectra(recording, len(kept), manifest.name, settings, trips)
+        if not found:
+            words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
+            left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
+            continue
+        kept.append(replace(manifest, start=manifest.start or recording.started))
+        groups += found
+        paired.add(recording.paired)
+    if len(kept) < LEAST_TRIPS:
+        reasons = f" ({'; '.join(left_out)})" if left_out else ""
+        raise TripError(
+            f"{folder}: {len(kept)} healthy trips can be used, at least {LEAST_TRIPS} are needed "
+            f"to commission a vehicle{reasons}"
+        )
+    if len(paired) > 1:
+        raise TripError(
+            f"{folder}: some healthy trips have sensors left and right where others have one; "
+            "commission on trips with the same sensors"
+        )
+    return HealthyTrips(tuple(kept), tuple(groups), paired.pop(), tuple(left_out))
+
+
+def _check_same(
+    folder: Path, manifests: Sequence[TripManifest], vehicle: str, bogie: str | None
+) -> None:
+    """Raise TripError unless all manifests are of one suspension of a vehicle."""
+    for manifest in manifests:
+        if manifest.vehicle != vehicle:
+            raise TripError(
+                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, vehicle={vehicle} "
+                "is to be commissioned"
+            )
+    places = sorted({str(manifest.place) for manifest in manifests})
+    if len(places) > 1:
+        raise TripError(
+            f"{folder}: the trips are of several suspensions ({', '.join(places)}); each is "
+            "commissioned on trips of its own: give a folder of one"
+        )
+    named = manifests[0].place.bogie
+    if named and bogie not in (None, named):
+        raise TripError(
+            f"{folder}: the trips are of the {named} bogie, the model would be of the {bogie} one: "
+            f"give generator.bogie={named}"
+        )
+
+
+def _spectra(
+    recording: Recording, trip: int, name: str, settings: EstimateSettings, trips: TripSettings
+) -> list[HealthySpectra]:
+    """Return the spectra of each group of segments at one speed."""
+    segments = recording_segments(recording, settings.welch)
+    if not len(segments.values):
+        return []
+    speeds = segment_speeds(recording, segments)
+    band, found = in_band(segments, settings.frequencies_hz()), []
+    for group in groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s):
+        one = group_spectra(band, group, trips.min_coherence, settings)
+        if one.spectra is not None and one.n_averages >= trips.min_averages:
+            at = Speeds.of(*speed_of(speeds[one.chosen], segments))
+            found.append(HealthySpectra(trip, name, at, one.spectra))
+    return found

@@ -1,0 +1,301 @@
+"""Cramer-Rao bounds, and the least error where stiffness and mass are not identifiable.
+
+An unbiased estimator of theta has at least the covariance I^-1, I the Fisher information: J^T J,
+J the derivative of the curves in units of their noise (`suspnet.spectra.misfit`). A Gaussian error
+has MAPE = sqrt(2 / pi) times its relative standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.special import erfcx
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.estimation.protocols import RESPONSES, Task
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.directions import Directions
+from suspnet.spectra.observation import Misfit, Observer
+
+ROWS = 256
+STEP = 1e-5
+"""Step of the differences with respect to uncertain numbers, in their standard deviations."""
+NODES = 24
+"""Number of nodes of the quadrature over the noise."""
+WIDEST = 1e4
+"""Largest bound that is computed with, relative to the range; larger ones lose digits."""
+
+
+def fisher_information(
+    observer: Observer,
+    ratios: FloatArray,
+    parameters: Sequence[str] = PARAMETERS,
+    responses: Sequence[str] = RESPONSES,
+) -> FloatArray:
+    """Return the information of noisy curves on some parameters, the others being known.
+
+    I = J^T J, J the derivative of the observer's misfit by automatic differentiation. Of
+    magnitudes with white noise that is sum over curves of J^T J / rms^2, J the derivative of the
+    curves. Of transfer functions estimated from a trip, with J the derivative of
+    (log G_p, log G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
+
+        I = 2 / r sum over bins of Re(J^H Sigma^-1 J)
+
+    Bins where the estimate is weak count for nothing. A generator's uncertain numbers are unknown
+    too, at the median of their distribution: see `without_uncertain`.
+
+    Parameters
+    ----------
+    observer : Observer
+    ratios : array of shape (n_vehicles, 5), [-]
+    parameters, responses : sequences of str
+        From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
+
+    Returns
+    -------
+    array of shape (n_vehicles, n_parameters, n_parameters)
+        With respect to ratios to healthy.
+    """
+    every = joint_information(observer, ratios, parameters, responses)
+    return without_uncertain(every, len(parameters))
+
+
+def joint_information(
+    observer: Observer,
+    ratios: FloatArray,
+    parameters: Sequence[str],
+    responses: Sequence[str] = RESPONSES,
+    directions: Directions | None = None,
+) -> FloatArray:
+    """Return the information of curves on parameters and uncertain numbers together.
+
+    That of independent curves adds up; `without_uncertain` counts the prior once.
+
+    Parameters
+    ----------
+    observer, ratios, parameters, responses : as of `fisher_information`
+    directions : Directions, optional
+        Coordinates of the uncertain numbers; None is the observer's own.
+
+    Returns
+    -------
+    array of shape (n_vehicles, n_parameters + n_z, n_parameters + n_z)
+    """
+    directions = observer.directions if directions is None else directions
+    columns = [PARAMETERS.index(name) for name in parameters]
+    used = [RESPONSES.index(name) for name in responses]
+    blocks = []
+    for rows in torch.as_tensor(ratios).split(ROWS):
+        misfit = observer.misfit(observer.noise_free(rows), rows, used)
+        jacobian = _derivative(misfit, rows, columns)
+        if directions.n:
+            nuisance = _nuisance(directions, misfit, rows.to(jacobian))
+            jacobian = torch.cat([jacobian, nuisance], dim=1)
+        blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
+    return np.concatenate(blocks)
+
+
+def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
+    """Return the information on parameters where uncertain numbers are unknown but for a prior.
+
+    With z their standard normal coordinates (`suspnet.spectra.directions`), what is not known of
+    them counts against the parameters (van Trees, Detection, estimation and modulation theory,
+    1968)::
+
+        I = I_tt - I_tz (I_zz + 1)^-1 I_zt
+
+    Parameters
+    ----------
+    information : array of shape (..., n_parameters + n_z, n_parameters + n_z)
+    n_parameters : int
+    """
+    n = n_parameters
+    found = information[..., :n, :n]
+    if information.shape[-1] == n:
+        return found
+    both = information[..., :n, n:]
+    prior = np.eye(information.shape[-1] - n)
+    solved = np.linalg.solve(information[..., n:, n:] + prior, np.swapaxes(both, -1, -2))
+    return np.asarray(found - both @ solved)
+
+
+def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tensor:
+    """Return the derivative of a misfit to some of the ratios, (n, n_columns, n_points).
+
+    J^T v by reverse differentiation is linear in v: its derivative with respect to v is J. One
+    evaluation serves all columns; torch.func.jvp takes one for each and, once, two seconds to
+    import the compiler of torch.
+    """
+    with torch.enable_grad():
+        point = ratios.detach().clone().requires_grad_()
+        residuals = misfit(point, torch.arange(len(ratios)))
+        v = torch.zeros_like(residuals, requires_grad=True)
+        (product,) = torch.autograd.grad((residuals * v).sum(), point, create_graph=True)
+        found = [
+            torch.autograd.grad(product[:, column].sum(), v, retain_graph=True)[0]
+            for column in columns
+        ]
+    return torch.stack(found, dim=1)
+
+
+def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
+    """Return the derivative of a misfit, 0 at `ratios`, with respect to z, (n, n_z, n_points)."""
+    every = torch.arange(len(ratios))
+    steps = torch.eye(directions.n).to(ratios) * STEP
+    moved = [
+        misfit(directions.vehicles(ratios, step.expand(len(ratios), -1)), every) for step in steps
+    ]
+    return torch.stack(moved, dim=1) / STEP
+
+
+def cramer_rao(information: FloatArray) -> FloatArray:
+    """Return the least standard deviations, shape (n, n_parameters); inf where unidentifiable.
+
+    A parameter on which there is no information has the bound inf. A matrix that is not finite, or
+    whose scaled form has a condition number above 1e12, has no usable inverse: all of its bounds
+    are inf.
+    """
+    finite = np.asarray(np.isfinite(information).all(axis=(1, 2)))
+    information = np.where(finite[:, None, None], information, 0.0)
+    diagonal = np.einsum("nii->ni", information)
+    unseen = ~(diagonal > 0)
+    scale = np.sqrt(np.where(unseen, 1.0, diagonal))
+    scaled = information / (scale[:, :, None] * scale[:, None, :])
+    scaled += unseen[:, :, None] * np.eye(information.shape[1])
+    bounds = np.full(scale.shape, np.inf)
+    usable = np.linalg.cond(scaled) < 1e12
+    inverse = np.linalg.inv(scaled[usable])
+    bounds[usable] = np.sqrt(np.einsum("nii->ni", inverse)) / scale[usable]
+    bounds[unseen] = np.inf
+    return bounds
+
+
+def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
+    """Return the least MAPE and RMSE from abs(G_s) alone with the mass unknown.
+
+    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m
+    of the mass is possible where k_s = (k_s / M_s) m and c_s stay in range, with probability
+    proportional to m^2 (the density of k_s, c_s uniform in their range, seen through the ratios).
+    The mean over the levels has the least RMSE, the median weighted by 1/k_s the least MAPE.
+
+    Parameters
+    ----------
+    task : Task
+    ratios : array of shape (n_vehicles, 5), [-]
+        Over which the errors are averaged.
+    """
+    levels = task.levels("M_s")
+    mass = ratios[:, PARAMETERS.index("M_s")]
+    stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
+    candidates = levels[:, None]
+    low, high = task.lower - 1e-9, task.upper + 1e-9
+    possible = np.ones((len(levels), len(ratios)), dtype=bool)
+    for ratio in (stiffness, damping):
+        possible &= (ratio * candidates >= low) & (ratio * candidates <= high)
+    probability = possible * candidates**2
+    probability = probability / probability.sum(axis=0)
+    mean_mass = (probability * candidates).sum(axis=0)
+    median_mass = _weighted_median(levels, probability / candidates)
+    mape = float(100 * np.mean(np.abs(median_mass / mass - 1)))
+    return {
+        name: {
+            "mape_percent": mape,
+            "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
+        }
+        for name, ratio in (("k_s", stiffness), ("c_s", damping), ("M_s", np.ones_like(mass)))
+    }
+
+
+def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
+    """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
+
+    All parameters that vary and are not measured are estimated jointly from the task's curves.
+
+    Parameters
+    ----------
+    task : Task
+    observer : Observer
+    ratios : array of shape (n_vehicles, 5), [-]
+    """
+    information = fisher_information(observer, ratios, task.unknown, task.responses)
+    return cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
+
+
+def best_possible(
+    task: Task, bounds: FloatArray, ratios: FloatArray
+) -> dict[str, dict[str, float]]:
+    """Return {output: {"mape_percent": ..., "rmse": ...}}: the least errors of a task.
+
+    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be told from the
+    suspension (abs(G_s) alone), the least error under that ambiguity.
+
+    Parameters
+    ----------
+    task : Task
+    bounds : array of shape (n_vehicles, n_outputs), [-]
+        From `output_bounds`.
+    ratios : array of shape (n_vehicles, 5), [-]
+    """
+    ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
+    if ambiguous and task.sampling == "grid":
+        return {k: v for k, v in scale_ambiguity_bound(task, ratios).items() if k in task.outputs}
+    mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
+    rmse = np.sqrt(np.mean(bounds**2, axis=0))
+    return {
+        name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
+        for j, name in enumerate(task.outputs)
+    }
+
+
+def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> FloatArray:
+    """Return the mean bound of each output relative to its value, shape (n_outputs,), [%]."""
+    return np.asarray(100 * (bounds / ratios[:, task.output_indices]).mean(axis=0))
+
+
+def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: float) -> FloatArray:
+    """Return the least rms error of one parameter where its range is known, shape (n,), [-].
+
+    An estimate x = theta + s e, e standard normal, is best replaced by the mean of theta given x
+    and low <= theta <= high, all equally likely: the mean of a truncated normal. The error of that
+    mean, averaged over e, is what an estimator that knows the range can reach.
+
+    Parameters
+    ----------
+    bounds : array of shape (n,), [-]
+        s: the Cramer-Rao bounds.
+    ratios : array of shape (n,), [-]
+        theta.
+    low, high : float, [-]
+    """
+    e, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    s = np.minimum(bounds, WIDEST * (high - low))[:, None]
+    theta = ratios[:, None]
+    x = theta + s * e
+    a, b = (low - x) / s, (high - x) / s
+    error = (x + s * _truncated_mean(a, b) - theta) ** 2
+    return np.asarray(np.sqrt(error @ (weights / weights.sum())))
+
+
+def _truncated_mean(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the mean of a standard normal number known to lie between a and b.
+
+    (phi(a) - phi(b)) / (Phi(b) - Phi(a)), both over phi(a), which may underflow; mirrored where the
+    interval lies on the left.
+    """
+    left = a + b < 0
+    a, b = np.where(left, -b, a), np.where(left, -a, b)
+    exponent = -(b - a) * (b + a) / 2  # phi(b) / phi(a) = exp(exponent)
+    weight = erfcx(a / math.sqrt(2)) - np.exp(exponent) * erfcx(b / math.sqrt(2))
+    mean = -math.sqrt(2 / math.pi) * np.expm1(exponent) / weight
+    return np.asarray(np.where(left, -mean, mean))
+
+
+def _weighted_median(levels: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return for each column of `weights` (n_levels, n) the median of ascending `levels`."""
+    cumulative = np.cumsum(weights, axis=0)
+    index = (cumulative >= 0.5 * cumulative[-1]).argmax(axis=0)
+    return np.asarray(levels[index])

@@ -1,0 +1,225 @@
+"""Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
+
+Six kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
+cloud of the training curves; a parameter lies outside the range of the training curves; the
+generator, with whatever parameters, does not explain the curve; it did not explain the healthy
+trips that it was commissioned on (`suspnet.estimation.physics`, which sets that flag); or left and
+right differ, which estimates take as equal (`suspnet.estimation.sides`, which sets that one).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from sklearn.neighbors import NearestNeighbors
+
+from suspnet.estimation.protocols import Task
+from suspnet.estimation.refine import Refined
+from suspnet.ground.types import BoolArray, FloatArray
+
+KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
+N_REFERENCE, N_NEIGHBOURS = 4096, 4
+"""Number of training features that the detector keeps, and of the nearest neighbours whose mean
+distance is compared with the threshold."""
+FALSE_ALARMS = 1e-4
+"""False-alarm rate of the distance of features, on curves like the training curves."""
+MISFIT_DEVIATIONS = 4.5
+"""Threshold of the misfit above its mean over curves like the training curves, in standard
+deviations of theirs."""
+EDGE_DEVIATIONS = 2.33
+"""Standard deviations by which a parameter must lie outside its range to be flagged; 1 % of those
+on its edge are."""
+
+
+@dataclass(frozen=True)
+class Flags:
+    """Reasons not to trust each estimate.
+
+    Attributes
+    ----------
+    found : bool array of shape (n_curves, 6)
+        Columns as ``KINDS``.
+    reasons : tuple of str
+        For each curve; empty where nothing was found.
+    """
+
+    found: BoolArray
+    reasons: tuple[str, ...]
+
+    @classmethod
+    def none(cls, n_curves: int) -> Self:
+        """Return flags of `n_curves` estimates of which none is set."""
+        return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
+
+    @property
+    def flagged(self) -> BoolArray:
+        """Whether anything was found, shape (n_curves,)."""
+        return np.asarray(self.found.any(axis=1))
+
+    def with_kind(self, kind: str, words: str) -> Flags:
+        """Return flags of which each has one of ``KINDS`` and its words too."""
+        found = self.found.copy()
+        found[:, KINDS.index(kind)] = True
+        return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))
+
+
+@dataclass(frozen=True)
+class OODDetector:
+    """An out-of-distribution detector: training features, thresholds of distance and misfit.
+
+    Attributes
+    ----------
+    reference : array of shape (n_reference, n_inputs), [-]
+        Scaled features of training curves; none for a method that works on curves.
+    distance_threshold : float, [-]
+        Largest distance of features like the training features from the reference.
+    misfit_threshold : float, [-]
+    """
+
+    reference: FloatArray
+    distance_threshold: float
+    misfit_threshold: float
+
+    @classmethod
+    def learnt(cls, training: FloatArray, fresh: FloatArray, misfits: FloatArray) -> Self:
+        """Return the detector of a model.
+
+        Parameters
+        ----------
+        training : array of shape (n_train, n_inputs)
+            Scaled inputs of the training curves; no rows for a method that works on curves.
+        fresh : array of shape (n_fresh, n_inputs)
+            Of other curves made in the same way.
+        misfits : array of shape (n_fits,)
+            Of refined estimates of such curves.
+        """
+        misfit_threshold = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
+        detector = cls(training[:N_REFERENCE], math.inf, misfit_threshold)
+        if not len(training):
+            return detector
+        distances = np.sort(detector.distances(fresh))
+        rank = min(math.ceil((len(distances) + 1) * (1 - FALSE_ALARMS)), len(distances))
+        return replace(detector, distance_threshold=float(distances[rank - 1]))
+
+    @cached_property
+    def _neighbours(self) -> NearestNeighbors:
+        """Return a search structure of the reference."""
+        return NearestNeighbors(n_neighbors=min(N_NEIGHBOURS, len(self.reference))).fit(
+            self.reference
+        )
+
+    def distances(self, inputs: FloatArray) -> FloatArray:
+        """Return the distance of scaled inputs (n, n_inputs) from the cloud, shape (n,), [-]."""
+        return np.asarray(self._neighbours.kneighbors(inputs)[0].mean(axis=1))
+
+    def flags(
+        self, task: Task, missing: Sequence[str], inputs: FloatArray, refined: Refined
+    ) -> Flags:
+        """Return the flags of the estimates of some curves.
+
+        Parameters
+        ----------
+        task : Task
+        missing : sequence of str
+            What is missing of each curve's features; empty if nothing is.
+        inputs : array of shape (n_curves, n_inputs), [-]
+            Scaled; NaN where a peak is missing.
+        refined : Refined
+        """
+        complete = np.isfinite(inputs).all(axis=1)
+        distances = np.zeros(len(inputs))
+        if complete.any():
+            distances[complete] = self.distances(inputs[complete])
+        outside = np.stack(
+            [_outside(task, name, refined) for name in refined.names], axis=1
+        )  # (n_curves, n_unknown)
+        odd = ~(refined.misfit <= self.misfit_threshold)
+        found = Flags.none(len(inputs)).found
+        found[:, :4] = np.stack(
+            [
+                np.array([bool(words) for words in missing]),
+                distances > self.distance_threshold,
+                outside.any(axis=1),
+                odd,
+            ],
+            axis=1,
+        )
+        reasons = []
+        for i, row in enumerate(found):
+            words = [f"missing: {missing[i]}"] if row[0] else []
+            if row[1]:
+                words.append(self._far(task, inputs[i], distances[i]))
+            words += [
+                _out_of_range(task, name, refined.ratios[i, j])
+                for j, name in enumerate(refined.names)
+                if outside[i, j]
+            ]
+            if row[3]:
+                words.append(
+                    f"the model cannot explain the curve: its misfit is {refined.misfit[i]:.3g} "
+                    f"times the noise, at most {self.misfit_threshold:.3g} is usual"
+                )
+            reasons.append("; ".join(words))
+        return Flags(found, tuple(reasons))
+
+    def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
+        """Return in words how far the features of a curve lie from the reference."""
+        low, high = self.reference.min(axis=0), self.reference.max(axis=0)
+        beyond = np.maximum(low - inputs, inputs - high) / (high - low)
+        worst = task.inputs[int(np.argmax(beyond))]
+        return (
+            f"the features lie {distance / self.distance_threshold:.2g} times as far from the "
+            f"training curves' as any of these, {worst} most of all"
+        )
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays that make up the detector, for storage."""
+        thresholds = np.array([self.distance_threshold, self.misfit_threshold])
+        return {"reference": self.reference, "thresholds": thresholds}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
+        """Return the detector whose `state` this is; KeyError, ValueError if it is not one."""
+        reference, thresholds = arrays["reference"], arrays["thresholds"]
+        if thresholds.shape != (2,) or np.isnan(thresholds).any():
+            raise ValueError("`thresholds` must be two numbers")
+        unused = np.isinf(thresholds[0])
+        if (
+            reference.ndim != 2
+            or not (len(reference) or unused)
+            or not np.isfinite(reference).all()
+        ):
+            raise ValueError("`reference` must be a table of finite numbers")
+        return cls(reference, float(thresholds[0]), float(thresholds[1]))
+
+
+def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
+    """Return which curves have a parameter clearly outside the range trained for."""
+    low, high = np.log(_range(task, name))
+    ratios, deviations = refined.of((name,))
+    margin = EDGE_DEVIATIONS * deviations[:, 0]
+    position = np.log(ratios[:, 0])
+    return np.asarray((position < low - margin) | (position > high + margin))
+
+
+def _range(task: Task, name: str) -> tuple[float, float]:
+    """Return the range trained for: a grid stands for what lies within half a step of it."""
+    low, high = task.range(name)
+    if task.sampling == "sobol":
+        return low, high
+    step = task.mass_step if name == "M_s" else task.step
+    return low - step / 2, high + step / 2
+
+
+def _out_of_range(task: Task, name: str, ratio: float) -> str:
+    """Return in words that a parameter lies outside the range trained for."""
+    low, high = task.range(name)
+    return (
+        f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "
+        "trained for"
+    )

@@ -1,0 +1,236 @@
+"""A learning problem, and its training data, which follow from the vehicle alone.
+
+Degraded vehicles -> noisy curves -> features, block by block.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet._version import __version__
+from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
+from suspnet.estimation.feature_data import FeatureData
+from suspnet.estimation.parallel import pool_of
+from suspnet.estimation.protocols import Task
+from suspnet.ground.cache import Cache, code_hash
+from suspnet.ground.checks import check_number
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.extraction import FeatureSet
+from suspnet.spectra.observation import Observation, Observer
+
+LEARN_FROM = 4096
+"""Number of training curves from which a feature set learns."""
+BLOCK = 128
+"""Number of curves made at once: they stay in cache and share one seed of their noise."""
+BATCH = 2 * BLOCK
+"""Number of curves whose features are extracted at once; larger arrays need Python's lock less."""
+TRAIN, TEST, CALIBRATE = 0, 1, 2
+"""Streams of independent curves: for training, for scores, for the calibration of intervals."""
+STREAM_NAMES = ("training", "test", "calibration")
+"""Names of the streams."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A learning problem, and the source of its noisy curves and their features.
+
+    Parameters
+    ----------
+    generator : ResponseGenerator
+        The source of frequency responses.
+    task : Task
+    settings : Observation
+        How curves are observed; where the band is left to the vehicle, it is that of the
+        generator's.
+    seed : int
+        Chooses vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
+    threads : int
+        Blocks of curves made at the same time.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If seed or threads is no whole number, or the vehicle leaves no band.
+    """
+
+    generator: ResponseGenerator
+    task: Task
+    settings: Observation
+    seed: int = 0
+    threads: int = 1
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        check_number("seed", self.seed, low=0, whole=True)
+        check_number("threads", self.threads, low=1, most=1024, whole=True)
+        object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The healthy vehicle."""
+        return self.generator.vehicle
+
+    @cached_property
+    def observer(self) -> Observer:
+        """The source of curves."""
+        return self.settings.observer(self.generator)
+
+    @cached_property
+    def extractor(self) -> FeatureSet:
+        """The task's feature set, fitted to training curves if it is not fitted yet."""
+        extractor = self.task.extractor
+        if extractor.is_fitted:
+            return extractor
+        ratios = self.ratios(TRAIN)[:LEARN_FROM]
+        blocks = range(self.n_blocks(len(ratios)))
+        seen = self.observer.for_features
+        name = f"{self.task.protocol}/{self.task.group} features"
+        with progress_bar(
+            name, len(blocks), items=blocks, unit="block", shown=self.progress
+        ) as bar:
+            noisy = torch.cat([seen(self.curves(ratios, TRAIN, block)) for block in bar])
+        parts = np.array_split(ratios, len(blocks))
+        clean = torch.cat([seen(self.noise_free(part)) for part in parts])
+        healthy = self.noise_free(np.ones((1, len(PARAMETERS))))[0]
+        bins = self.observer.frequencies_hz.to(healthy.device)
+        return extractor.fitted(clean, noisy, healthy, bins)
+
+    def features(self, stream: int, part: slice | None = None) -> FeatureData:
+        """Return the features of a stream's curves, from the cache if it has them.
+
+        Parameters
+        ----------
+        stream : int
+            ``TRAIN``, ``TEST`` or ``CALIBRATE``.
+        part : slice, optional
+            Only these of the batches of ``BATCH`` curves.
+
+        Raises
+        ------
+        ValueError
+            If more curves are asked for than there are, or the healthy vehicle lacks a peak.
+        """
+        if self.settings.cache_dir is None:
+            return self._make_features(stream, part)
+        cache = Cache(self.settings.cache_dir, "features")
+        which = {} if part is None else {"part": [part.start, part.stop]}
+        made_from = self.describe(stream) | which
+        cached = cache.read(made_from)
+        if cached is not None:
+            return FeatureData(**cached[0])
+        data = self._make_features(stream, part)
+        cache.write(made_from, asdict(data))
+        return data
+
+    def ratios(self, stream: int) -> FloatArray:
+        """Return the parameter ratios of a stream's vehicles, shape (n_curves, 5), [-]."""
+        wanted = self._wanted(stream)
+        n_curves = None if wanted == "all" else int(wanted)
+        return self.task.sample(n_curves, self.seed, stream)
+
+    def _wanted(self, stream: int) -> int | str:
+        """Return the number of curves of a stream, or "all" for the whole grid."""
+        settings = self.settings
+        return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
+
+    def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:
+        """Return the noisy curves of one block of vehicles, shape (<= BLOCK, 2, n_freq)."""
+        rows = torch.as_tensor(ratios[block * BLOCK : (block + 1) * BLOCK])
+        noise_seed = np.random.SeedSequence([self.seed, stream, block]).generate_state(1, np.uint64)
+        return self.observer.observe(rows, int(noise_seed[0] >> np.uint64(1)))
+
+    def noise_free(self, ratios: FloatArray) -> Tensor:
+        """Return curves without noise, shape (n_curves, 2, n_freq)."""
+        return self.observer.noise_free(torch.as_tensor(ratios))
+
+    def healthy_features(self) -> FloatArray:
+        """Return the healthy vehicle's features, shape (n_features,).
+
+        Raises
+        ------
+        ValueError
+            If one of its peaks is missing.
+        """
+        curves = self.noise_free(np.ones((1, len(PARAMETERS))))
+        table = self.extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+        missing = [
+            name
+            for name, reason in zip(self.extractor.parts, table.reasons[0], strict=True)
+            if reason
+        ]
+        if missing:
+            raise ValueError(
+                f"the healthy vehicle has no peak {missing} between {self.settings.low_hz} and "
+                f"{self.settings.high_hz} Hz; check the vehicle, data.low_hz and data.high_hz"
+            )
+        return np.asarray(table.values[0].cpu().numpy())
+
+    def n_blocks(self, n_curves: int) -> int:
+        """Return the number of blocks that hold `n_curves`."""
+        return -(-n_curves // BLOCK)
+
+    def n_batches(self, n_curves: int) -> int:
+        """Return the number of batches that `n_curves` are made in."""
+        return -(-n_curves // BATCH)
+
+    def _make_features(self, stream: int, part: slice | None) -> FeatureData:
+        """Return the features of a stream, made in threads, NaN where one is missing."""
+        ratios = self.ratios(stream)
+        batches = range(self.n_batches(len(ratios)))[part or slice(None)]
+        asked = slice(batches.start * BATCH, batches.stop * BATCH)
+        healthy = self.healthy_features()
+        values = np.empty((len(ratios), len(healthy)))
+        extractor = self.extractor
+        reasons = np.empty((len(ratios), len(extractor.parts)), dtype=np.int64)
+
+        def make(batch: int) -> int:
+            rows = slice(batch * BATCH, min((batch + 1) * BATCH, len(ratios)))
+            blocks = range(rows.start // BLOCK, self.n_blocks(rows.stop))
+            noisy = torch.cat([self.curves(ratios, stream, block) for block in blocks])
+            curves = self.observer.for_features(noisy)
+            table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+            values[rows] = extractor.relative(table.values.cpu().numpy(), healthy)
+            reasons[rows] = table.reasons.cpu().numpy()
+            return len(curves)
+
+        name = f"{self.task.protocol}/{self.task.group} {STREAM_NAMES[stream]} curves"
+        n_curves = len(ratios[asked])
+        bar = progress_bar(name, n_curves, unit="curve", shown=self.progress)
+        with bar, pool_of(self.threads) as pool:
+            for n_made in pool.map(make, batches):
+                bar.update(n_made)
+        mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
+        inputs = np.column_stack([values, *mass])
+        outputs = ratios[:, self.task.output_indices]
+        return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
+
+    def describe(self, stream: int) -> dict[str, Any]:
+        """Return everything that the features depend on, as JSON-able values."""
+        settings = asdict(self.settings)
+        for name in ("cache_dir", "n_train", "n_test", "n_calibrate"):
+            del settings[name]
+        description = {
+            "generator": [type(self.generator).__name__, asdict(self.generator)],
+            "task": self.task.describe(),
+            "settings": [self.settings.kind, settings],
+            "n_curves": self._wanted(stream),
+            "seed": self.seed,
+            "stream": stream,
+            "version": __version__,
+            "code": code_hash("problem.py", "dynamics", "features", "data"),
+        }
+        if not self.task.extractor.is_fitted:
+            wanted = self._wanted(TRAIN)
+            description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
+        plain: dict[str, Any] = json.loads(json.dumps(description))
+        return plain

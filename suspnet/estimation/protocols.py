@@ -1,0 +1,317 @@
+"""Protocols: the parameters that vary, the curves measured and the outputs (Table IV)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import qmc
+
+from suspnet.dynamics.vehicle import PARAMETERS
+from suspnet.ground.checks import check_choice, check_flag, check_number
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.components import CurveFeatures
+from suspnet.spectra.extraction import FeatureSet, PeakFeatures
+
+RESPONSES = ("G_p", "G_s")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One group of one protocol: everything that defines a learning problem.
+
+    Attributes
+    ----------
+    protocol, group : str
+    varied : tuple of str
+        Parameters that vary; the others stay healthy.
+    outputs : tuple of str
+        Parameters that are estimated.
+    responses : tuple of str
+        From ``RESPONSES``: the curves that may be used.
+    extractor : FeatureSet
+    sampling : {"grid", "sobol"}
+    lower, upper : float
+        Range of the suspension's ratios, [-].
+    mass_lower, mass_upper : float
+        Range of the car-body mass ratio, [-].
+    step, mass_step : float
+        Grid steps of the suspension's parameters and of the mass, [-].
+    mass_known : bool
+        Whether the measured car-body mass ratio is one more input.
+    log_ratios : bool
+        Whether a model sees logarithms of the ratios to healthy, or the ratios themselves.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a name is unknown or a number is out of range.
+    """
+
+    protocol: str
+    group: str
+    varied: tuple[str, ...]
+    outputs: tuple[str, ...]
+    responses: tuple[str, ...]
+    extractor: FeatureSet
+    sampling: Literal["grid", "sobol"]
+    lower: float
+    upper: float
+    mass_lower: float
+    mass_upper: float
+    step: float
+    mass_step: float
+    mass_known: bool
+    log_ratios: bool
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("varied", PARAMETERS),
+            ("outputs", PARAMETERS),
+            ("responses", RESPONSES),
+        ):
+            chosen = getattr(self, name)
+            if not chosen or set(chosen) - set(allowed) or len(set(chosen)) < len(chosen):
+                raise ValueError(f"`{name}` must be from {allowed}, each once, got {chosen!r}")
+        check_choice("sampling", self.sampling, ("grid", "sobol"))
+        for low, high in (("lower", "upper"), ("mass_lower", "mass_upper")):
+            check_number(low, getattr(self, low), above=0, most=100)
+            check_number(high, getattr(self, high), above=getattr(self, low), most=100)
+        for name in ("step", "mass_step"):
+            check_number(name, getattr(self, name), above=0, most=100)
+        for name in ("mass_known", "log_ratios"):
+            check_flag(name, getattr(self, name))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Name of each input of the model."""
+        return self.extractor.names + (("M_s",) if self.mass_known else ())
+
+    @property
+    def output_indices(self) -> list[int]:
+        """Columns of the outputs in arrays ordered as ``PARAMETERS``."""
+        return [PARAMETERS.index(name) for name in self.outputs]
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Varied parameters that have to be estimated along with the outputs."""
+        known = ("M_s",) if self.mass_known else ()
+        return tuple(name for name in self.varied if name not in known)
+
+    @property
+    def used_responses(self) -> list[int]:
+        """Indices in ``RESPONSES`` of the curves that may be used."""
+        return [RESPONSES.index(name) for name in self.responses]
+
+    def describe(self) -> dict[str, Any]:
+        """Return the task as JSON-able values, its feature set without its learnt arrays."""
+        extractor = self.extractor.blank()
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(self, extractor=extractor))))
+        plain["extractor"]["kind"] = extractor.kind
+        return plain
+
+    def levels(self, name: str) -> FloatArray:
+        """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
+        step = self.mass_step if name == "M_s" else self.step
+        lower, upper = self.range(name)
+        n_steps = math.floor((upper - lower) / step + 1e-9)
+        return np.asarray(np.round(lower + step * np.arange(n_steps + 1), 10))
+
+    def range(self, name: str) -> tuple[float, float]:
+        """Return the range of a parameter's ratio, [-]."""
+        return (self.mass_lower, self.mass_upper) if name == "M_s" else (self.lower, self.upper)
+
+    @property
+    def grid_size(self) -> int:
+        """Number of curves of the whole grid."""
+        return math.prod(len(self.levels(name)) for name in self.varied)
+
+    def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return parameter ratios of training (stream 0), test (1) or calibration (2) curves.
+
+        A grid is shuffled by the seed; training curves are taken from its front, test curves from
+        its end and calibration curves from its middle on, so that they share no vehicle unless
+        they ask for more than the grid holds. Sobol points are scrambled with a seed of their own
+        for each stream.
+
+        Parameters
+        ----------
+        n_curves : int or None
+            None is the whole grid, in its natural order.
+
+        Returns
+        -------
+        array of shape (n_curves, 5), [-]
+
+        Raises
+        ------
+        ValueError
+            If more curves are asked for than the grid has, or the whole of a Sobol sequence.
+        """
+        ratios = self._sobol(n_curves, seed, stream) if self.sampling == "sobol" else None
+        if ratios is None:
+            ratios = self._grid(n_curves, seed, stream)
+        full = np.ones((len(ratios), len(PARAMETERS)))
+        full[:, [PARAMETERS.index(name) for name in self.varied]] = ratios
+        return full
+
+    def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return rows of the grid of all levels, chosen by the seed for a stream."""
+        levels = [self.levels(name) for name in self.varied]
+        total = self.grid_size
+        if n_curves is None:
+            chosen = np.arange(total)
+        elif n_curves > total:
+            raise ValueError(
+                f"the grid of group {self.group!r} holds {total} curves, {n_curves} were asked for"
+            )
+        else:
+            shuffled = np.random.default_rng(seed).permutation(total)
+            ordered = (shuffled, shuffled[::-1], np.roll(shuffled, -(total // 2)))[stream]
+            chosen = ordered[:n_curves]
+        index = np.unravel_index(chosen, [len(level) for level in levels])
+        return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
+
+    def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return scrambled Sobol points in the range of the varied parameters."""
+        if n_curves is None:
+            raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
+        rng = np.random.default_rng([seed, stream])
+        sampler = qmc.Sobol(len(self.varied), rng=rng)
+        points = sampler.random_base2(max(1, math.ceil(math.log2(n_curves))))[:n_curves]
+        ranges = np.array([self.range(name) for name in self.varied])
+        return np.asarray(ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * points)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A way of posing the problem; `task` gives the learning problem of one of its groups.
+
+    Parameters
+    ----------
+    name : str
+    groups : mapping from group name to a mapping
+        Keys `outputs`, `responses` and `peaks`: names from ``PARAMETERS``, ``RESPONSES`` and
+        ``PEAK_NAMES``; the feature set `curve` needs no peaks.
+    sampling : {"grid", "sobol"}
+        Table IV's grid, or Sobol points in all five parameters.
+    lower, upper, step, mass_step : float
+        Range and grid steps of the ratios to healthy, [-].
+    mass_lower, mass_upper : float, optional
+        Range of the car-body mass ratio if it is another one, [-].
+    mass_known : bool
+        Give the model the measured car-body mass ratio as one more input.
+    estimate_mass : bool
+        Ask for the car-body mass ratio as one more output.
+    log_ratios : bool
+        Give the model logarithms of the ratios to healthy, inputs and outputs alike; False is the
+        paper's relative changes.
+    feature_set : {"peaks", "curve"}
+    features : mapping, optional
+        Further arguments of ``PeakFeatures``.
+    curve : mapping, optional
+        Arguments of ``CurveFeatures``.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or a setting is out of range.
+    """
+
+    name: str
+    groups: Mapping[str, Mapping[str, Sequence[str]]]
+    sampling: Literal["grid", "sobol"] = "grid"
+    lower: float = 0.5
+    upper: float = 2.0
+    step: float = 0.01
+    mass_step: float = 0.1
+    mass_lower: float | None = None
+    mass_upper: float | None = None
+    mass_known: bool = False
+    estimate_mass: bool = False
+    log_ratios: bool = True
+    feature_set: Literal["peaks", "curve"] = "peaks"
+    features: Mapping[str, Any] = field(default_factory=dict)
+    curve: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_choice("sampling", self.sampling, ("grid", "sobol"))
+        check_choice("feature_set", self.feature_set, ("peaks", "curve"))
+        check_number("lower", self.lower, above=0, below=1)
+        check_number("upper", self.upper, above=1, most=100)
+        low, high = self._mass_range()
+        check_number("mass_lower", low, above=0, below=1)
+        check_number("mass_upper", high, above=1, most=100)
+        check_number("step", self.step, above=0, most=100)
+        check_number("mass_step", self.mass_step, above=0, most=100)
+        for name in ("mass_known", "estimate_mass", "log_ratios"):
+            check_flag(name, getattr(self, name))
+        if self.mass_known and self.estimate_mass:
+            raise ValueError("the car-body mass is either known or estimated, not both")
+        for group in self.groups:
+            self.task(group)
+
+    def task(self, group: str) -> Task:
+        """Return the learning problem of a group.
+
+        Raises
+        ------
+        ValueError
+            If the protocol has no such group.
+        """
+        if group not in self.groups:
+            raise ValueError(
+                f"protocol {self.name!r} has no group {group!r}; choose from {sorted(self.groups)}"
+            )
+        entry = self.groups[group]
+        peaks_needed = {"peaks"} if self.feature_set == "peaks" else set()
+        missing = {"outputs", "responses", *peaks_needed} - set(entry)
+        if missing:
+            raise ValueError(f"group {group!r} of protocol {self.name!r} lacks {sorted(missing)}")
+        outputs = tuple(_known(entry["outputs"], PARAMETERS[:4], "outputs"))
+        return Task(
+            protocol=self.name,
+            group=group,
+            varied=(*outputs, "M_s"),
+            outputs=(*outputs, "M_s") if self.estimate_mass else outputs,
+            responses=tuple(_known(entry["responses"], RESPONSES, "responses")),
+            extractor=self._extractor(entry),
+            sampling=self.sampling,
+            lower=self.lower,
+            upper=self.upper,
+            mass_lower=self._mass_range()[0],
+            mass_upper=self._mass_range()[1],
+            step=self.step,
+            mass_step=self.mass_step,
+            mass_known=self.mass_known,
+            log_ratios=self.log_ratios,
+        )
+
+    def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
+        """Return the feature set of a group's entry."""
+        if self.feature_set == "curve":
+            if set(entry["responses"]) != set(RESPONSES):
+                raise ValueError(
+                    f"the feature set `curve` uses both responses, protocol {self.name!r} only "
+                    f"{list(entry['responses'])}: take feature_set=peaks or another protocol"
+                )
+            return CurveFeatures(**self.curve)
+        return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
+
+    def _mass_range(self) -> tuple[float, float]:
+        """Return the range of the mass ratio: its own, or else that of the suspension."""
+        low = self.lower if self.mass_lower is None else self.mass_lower
+        return low, self.upper if self.mass_upper is None else self.mass_upper
+
+
+def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
+    """Return names if each is allowed and none is given twice; else raise ValueError."""
+    if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
+        raise ValueError(
+            f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"
+        )
+    return names

@@ -1,0 +1,317 @@
+"""Gauss-Newton steps on the curve itself, started from a regression's estimate.
+
+All parameters that vary and are not measured are fitted jointly, so that the result is a
+maximum-likelihood estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its
+information matrix gives the deviations, and the misfit says whether the model can explain the
+curve at all.
+
+A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
+the prior: with z their coordinates (`suspnet.spectra.directions`) the sum of squares is that of the
+curve's residuals and of z, and the result has the largest posterior density.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.estimation.information import cramer_rao
+from suspnet.estimation.protocols import Task
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.learning.least_squares import LeastSquaresSolution, levenberg_marquardt
+from suspnet.spectra.directions import Directions
+from suspnet.spectra.observation import Misfit
+
+TOL = 1e-5
+"""Tolerance of the logarithms of the parameters, far below their deviations."""
+FIRST_DAMPING = 1e-6
+"""First damping of `levenberg_marquardt`: a good start needs little."""
+BEYOND = 5.0
+"""Factor on the range of the training curves within which parameters stay."""
+N_LEVELS = 9
+"""Number of levels tried of a parameter without an estimate; the best is the start."""
+SCATTER = 1.5
+"""Factor on the range within which the scattered vehicles lie."""
+ROWS = 4
+"""Number of curves whose misfits to all scattered vehicles are in memory at a time."""
+FURTHEST = 6.0
+"""Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
+TEMPERATURES = (100.0, 10.0)
+"""Factors on the noise of the searches before the last one, where numbers are widely uncertain."""
+WIDE = 200.0
+"""Effect of uncertain numbers, in deviations of the noise, from which on one search alone may end
+far off; that of a commissioned vehicle is about 60."""
+ROUGH_ITER, ROUGH_TOL = 12, 1e-2
+"""Iterations and tolerance of these searches."""
+LEAST_DECREASE = 0.01
+"""Decrease of half the sum of squares at which a search with uncertain numbers ends: these make
+narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations."""
+UNCERTAIN_DAMPING = 1e-2
+"""First damping where uncertain numbers are fitted, from whose median the search starts."""
+UNEXPLAINED = 1.3
+"""Misfit above which a curve is fitted again from the nearest scattered vehicle."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Maximum-likelihood estimates of all unknown parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the columns, the task's unknown parameters.
+    ratios : array of shape (n_curves, n_unknown), [-]
+    deviations : array of shape (n_curves, n_unknown), [-]
+        Standard deviations of log(ratios), inf where the curve does not determine them.
+    noise : array of shape (n_curves, n_unknown), [-]
+        Those that were left if the uncertain numbers were known.
+    misfit : array of shape (n_curves,), [-]
+        Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
+        coordinates of uncertain numbers count as residuals.
+    converged : bool array of shape (n_curves,)
+    """
+
+    names: tuple[str, ...]
+    ratios: FloatArray
+    deviations: FloatArray
+    noise: FloatArray
+    misfit: FloatArray
+    converged: BoolArray
+
+    def of(self, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+        """Return ratios and deviations of some of the parameters, each (n_curves, n_names)."""
+        columns = [self.names.index(name) for name in names]
+        return self.ratios[:, columns], self.deviations[:, columns]
+
+    def noise_of(self, names: tuple[str, ...]) -> FloatArray:
+        """Return the deviations by noise alone of some of the parameters, (n_curves, n_names)."""
+        return self.noise[:, [self.names.index(name) for name in names]]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Refined]) -> Refined:
+        """Return the estimates of several batches of curves, one after the other."""
+        merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS}
+        return cls(parts[0].names, **merged)
+
+    def improved(self, rows: IntArray, other: Refined) -> Refined:
+        """Return the estimates with those rows of `other` that have a smaller misfit."""
+        better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
+        chosen = rows[better]
+        merged = {}
+        for name in _ROWS:
+            values = getattr(self, name).copy()
+            values[chosen] = getattr(other, name)[better]
+            merged[name] = values
+        return Refined(self.names, **merged)
+
+
+_ROWS = ("ratios", "deviations", "noise", "misfit", "converged")
+"""Fields of `Refined` that have a row for each curve."""
+
+
+def complete_ratios(
+    task: Task, predicted: FloatArray, mass: FloatArray | None = None
+) -> FloatArray:
+    """Return all ratios (n, 5) near estimates (n, n_outputs), within the range trained for.
+
+    The ratio is 1 where there is no estimate.
+    """
+    full = np.ones((len(predicted), len(PARAMETERS)))
+    ranges = np.array([task.range(name) for name in task.outputs])
+    inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
+    full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
+    if mass is not None:
+        full[:, PARAMETERS.index("M_s")] = mass
+    return full
+
+
+def refine(
+    task: Task,
+    misfit: Misfit,
+    estimates: FloatArray,
+    mass: FloatArray | None = None,
+    *,
+    directions: Directions | None = None,
+    near: Callable[[Tensor], Misfit] | None = None,
+    max_iter: int = 30,
+    n_scattered: int = 512,
+) -> Refined:
+    """Return the parameters whose curves lie nearest to those observed.
+
+    Parameters
+    ----------
+    task : Task
+    misfit : Misfit
+        Of n_curves curves.
+    estimates : array of shape (n_curves, n_outputs), [-]
+        Where the search starts; a row with NaN starts from the healthy vehicle.
+    mass : array of shape (n_curves,), optional
+        The measured car-body mass ratio, where the task knows it.
+    directions : Directions, optional
+        Of the uncertain numbers that are fitted too; None takes them as known.
+    near : callable, optional
+        Returns the misfit whose noise is that of vehicles (n_curves, n_columns): with uncertain
+        numbers the noise at the median may be far off. None keeps that of `misfit`.
+    max_iter : int
+        Levenberg-Marquardt iterations of each search.
+    n_scattered : int
+        Vehicles of which the nearest is a second start for a curve that is not explained.
+    """
+    device = misfit.observed.device
+    usable = np.asarray(np.isfinite(estimates).all(axis=1))
+    start = complete_ratios(task, np.where(usable[:, None], estimates, np.nan), mass)
+    full = torch.as_tensor(start, device=device)
+    for name in set(task.unknown) - set(task.outputs):
+        full = _best_level(misfit, full, task, name)
+    search = _Search(task, misfit, full, directions, max_iter)
+    every = torch.arange(len(full), device=device)
+    wide = directions is not None and directions.strongest > WIDE
+    search_from = functools.partial(search.tempered, near) if wide else search.run
+    found = search_from(every, search.point(full))
+    bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
+    if len(bad):
+        rows = torch.as_tensor(bad, device=device)
+        again = search_from(rows, search.nearest(bad, n_scattered))
+        found = found.improved(bad, again)
+    return found
+
+
+class _Search:
+    """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds.
+
+    With uncertain numbers, their coordinates follow the parameters.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        misfit: Misfit,
+        full: Tensor,
+        directions: Directions | None,
+        max_iter: int,
+    ) -> None:
+        self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
+        self._directions, self.n_directions = directions, 0 if directions is None else directions.n
+        self._columns = torch.tensor(
+            [PARAMETERS.index(name) for name in task.unknown], device=full.device
+        )
+        ranges = [task.range(name) for name in task.unknown]
+        self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
+        furthest = full.new_full((self.n_directions,), FURTHEST)
+        self._bounds = (
+            torch.cat([self._range[0] - math.log(BEYOND), -furthest]),
+            torch.cat([self._range[1] + math.log(BEYOND), furthest]),
+        )
+
+    def point(self, full: Tensor) -> Tensor:
+        """Return where vehicles (n_rows, 5) start, their uncertain numbers at the median."""
+        median = full.new_zeros(len(full), self.n_directions)
+        return torch.cat([full[:, self._columns].log(), median], dim=1)
+
+    def tempered(
+        self, near: Callable[[Tensor], Misfit] | None, rows: Tensor, start: Tensor
+    ) -> Refined:
+        """Return the best fit of the curves `rows`, found with ever less noise.
+
+        The effect of uncertain numbers may be thousands of deviations of the noise: a search at
+        once ends far off.
+        """
+        points = self.point(self._full)
+        points[rows] = start
+        for temperature in TEMPERATURES:
+            points[rows] = self._solved(rows, points[rows], temperature).parameters
+            if near is not None:
+                every = torch.arange(len(points), device=points.device)
+                self._misfit = near(self._vehicles(points, every))
+        return self.run(rows, points[rows])
+
+    def run(self, rows: Tensor, start: Tensor) -> Refined:
+        """Return the best fit of the curves `rows`, each from its row of `start`."""
+        solution = self._solved(rows, start)
+        n_unknown = len(self._columns)
+        n_residuals = self._residual(solution.parameters[:1], rows[:1] * 0, 1.0).shape[1]
+        # the coordinates are as many residuals of expected square 1 as they are fitted
+        freedom = n_residuals - self.n_directions - n_unknown
+        mean_square = 2 * solution.cost / freedom
+        theta = solution.parameters[:, :n_unknown]
+        information = solution.information.cpu().numpy()
+        deviations = cramer_rao(information)[:, :n_unknown]
+        noise = cramer_rao(information[:, :n_unknown, :n_unknown])
+        if self.n_directions:
+            low, high = (bound[:n_unknown] for bound in self._bounds)
+            pressed = ((theta <= low) | (theta >= high)).cpu().numpy()
+            uniform = ((high - low) / math.sqrt(12)).cpu().numpy()
+            deviations = np.where(pressed, uniform, deviations)
+        return Refined(
+            self._task.unknown,
+            theta.exp().cpu().numpy(),
+            deviations,
+            np.where(np.isfinite(deviations), np.minimum(noise, deviations), deviations),
+            np.sqrt(mean_square.cpu().numpy() / self._misfit.expected),
+            solution.converged.cpu().numpy(),
+        )
+
+    def _solved(
+        self, rows: Tensor, start: Tensor, temperature: float = 1.0
+    ) -> LeastSquaresSolution:
+        """Return the search with `temperature` times the noise, roughly where that is not 1."""
+        last = temperature == 1.0
+        return levenberg_marquardt(
+            lambda point, which: self._residual(point, rows[which], temperature),
+            start,
+            max_iter=self._max_iter if last else ROUGH_ITER,
+            tol=TOL if last else ROUGH_TOL,
+            first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
+            bounds=self._bounds,
+            one_sided=bool(self.n_directions) and not last,
+            least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
+        )
+
+    def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:
+        """Return the residuals of the curves `rows`, then the coordinates of the numbers."""
+        values = self._misfit(self._vehicles(point, rows), rows)
+        if not self.n_directions:
+            return values
+        return torch.cat([values / temperature, point[:, len(self._columns) :]], dim=1)
+
+    def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
+        """Return the nearest of `n_scattered` vehicles to each of some curves, as `run` starts."""
+        low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
+        points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
+        ratios = torch.exp(low + (high - low) * points.to(low))
+        draws = np.random.default_rng(0).standard_normal((n_scattered, self.n_directions))
+        scattered = torch.cat([ratios.log(), torch.as_tensor(draws).to(low)], dim=1)
+        starts = []
+        for part in torch.as_tensor(rows, device=low.device).split(ROWS):
+            repeated = part.repeat_interleave(n_scattered)
+            tried = self._vehicles(scattered.repeat(len(part), 1), repeated)
+            cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
+            starts.append(scattered[cost.nan_to_num(torch.inf).argmin(dim=1)])
+        return torch.cat(starts)
+
+    def _vehicles(self, point: Tensor, rows: Tensor) -> Tensor:
+        """Return complete ratios: what is measured or healthy is that of the curve."""
+        theta, z = point[:, : len(self._columns)], point[:, len(self._columns) :]
+        ratios = self._full[rows].index_copy(1, self._columns, theta.exp())
+        return ratios if self._directions is None else self._directions.vehicles(ratios, z)
+
+
+def _best_level(misfit: Misfit, full: Tensor, task: Task, name: str) -> Tensor:
+    """Return the ratios with one parameter set to the level that fits each curve best."""
+    column = PARAMETERS.index(name)
+    rows = torch.arange(len(full), device=full.device)
+    best, least = full.clone(), torch.full_like(full[:, 0], torch.inf)
+    for level in np.geomspace(*task.range(name), N_LEVELS):
+        trial = full.clone()
+        trial[:, column] = level
+        cost = misfit(trial, rows).square().sum(dim=1)
+        best[cost < least] = trial[cost < least]
+        least = torch.minimum(least, cost)
+    return best

@@ -1,0 +1,226 @@
+"""Fisher information of recordings by sensors at given places.
+
+Sensors whose responses to the track are the columns of H, one for each independent input (the mean
+of both rails and, where sensors feel roll, the cross level), record, in each frequency bin, a
+complex normal vector with the spectral matrix::
+
+    S = S_w H H^H + diag(N),    S_w the track's level, N the sensors' noise densities
+
+The information in n averages of it is, by Whittle's likelihood (P. Whittle, The analysis of
+multiple stationary time series, Journal of the Royal Statistical Society B 15, 1953)::
+
+    I_ij = n / r sum over bins of Re tr(S^-1 dS_i S^-1 dS_j)
+
+with r from the correlation of the bins, ``Welch.correlated_bins``. N is known, S_w
+is not: it is one more unknown of each bin, eliminated by its Schur complement. S is the identity
+plus A A^H, A = sqrt(S_w / N) H, once each sensor is divided by the root of its noise. With one
+input both steps have a closed form; q = |a|^2 and u_i the part of da_i perpendicular to a::
+
+    I_ij - I_is I_sj / I_ss = n / r sum over bins of 2 q / (1 + q) Re(u_i^H u_j)
+
+What moves all sensors alike, in size or in phase, cannot be told from the track: no part of u.
+
+Sensors on the body tell nothing beyond ``body_high_hz``, where G_s is not used: A is 0 there.
+
+A generator's uncertain numbers are further unknowns, about the median of their distribution, with
+that as prior: see `without_uncertain`.
+
+The recordings hold more information than their IV estimate, in which neighbouring bins leak into
+each other. H1, H2 and Hv may seem to hold more in strong noise: they are biased by an amount that
+depends on the track's level, and `fisher_information` takes that level as known.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.estimation.information import without_uncertain
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.directions import Directions, every_direction
+from suspnet.spectra.estimate_observer import EstimateObserver
+
+ROWS = 32
+ROUNDING = 1e-24
+"""Share of a slope's square that rounding leaves where the slope is parallel to a."""
+THREE_SENSORS = ("axle box", "bogie", "body")
+
+
+def places(generator: ResponseGenerator) -> tuple[str, ...]:
+    """Return the names of the places of sensors: the three, then ``further_places``."""
+    return THREE_SENSORS + generator.further_places
+
+
+def _on_body(generator: ResponseGenerator) -> Tensor:
+    """Return which of ``places`` are on the body, bool (n_places,)."""
+    return torch.tensor([place.startswith("body") for place in places(generator)])
+
+
+def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
+    """Return the sampling rate of each place from those of axle box, bogie and body, [Hz]."""
+    axle_box, bogie, body = three
+    return (axle_box, bogie, body, *((bogie, body, axle_box) if generator.further_places else ()))
+
+
+def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    """Return each of ``places`` for each input, (n_vehicles, n_inputs, n_places, n_freq).
+
+    Parameters
+    ----------
+    generator : ResponseGenerator
+    ratios : tensor of shape (n_vehicles, 5) or wider, [-]
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    """
+    three = generator.channels(ratios, frequencies_hz)
+    return torch.cat([three, generator.further_channels(ratios, frequencies_hz)], dim=2)
+
+
+def _gains(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+    """Return the root of each place's power over that of the mean track, (n, n_places, n_freq)."""
+    return place_channels(generator, ratios, frequencies_hz).abs().square().sum(dim=1).sqrt()
+
+
+def recording_information(
+    observer: EstimateObserver, ratios: FloatArray, parameters: Sequence[str], counts: ArrayLike
+) -> FloatArray:
+    """Return the information of recordings on some parameters, for each choice of sensors.
+
+    The formulae stand at the head of this module.
+
+    Parameters
+    ----------
+    observer : EstimateObserver
+        How long the trip is, on which track, with which noise and bins.
+    ratios : array of shape (n_vehicles, 5), [-]
+    parameters : sequence of str
+        From ``PARAMETERS``; the others are known.
+    counts : array of shape (n_choices, n_places)
+        How many sensors each choice has at each of ``places(generator)``; two at one place
+        have half the noise density of one.
+
+    Returns
+    -------
+    array of shape (n_choices, n_vehicles, n_parameters, n_parameters)
+        With respect to ratios to healthy.
+
+    Raises
+    ------
+    ValueError
+        If the counts have another shape, or a choice has no sensor.
+    """
+    generator, settings = observer.generator, observer.settings
+    numbers = _checked(counts, len(places(generator)))
+    bins = observer.frequencies_hz
+    rates_hz = _rates_hz(generator, settings.rates_hz)
+    noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
+    track = torch.as_tensor(observer.track_density(bins.numpy()))
+    level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
+    level = level.masked_fill(_on_body(generator)[:, None] & observer.beyond[1], 0.0)
+    per_bin = settings.n_averages / settings.welch.correlated_bins
+    uncertain = every_direction(generator)
+    blocks = []
+    for rows in torch.as_tensor(ratios).split(ROWS):
+        seen = place_channels(generator, rows, bins)
+        slopes = _slopes(generator, rows, bins, parameters, uncertain)
+        seen, slopes = seen * level.to(seen.device), slopes * level.to(seen.device)
+        found = [_without_track(seen, slopes, choice.to(seen.device)) for choice in numbers]
+        blocks.append(per_bin * torch.stack(found).cpu().numpy())
+    return without_uncertain(np.concatenate(blocks, axis=1), len(parameters))
+
+
+def _slopes(
+    generator: ResponseGenerator,
+    rows: Tensor,
+    frequencies_hz: Tensor,
+    parameters: Sequence[str],
+    uncertain: Directions,
+) -> Tensor:
+    """Return the derivative of each place, (n, n_unknown, n_inputs, n_places, n_freq).
+
+    The unknowns are the parameters, then the coordinates of the uncertain numbers.
+    """
+    n_columns = len(PARAMETERS)
+    start = torch.cat([rows, rows.new_zeros(len(rows), uncertain.n)], dim=1)
+    columns = [PARAMETERS.index(name) for name in parameters]
+    slopes: list[Tensor] = []
+    for column in [*columns, *range(n_columns, n_columns + uncertain.n)]:
+        tangent = torch.zeros_like(start)
+        tangent[:, column] = 1
+        pair = torch.func.jvp(
+            lambda x: place_channels(
+                generator, uncertain.vehicles(x[:, :n_columns], x[:, n_columns:]), frequencies_hz
+            ),
+            (start,),
+            (tangent,),
+        )
+        slopes.append(pair[1])
+    return torch.stack(slopes, dim=1)
+
+
+def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
+    """Return the sum over bins of one average's information, the level of the track eliminated.
+
+    Parameters
+    ----------
+    a : complex tensor of shape (n, n_inputs, n_places, n_freq)
+        Of one sensor at each place.
+    da : complex tensor of shape (n, n_unknown, n_inputs, n_places, n_freq)
+        The derivatives of a.
+    count : tensor of shape (n_places,)
+    """
+    used = count > 0
+    many = count[used].sqrt()[:, None]
+    a, da = a[:, :, used] * many, da[:, :, :, used] * many
+    if a.shape[1] == 1:
+        return _of_one_input(a[:, 0], da[:, :, 0])
+    return _of_several_inputs(a, da)
+
+
+def _of_one_input(a: Tensor, da: Tensor) -> Tensor:
+    """Return sum over bins of 2 q / (1 + q) Re(u_i^H u_j), a (n, n_places, n_freq)."""
+    q = a.abs().square().sum(dim=1)[:, None, None]
+    along = (a.conj()[:, None] * da).sum(dim=2, keepdim=True) / q.where(q > 0, 1.0)
+    u = da - along * a[:, None]
+    size = (u.abs().square().sum(dim=(2, 3)), da.abs().square().sum(dim=(2, 3)))
+    u[size[0] <= ROUNDING * size[1]] = 0
+    flat = torch.view_as_real(u * (2 * q / (1 + q)).sqrt()).flatten(2)
+    return flat @ flat.transpose(1, 2)
+
+
+def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
+    """Return sum over bins of Re tr(X_i X_j) - Re tr(X_i X_s) Re tr(X_s X_j) / tr(X_s X_s).
+
+    X_i = L^-1 dS_i L^-H with L L^H = S = 1 + A A^H; X_s belongs to the level's logarithm.
+    """
+    a, da = a.movedim(-1, 1).mT, da.movedim(-1, 2).mT  # (n, [n_unknown,] n_freq, places, inputs)
+    one = torch.eye(a.shape[-2]).to(a)
+    whitening = torch.linalg.solve_triangular(
+        torch.linalg.cholesky(one + a @ a.mH), one, upper=False
+    )
+    a, da = (whitening @ a)[:, None], whitening[:, None] @ da
+    level, half = a @ a.mH, da @ a.mH
+    x = half + half.mH
+    along = (x * level.conj()).sum(dim=(-2, -1), keepdim=True).real
+    size = level.abs().square().sum(dim=(-2, -1), keepdim=True)
+    u = x - along / size.where(size > 0, 1.0) * level
+    u[u.abs().square().sum(dim=(2, 3, 4)) <= ROUNDING * x.abs().square().sum(dim=(2, 3, 4))] = 0
+    flat = torch.view_as_real(u).flatten(2)
+    return flat @ flat.transpose(1, 2)
+
+
+def _checked(counts: ArrayLike, n_places: int) -> Tensor:
+    """Return the counts as a tensor; raise ValueError if they are not such a table."""
+    numbers = torch.as_tensor(np.asarray(counts, dtype=np.float64))
+    if numbers.ndim != 2 or numbers.shape[1] != n_places:
+        raise ValueError(
+            f"`counts` must have shape (n_choices, {n_places}), got {tuple(numbers.shape)}"
+        )
+    if not bool((numbers >= 0).all() and (numbers.sum(dim=1) > 0).all()):
+        raise ValueError("`counts` must be >= 0 and each choice must have a sensor")
+    return numbers

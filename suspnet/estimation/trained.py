@@ -1,0 +1,129 @@
+"""A fitted method that estimates from curves, spectra and recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.from_curves import estimate_curves
+from suspnet.estimation.from_recording import TripSettings, estimate_recording
+from suspnet.estimation.from_spectra import estimate_spectra
+from suspnet.recordings import Recording, load_recording, read_manifest
+from suspnet.spectra.cross_spectra import CrossSpectra
+
+SAME_BIN_HZ = 1e-6
+"""Difference [Hz] below which two frequency bins are the same."""
+
+
+@dataclass(frozen=True, repr=False)
+class TrainedModel(FittedMethod):
+    """A fitted method that estimates from curves, spectra and recordings.
+
+    Its attributes are those of ``FittedMethod``.
+    """
+
+    def __repr__(self) -> str:
+        task, calibrated = self.task, "calibrated" if self.intervals is not None else "uncalibrated"
+        return (
+            f"TrainedModel({self.name}{', refined' * self.refined}, {calibrated}: "
+            f"{', '.join(task.outputs)} of {self.vehicle.name}, protocol {task.protocol})"
+        )
+
+    def estimate(
+        self,
+        data: ArrayLike | Tensor | CrossSpectra | Recording | Path | str,
+        frequencies_hz: ArrayLike | None = None,
+        *,
+        level: float = 0.9,
+        mass: ArrayLike | None = None,
+        settings: TripSettings | None = None,
+    ) -> Estimate:
+        """Return stiffness and damping relative to healthy, with intervals and flags.
+
+        Parameters
+        ----------
+        data : array of shape (n_curves, 2, n_freq) or (2, n_freq), [-]
+            G_p and G_s: magnitudes, or complex for a model of trips. Or a trip: its manifest's
+            path, a ``Recording``, or its ``CrossSpectra`` on the model's bins.
+        frequencies_hz : array of shape (n_freq,), optional, [Hz]
+            Of curves: they must be ``settings.frequencies_hz()``, which is what None stands for.
+        level : float
+            Probability with which an interval holds the truth, in 0 to 1.
+        mass : array of shape (n_curves,), optional, [-]
+            Car-body mass relative to healthy, for curves and a model that was trained to know it.
+        settings : TripSettings, optional
+            Of recordings: what is used of them; its `level` is replaced by `level`.
+
+        Returns
+        -------
+        Estimate
+            One row a curve, or one of a trip.
+
+        Raises
+        ------
+        FileNotFoundError, TripError
+            If a trip's files are missing or wrong.
+        NoEstimateError
+            If a trip is sound but nothing can be estimated from it.
+        ModelFileError
+            If the model was not trained on trips, and `data` is one.
+        ValueError
+            If curves, frequencies or masses do not fit the model.
+        """
+        if isinstance(data, CrossSpectra):
+            return estimate_spectra(self, data, level)
+        if isinstance(data, str | Path | Recording):
+            chosen = replace(settings or TripSettings(), level=level)
+            if not isinstance(data, Recording):
+                data = load_recording(read_manifest(Path(data)), chosen.rate_hz)
+            return estimate_recording(self, data, chosen)
+        observer = self.settings.observer(self.generator)
+        curves = _checked_curves(data, frequencies_hz, observer.frequencies_hz)
+        known = self._checked_mass(mass, curves)
+        return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
+
+    def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
+        """Return one positive mass ratio for each curve, or None where the model takes none."""
+        if self.task.mass_known != (mass is not None):
+            raise ValueError(
+                "the model was trained to know the car-body mass: give `mass`, 1 is healthy"
+                if mass is None
+                else "the model was trained without the car-body mass: leave `mass` out"
+            )
+        if mass is None:
+            return None
+        ratios = np.asarray(mass, dtype=np.float64).reshape(-1)
+        if ratios.shape != (len(curves),) or not (np.isfinite(ratios) & (ratios > 0)).all():
+            raise ValueError(
+                f"`mass` must be one positive number for each of {len(curves)} curves, got {mass!r}"
+            )
+        return ratios
+
+
+def _checked_curves(
+    data: ArrayLike | Tensor, frequencies_hz: ArrayLike | None, bins: Tensor
+) -> Tensor:
+    """Return curves (n_curves, 2, n_freq) on the bins of a model."""
+    values = data if isinstance(data, Tensor) else torch.as_tensor(np.asarray(data))
+    values = values.to(torch.complex128 if values.is_complex() else torch.float64)
+    values = values[None] if values.ndim == 2 else values
+    if frequencies_hz is not None:
+        given = torch.as_tensor(np.asarray(frequencies_hz, dtype=np.float64))
+        own = bins.cpu()
+        if given.shape != own.shape or not torch.allclose(given, own, rtol=0, atol=SAME_BIN_HZ):
+            raise ValueError(
+                f"`frequencies_hz` must be the {len(own)} bins of the model, {float(own[0]):g} to "
+                f"{float(own[-1]):g} Hz: model.settings.frequencies_hz(); got {given.numel()} bins"
+            )
+    if values.ndim != 3 or tuple(values.shape[1:]) != (2, len(bins)):
+        raise ValueError(
+            f"curves must have shape (n_curves, 2, {len(bins)}), got {tuple(values.shape)}"
+        )
+    return values

@@ -1,0 +1,197 @@
+"""What a model's files must hold: each number, shape and name, checked before the model is used.
+
+The hash in model.json tells damage, not forgery: whoever changes a file can change its hash too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from suspnet.estimation.problem import Problem
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.checks import LARGEST, check_flag, check_number
+from suspnet.ground.types import FloatArray
+from suspnet.learning import Scaling
+from suspnet.recordings.manifest import Place
+
+MAY_BE_INFINITE = ("ood.thresholds",)
+"""Arrays in which infinity means that there is no threshold."""
+LARGEST_RATIO = 1000.0
+"""Factor from the healthy value, up or down, beyond which no model estimates the middle of its
+training data."""
+SAME_FEATURES = 1e-6
+"""Relative difference of features that other processors may make."""
+FAR = 1000.0
+"""Deviations by which the mean of training data may lie from the healthy vehicle."""
+DEPTH = 20
+"""Levels of nesting of a description; the deepest has 5."""
+
+
+def check_numbers(content: Any, where: str = "model.json", depth: int = 0) -> None:
+    """Raise ValueError if a number of a description is not finite, or it is nested too deeply."""
+    if depth > DEPTH:
+        raise ValueError(f"{where[:60]}... is nested too deeply")
+    if isinstance(content, dict):
+        for key, value in content.items():
+            check_numbers(value, f"{where}.{key}", depth + 1)
+    elif isinstance(content, list):
+        for i, value in enumerate(content):
+            check_numbers(value, f"{where}[{i}]", depth + 1)
+    elif isinstance(content, int | float) and not abs(content) <= LARGEST:  # NaN too
+        raise ValueError(f"`{where}` must be a finite number of at most {LARGEST:g}")
+
+
+def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
+    """Raise ValueError unless all arrays are of finite floating-point numbers and not empty."""
+    for name, array in arrays.items():
+        if array.dtype not in (np.float32, np.float64) or array.ndim > 3:
+            raise ValueError(f"array {name!r} is of {array.dtype}, {array.ndim}-dimensional")
+        allowed = (np.abs(array) <= LARGEST) | (np.isinf(array) & (name in MAY_BE_INFINITE))
+        if not allowed.all():
+            raise ValueError(f"array {name!r} holds numbers that are not finite, or too large")
+
+
+def check_model(model: TrainedModel) -> None:
+    """Raise TypeError or ValueError unless the parts of a model fit together.
+
+    A method must give an estimate for the middle of its training data, so that none ends in NaN.
+    """
+    task = model.task
+    n_inputs, n_outputs = len(task.inputs), len(task.outputs)
+    _check_healthy(model)
+    for name in ("corrected", "refined"):
+        check_flag(name, getattr(model, name))
+    scalings = (model.input_scaling, model.output_scaling)
+    on_curves = model.estimator.works_on_curves
+    logs = (
+        (task.log_ratios and task.extractor.positive) or on_curves,
+        task.log_ratios or on_curves,
+    )
+    if not on_curves or any(scalings):
+        for name, scaling, size, log in zip(
+            ("inputs", "outputs"), scalings, (n_inputs, n_outputs), logs, strict=True
+        ):
+            _check_scaling(name, scaling, size, log)
+    if not on_curves:
+        _check_estimator(model, n_inputs, n_outputs)
+    _check_calibration(model, n_inputs, n_outputs)
+    _check_training(model.training)
+
+
+def _check_vector(name: str, values: FloatArray, size: int) -> None:
+    """Raise ValueError unless an array holds as many finite numbers as it must."""
+    if values.shape != (size,) or values.dtype.kind not in "fi":
+        raise ValueError(f"`{name}` must be {size} numbers, got shape {values.shape}")
+
+
+def _check_healthy(model: TrainedModel) -> None:
+    """Raise ValueError unless the healthy features are those of the vehicle as it is observed."""
+    generator = model.generator.on("cpu")
+    expected = Problem(generator, model.task, model.settings).healthy_features()
+    _check_vector("healthy_features", model.healthy_features, len(expected))
+    atol = SAME_FEATURES * float(np.abs(expected).max())
+    if not np.allclose(model.healthy_features, expected, rtol=SAME_FEATURES, atol=atol):
+        raise ValueError("`healthy_features` are not those of the vehicle, settings and task")
+
+
+def _check_scaling(name: str, scaling: Scaling | None, size: int, log: bool) -> None:
+    """Raise TypeError or ValueError unless a scaling is the task's."""
+    if scaling is None:
+        raise ValueError(f"the scaling of {name} is missing")
+    check_flag(f"{name}.log", scaling.log)
+    if scaling.log != log:
+        raise ValueError(f"`{name}.log` must be {log}, as the task says")
+    _check_vector(f"{name}.mean", scaling.mean, size)
+    _check_vector(f"{name}.scale", scaling.scale, size)
+    if not (scaling.scale > 0).all() or not (np.abs(scaling.mean) <= FAR * scaling.scale).all():
+        raise ValueError(f"`{name}.scale` must be positive, and the mean at most {FAR:g} times it")
+
+
+def _check_estimator(model: TrainedModel, n_inputs: int, n_outputs: int) -> None:
+    """Raise ValueError unless a method estimates the middle of its training data."""
+    assert model.output_scaling is not None
+    if model.estimator.n_features_in_ != n_inputs:
+        raise ValueError(
+            f"the arrays are of {model.estimator.n_features_in_} inputs, not {n_inputs}"
+        )
+    middle = np.asarray(model.estimator.predict(np.zeros((1, n_inputs))), dtype=np.float64)
+    if middle.size != n_outputs:
+        raise ValueError(f"the arrays are of {middle.size} outputs, not {n_outputs}")
+    with np.errstate(over="ignore"):
+        estimate = model.output_scaling.undo(middle.reshape(1, n_outputs))
+    size = np.abs(estimate)
+    if not (size < LARGEST_RATIO).all() or (model.log and not (size > 1 / LARGEST_RATIO).all()):
+        raise ValueError(f"the middle of the training data is estimated as {estimate[0].tolist()}")
+
+
+def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> None:
+    """Raise ValueError unless intervals, OOD detector and costs are of the model's size."""
+    intervals, ood = model.intervals, model.ood
+    if intervals is not None:
+        if intervals.conformal.scores.shape[1] != n_outputs or intervals.log != model.log:
+            raise ValueError(f"the intervals are not those of {n_outputs} outputs")
+        residual_scale = intervals.residual_scale
+        if residual_scale is not None:
+            known = n_outputs if model.estimator.works_on_curves else n_inputs + n_outputs
+            found = residual_scale.predict(np.zeros((1, known)))
+            if not (found < LARGEST_RATIO).all():
+                raise ValueError(f"the residual scale predicts {found[0].tolist()}")
+    if ood is not None:
+        if len(ood.reference) and ood.reference.shape[1] != n_inputs:
+            raise ValueError(f"the reference of the OOD detector is not of {n_inputs} inputs")
+        if not math.isfinite(ood.misfit_threshold) or len(ood.reference) != bool(
+            math.isfinite(ood.distance_threshold)
+        ) * len(ood.reference):
+            raise ValueError("the thresholds of the OOD detector must be finite")
+    if model.unexplained is not None:
+        _check_vector("physics.costs", model.unexplained.costs, n_outputs)
+
+
+def _check_training(training: Any) -> None:
+    """Raise TypeError, KeyError or ValueError unless the notes on the training are whole."""
+    check_number("training.seed", training["seed"], low=0, whole=True)
+    check_number("training.n_train", training.get("n_train", 0), low=0, whole=True)
+    if not isinstance(training.get("parameters", {}), dict):
+        raise TypeError("`training.parameters` must be a mapping")
+    for name, value in training.get("test_rms_percent", {}).items():
+        check_number(f"training.test_rms_percent.{name}", value, low=0, optional=True)
+    if "commissioned" not in training:
+        return
+    healthy = training["commissioned"]
+    check_number("training.commissioned.n_trips", healthy["n_trips"], low=0, whole=True)
+    first, last = healthy["mileage_km"]
+    for value in (first, last):
+        check_number("training.commissioned.mileage_km", value)
+    if not all(isinstance(name, str) for name in healthy.get("trips", [])):
+        raise TypeError("`training.commissioned.trips` must be names")
+    _check_place(healthy.get("place"))
+
+
+def _check_place(place: Any) -> None:
+    """Raise TypeError unless a note says which suspension was commissioned, or nothing of it."""
+    if place is None:
+        return
+    names = {one.name for one in fields(Place)}
+    if not isinstance(place, dict) or set(place) != names:
+        raise TypeError(f"`training.commissioned.place` must be a mapping of {sorted(names)}")
+    if not all(isinstance(text, str) for text in place.values()):
+        raise TypeError("`training.commissioned.place` must hold text")
+
+
+def check_same(given: Any, built: Any, where: str = "model.json") -> None:
+    """Raise ValueError unless what was built says of itself all that a description says of it."""
+    if isinstance(given, dict) and isinstance(built, dict):
+        for key, value in given.items():
+            if key not in built:
+                raise ValueError(f"`{where}.{key}` is unknown")
+            check_same(value, built[key], f"{where}.{key}")
+    elif isinstance(given, list) and isinstance(built, list) and len(given) == len(built):
+        for i, pair in enumerate(zip(given, built, strict=True)):
+            check_same(*pair, f"{where}[{i}]")
+    elif type(given) is not type(built) or given != built:
+        raise ValueError(f"`{where}` is {given!r}, which is not what such a model says: {built!r}")

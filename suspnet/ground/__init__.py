@@ -1,0 +1,1 @@
+"""What every room stands on: names of parameters, checks of values, files that appear whole."""

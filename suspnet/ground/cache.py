@@ -1,0 +1,121 @@
+"""Files that hold what can be made again: any doubt about one, and it is made anew."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import save
+
+from suspnet.ground.storage import content_hash, load_arrays, read_array_file, write_atomically
+
+log = logging.getLogger(__name__)
+ABOUT = "suspnet"
+"""Entry of a file's header that says what its arrays were made from, with a checksum of both."""
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Cache:
+    """Arrays and notes in a folder, found again by what they were made from.
+
+    A file holds names, types, shapes and values of the arrays, the notes and all that they were
+    made from, and a checksum of these. A file that is not exactly so is not used, with a line of
+    warning. A folder that cannot be read or written costs time and one warning.
+
+    Parameters
+    ----------
+    folder : Path or str, optional
+        None keeps nothing.
+    kind : str
+        Begin of the files' names.
+    """
+
+    folder: Path | str | None
+    kind: str
+
+    def read(self, made_from: Any) -> tuple[dict[str, NDArray[Any]], Any] | None:
+        """Return arrays and notes made from a JSON-able description; None if they are not there."""
+        if self.folder is None:
+            return None
+        path = self.path(made_from)
+        try:
+            content = read_array_file(path)
+            arrays = load_arrays(content, str(path))
+            about = _about(content)
+        except FileNotFoundError:
+            return None
+        except (ValueError, LookupError, TypeError, RecursionError, MemoryError) as error:
+            log.warning("ignoring a damaged cache file: %s", " ".join(str(error).split()))
+            return None
+        except OSError as error:
+            _warn_once(str(self.folder), "read", str(error.strerror or error))
+            return None
+        if about.get("sha256") != _checksum(arrays, about.get("made_from"), about.get("notes")):
+            log.warning("ignoring a damaged cache file: %s does not match its checksum", path)
+        elif about.get("made_from") != json.loads(json.dumps(made_from)):
+            log.warning("ignoring a damaged cache file: %s was made from something else", path)
+        else:
+            return arrays, about.get("notes")
+        return None
+
+    def write(self, made_from: Any, arrays: Arrays, notes: Any = None) -> None:
+        """Keep arrays and JSON-able notes that were made from a JSON-able description."""
+        if self.folder is None:
+            return
+        arrays = {name: np.array(array, order="C") for name, array in arrays.items()}
+        about = {"made_from": made_from, "notes": notes}
+        about["sha256"] = _checksum(arrays, made_from, notes)
+        content = save(arrays, {ABOUT: json.dumps(about)})
+        try:
+            write_atomically(self.path(made_from), content)
+        except OSError as error:
+            _warn_once(str(self.folder), "written", str(error.strerror or error))
+
+    def path(self, made_from: Any) -> Path:
+        """Return the file of what was made from a description."""
+        assert self.folder is not None
+        return Path(self.folder) / f"{self.kind}-{content_hash(made_from)[:32]}.safetensors"
+
+
+@functools.cache
+def code_hash(*parts: str) -> str:
+    """Return a hash of some files and folders of this package, so that no cache outlives them."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for part in parts or (".",):
+        path = package / part
+        for file in [path] if path.is_file() else sorted(path.rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _checksum(arrays: Arrays, made_from: Any, notes: Any) -> str:
+    """Return the SHA-256 of arrays with names, types and shapes, and of what belongs to them."""
+    digest = hashlib.sha256(json.dumps([made_from, notes], sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = arrays[name]
+        digest.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def _about(content: bytes) -> dict[str, Any]:
+    """Return what a cache file's header says of its arrays; {} if it says nothing."""
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    about = json.loads(header.get("__metadata__", {}).get(ABOUT, "{}"))
+    return about if isinstance(about, dict) else {}
+
+
+@functools.cache
+def _warn_once(folder: str, verb: str, reason: str) -> None:
+    """Tell that a cache folder is of no use, once."""
+    log.warning("the cache folder %s cannot be %s, which costs time only: %s", folder, verb, reason)

@@ -1,0 +1,112 @@
+"""Mileage and temperature of a suspension: a number now and then, from frames or from the speed."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.frames import Frame, FrameError
+from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
+
+STEP_NS = 10 * SECOND_NS
+"""Time of which the first value is kept, [ns]: in it a train runs less than a kilometre."""
+
+MOST_KEPT = 10_000
+"""Largest number of values of one kind that are kept, those of a day. The latest go first: they are
+of wrong times, as sections are at most a day long."""
+
+MOST_IN_FRAME = 1000
+"""Number of samples of a frame that are looked at."""
+
+
+class SlowValues:
+    """The last values of mileage and temperature, by time: the first of every ten seconds.
+
+    Frames may come in any order, and twice. Between frames the mileage goes on with the distance
+    that the speed tells.
+
+    Parameters
+    ----------
+    mileage_km : float, [km]
+        Until a frame tells it.
+    temperature_c : float, optional, [°C]
+        Until a frame tells it.
+
+    Attributes
+    ----------
+    passed_km : float, [km]
+        Mileage at the end of the last section that was passed.
+    """
+
+    UNITS: ClassVar[dict[str, dict[str, float]]] = {
+        "mileage": {"km": 1.0, "m": 1e-3},
+        "temperature": {"degC": 1.0, "°C": 1.0},
+    }
+    """Sensors of slow values, with the size of each of their units."""
+
+    def __init__(self, mileage_km: float, temperature_c: float | None) -> None:
+        self.passed_km = mileage_km
+        self._known: dict[str, dict[int, tuple[int, float]]] = {"mileage": {}, "temperature": {}}
+        self._first_c = temperature_c
+
+    def take(self, frame: Frame) -> None:
+        """Keep the values of a frame.
+
+        Raises
+        ------
+        FrameError
+            If the unit is unknown, or a value out of range.
+        """
+        size = self.UNITS[frame.sensor].get(frame.unit)
+        if size is None:
+            units = ", ".join(self.UNITS[frame.sensor])
+            raise FrameError("unit", f"{frame.sensor!r} is in {units}, its frame in {frame.unit!r}")
+        values = size * frame.samples.astype(float)
+        low, high = (0.0, HIGHEST_KM) if frame.sensor == "mileage" else TEMPERATURES_C
+        if values.min() < low or values.max() > high:
+            raise FrameError("range", f"{frame.sensor!r} is {low:g} to {high:g}, got {values}")
+        known = self._known[frame.sensor]
+        for i, value in enumerate(values[:MOST_IN_FRAME].tolist()):
+            one = frame.time_ns + round(i * SECOND_NS / frame.rate_hz), value
+            step = one[0] // STEP_NS
+            known[step] = min(one, known.get(step, one))
+        for step in sorted(known)[MOST_KEPT:]:
+            del known[step]
+
+    def within(
+        self, begin_ns: int, end_ns: int, before_ns: int = 0
+    ) -> tuple[float | None, float | None]:
+        """Return mileage [km] and temperature [°C] of a section.
+
+        Of several values in it the first one counts. Where there is none, the mileage is the last
+        one of a time `before_ns` before it, or None: that at the end of the section before; and the
+        temperature is the last one before.
+        """
+        mileages, temperatures = (sorted(one.values()) for one in self._known.values())
+        km = [value for at, value in mileages if begin_ns <= at < end_ns]
+        km += [value for at, value in mileages if begin_ns - before_ns <= at < begin_ns][::-1]
+        inside = [value for at, value in temperatures if begin_ns <= at < end_ns]
+        before = [value for at, value in temperatures if at < begin_ns]
+        celsius = next(iter([*inside, *before[::-1]]), self._first_c)
+        return (km[0] if km else None), celsius
+
+    def pass_section(self, end_ns: int, mileage_km: float) -> None:
+        """Take the mileage at the end of a section, and forget what lies in it."""
+        self.passed_km = mileage_km
+        before = [one for one in self._known["temperature"].values() if one[0] < end_ns]
+        self._first_c = max(before)[1] if before else self._first_c
+        for name, several in self._known.items():
+            self._known[name] = {k: one for k, one in several.items() if one[0] >= end_ns}
+
+    def state(self) -> dict[str, Any]:
+        """Return JSON-able values that `restore` makes the same of."""
+        known = {name: sorted(one.values()) for name, one in self._known.items()}
+        return {"passed_km": self.passed_km, "first_c": self._first_c, "known": known}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+        self.passed_km, self._first_c = state["passed_km"], state["first_c"]
+        self._known = {
+            name: {at // STEP_NS: (at, value) for at, value in one}
+            for name, one in state["known"].items()
+        }

@@ -1,0 +1,393 @@
+"""A stream without end as recordings of bounded length, which follow its trips.
+
+A trip begins with the first frame after a pause, and its sections with the second of their first
+frame. A section ends where no frame comes for the time of a pause; after a fixed time; or, from a
+third of it on, where the train has stood for the time of a pause. Where frames go on, another
+section follows. One that ends short joins the section before, which waits for it. A frame is
+divided where it crosses the end of a section.
+
+None of this depends on the order in which frames come, as long as no sensor lags behind another by
+more than `late_s`, which a pause is not shorter than. A section stays open for such frames; then it
+is a recording like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from suspnet.ground.checks import check_number
+from suspnet.live.standing import Standing
+from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.cleaning import CleaningSettings
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.frames import Frame, FrameError, end_ns
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.running import Running
+
+MOST_OPEN = 5
+"""Largest number of open sections. Three are enough where clocks are right: one that is over, the
+rest of its trip, and the next trip. The others are for frames of wrong times, none of which may
+close a section that still runs."""
+
+SHORT, SHORT_S = 1 / 4, 120.0
+"""Part of the length of a section, and length [s], below which the last one of a trip joins the one
+before: twice what a recording needs."""
+
+TRIED_NS = 60 * SECOND_NS
+"""Time between two looks whether the train stood, [ns]."""
+
+AHEAD_NS = 86_400 * SECOND_NS
+"""Frames so much before a section that was over [ns] are not late: a clock was wrong then."""
+
+BORDER_SAMPLES = 1e-3
+"""A sample this close before a border [samples] counts as on it, as times are whole nanoseconds."""
+
+
+@dataclass
+class _Open:
+    """A section that is not over.
+
+    Attributes
+    ----------
+    after : Counter
+        Number of the latest frames of each sensor, in a row, that begin so late that it is over.
+    before : int or None
+        Key of the section of the same trip before it.
+    cut_ns : int or None, [ns]
+        Where it ends before it has its full length, as the train stood.
+    n_tried : int
+        Number of the times at which it was looked whether the train stood.
+    """
+
+    section: Running
+    before: int | None = None
+    after: Counter[str] = field(default_factory=Counter)
+    cut_ns: int | None = None
+    n_tried: int = 0
+
+
+class Sections:
+    """The recordings of one suspension, one after the other.
+
+    It holds at most ``MOST_OPEN`` recordings of `section_s`, as `Running` says.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+        As of `Running`.
+    section_s : int, [s]
+        Largest length of a section.
+    late_s : float, [s]
+        A section is over once more than ``order.window`` frames of one sensor, one after the other,
+        begin later than this after the pause that follows it, or, where its trip goes on, later
+        than this and the length of a short section after its end. No sensor may lag behind another
+        by more.
+    pause_s : float, [s]
+        Without a frame for so long, or without moving, a trip has ended.
+    rate_hz, cleaning, order
+        As of `Running`.
+
+    Attributes
+    ----------
+    counts : Counter
+        "dropped" are frames of sections of wrong times that were given up, "late" those of which a
+        part came too late.
+    identity : JSON-able
+        What a state must share with the stream that goes on from it.
+
+    Raises
+    ------
+    TripError, ValueError
+        As `Running` does.
+    """
+
+    def __init__(
+        self,
+        manifest: TripManifest,
+        section_s: int = 1200,
+        late_s: float = 10.0,
+        rate_hz: float = 100.0,
+        cleaning: CleaningSettings | None = None,
+        order: OrderSettings | None = None,
+        pause_s: float = 300.0,
+    ) -> None:
+        check_number("section_s", section_s, low=60, high=86400, whole=True)
+        check_number("late_s", late_s, low=0, high=3600)
+        check_number("pause_s", pause_s, low=60, high=3600)
+        if pause_s < late_s:
+            raise ValueError(f"`pause_s` must be at least `late_s`, {late_s:g} s, got {pause_s:g}")
+        self.manifest, self.section_s, self.late_s = manifest, section_s, late_s
+        self.rate_hz, self.cleaning, self.pause_s = rate_hz, cleaning, pause_s
+        self.order = OrderSettings() if order is None else order
+        self.counts: Counter[str] = Counter()
+        self._open: dict[int, _Open] = {}
+        self._next_ns = 0
+        self._back: Counter[str] = Counter()
+        self._standing = Standing()
+        self.identity = [section_s, late_s, pause_s, self._begun(0).identity]
+
+    def add(self, frame: Frame, is_known: bool = False) -> None:
+        """Take a frame.
+
+        Parameters
+        ----------
+        frame : Frame
+        is_known : bool
+            Whether it was taken before, and comes again after a restart.
+
+        Raises
+        ------
+        FrameError
+            As `Running.add` does, or "late" if the section of all of it is over. It is not taken.
+        """
+        if len(frame.samples) > self.section_s * frame.rate_hz:
+            raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
+        self._check_clock(frame, is_known)
+        n_late = _n_before(frame, self._next_ns)
+        rest = _from(frame, n_late, self._next_ns)
+        if rest is None:
+            raise FrameError("late", f"a frame of {frame.sensor!r} is of a section that is over")
+        reasons = ["late"] * bool(n_late)
+        n_taken = 0
+        while rest is not None:  # ends: each round takes a sample, or begins at a border
+            key = self._place(rest.time_ns)
+            one = self._open.get(key)
+            if one is None:
+                border_ns = self._full_ns(rest.time_ns)
+            else:
+                self._cut(one, end_ns(rest))
+                border_ns = min(self._border_ns(one), self._full_ns(rest.time_ns))
+            if n_inside := _n_before(rest, border_ns):
+                try:
+                    self._add(key, replace(rest, samples=rest.samples[:n_inside]))
+                except FrameError as error:
+                    if not n_taken:
+                        raise
+                    reasons.append(error.reason)
+                n_taken += n_inside
+            rest = _from(rest, n_inside, border_ns)
+        self.counts.update(reasons)
+
+    def _check_clock(self, frame: Frame, is_known: bool) -> None:
+        """Go back in time with a clock that was far ahead and is right again.
+
+        Else all frames would be late for as long as it was ahead.
+        """
+        if frame.time_ns >= self._next_ns - AHEAD_NS:
+            self._back[frame.sensor] = 0
+            return
+        self._back[frame.sensor] += 1
+        if is_known or self._back[frame.sensor] > self.order.window:
+            self._next_ns = 0
+            self._back.clear()
+
+    def over(self) -> list[Running]:
+        """Return the sections that are over, the earliest first, and forget them."""
+        window = self.order.window
+        passed = {k for k, one in self._open.items() if max(one.after.values(), default=0) > window}
+        # one whose rest may still grow waits for it
+        done = [k for k in passed if self._after(k) in passed or not self._is_short(self._after(k))]
+        last_ns = max((self._open[k].section.begin_ns for k in done), default=-1)
+        return self._close([k for k in self._keys if self._open[k].section.begin_ns <= last_ns])
+
+    @property
+    def open(self) -> list[Running]:
+        """The sections that are not over, the earliest first, without those that are a rest."""
+        return [self._open[k].section for k in self._keys if not self._is_rest(k)]
+
+    @property
+    def growing(self) -> list[Running]:
+        """Those of them whose trip has not gone on with another section."""
+        followed = {one.before for one in self._open.values()}
+        return [
+            self._open[k].section for k in self._keys if k not in followed and not self._is_rest(k)
+        ]
+
+    def close(self) -> list[Running]:
+        """Return all sections: the stream has ended."""
+        return self._close(self._keys)
+
+    @property
+    def _keys(self) -> list[int]:
+        """Keys of the open sections, the earliest first."""
+        return sorted(self._open, key=lambda k: self._open[k].section.begin_ns)
+
+    @property
+    def _pause_ns(self) -> int:
+        return round(self.pause_s * SECOND_NS)
+
+    @property
+    def _short_s(self) -> float:
+        return min(max(SHORT * self.section_s, SHORT_S), self.section_s)
+
+    def _begun(self, zero_ns: int) -> Running:
+        """Return a new section."""
+        longest_s = self.section_s + self.pause_s + 1
+        settings = self.rate_hz, self.cleaning, self.order, longest_s, float(self.pause_s)
+        return Running(self.manifest, zero_ns, *settings)
+
+    def _full_ns(self, begin_ns: int) -> int:
+        """Return where a section that begins at a time has its full length."""
+        return (begin_ns // SECOND_NS + self.section_s) * SECOND_NS
+
+    def _border_ns(self, one: _Open) -> int:
+        """Return where a section ends if frames go on."""
+        return self._full_ns(one.section.begin_ns) if one.cut_ns is None else one.cut_ns
+
+    def _cut(self, one: _Open, time_ns: int) -> None:
+        """Let a section end where the train has stood, as far as frames of a time have come.
+
+        Looked at is what all sensors must have sent by then.
+        """
+        first_ns = self._full_ns(one.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
+        late_ns = round(self.late_s * SECOND_NS)
+        while one.cut_ns is None:  # ends: each round goes on by a minute
+            at_ns = first_ns + one.n_tried * TRIED_NS
+            if time_ns <= at_ns:
+                return
+            one.n_tried += 1
+            if self._standing.stood(at_ns - late_ns - self._pause_ns, at_ns - late_ns):
+                one.cut_ns = at_ns
+
+    def _end_ns(self, one: _Open) -> int:
+        """Return before which time a frame belongs to a section, if not to one before."""
+        return min(self._border_ns(one), one.section.end_ns + self._pause_ns)
+
+    def _place(self, time_ns: int) -> int:
+        """Return the key of the section in which a time lies; that of a new one if in none."""
+        for k in self._keys:
+            one = self._open[k]
+            least_ns = k if one.section.goes_on else one.section.begin_ns - self._pause_ns
+            if max(least_ns, k - self._pause_ns) <= time_ns < self._end_ns(one):
+                return k
+        for k in self._keys:
+            one = self._open[k]
+            border_ns = self._border_ns(one)
+            goes_on = border_ns <= time_ns < one.section.end_ns + self._pause_ns
+            if goes_on and border_ns not in self._open:
+                return border_ns
+        return time_ns // SECOND_NS * SECOND_NS
+
+    def _add(self, key: int, part: Frame) -> None:
+        """Take the part of a frame that lies in one section."""
+        found = self._open.get(key)
+        section = self._begun(key) if found is None else found.section
+        section.add(part)  # a frame that is refused opens no section
+        if found is None:
+            before = [k for k, one in self._open.items() if self._border_ns(one) == key]
+            self._open[key] = found = _Open(section, before[0] if before else None)
+            section.goes_on = bool(before)
+            self._drop()
+        if found.before in self._open:
+            self._open[found.before].section.rest = section if self._is_short(key) else None
+        for one in self._open.values():
+            has_passed = part.time_ns >= self._over_ns(one)
+            one.after[part.sensor] = one.after[part.sensor] + 1 if has_passed else 0
+        if part.sensor == "speed":
+            self._standing.take(part)
+            kept_ns = 2 * self._pause_ns + round(2 * self.late_s * SECOND_NS) + TRIED_NS
+            self._standing.forget(part.time_ns - kept_ns)
+
+    def _over_ns(self, one: _Open) -> int:
+        """Return the time from which frames say that a section is over."""
+        wait_s = max(self.late_s, self._short_s)
+        goes_on_ns = self._border_ns(one) + round(wait_s * SECOND_NS)
+        pause_ns = self._pause_ns + round(self.late_s * SECOND_NS)
+        return min(goes_on_ns, one.section.end_ns + pause_ns)
+
+    def _after(self, key: int) -> int | None:
+        """Return the key of the section with which a trip goes on."""
+        return next((k for k, one in self._open.items() if one.before == key), None)
+
+    def _is_short(self, key: int | None) -> bool:
+        """Return whether a section is too short for a recording of its own; None is not."""
+        if key is None or key not in self._open:
+            return False
+        section = self._open[key].section
+        return section.end_ns - section.begin_ns < self._short_s * SECOND_NS
+
+    def _is_rest(self, key: int) -> bool:
+        """Return whether a section is the rest of one that is open."""
+        before = self._open[key].before
+        return before in self._open and self._open[before].section.rest is not None
+
+    def _drop(self) -> None:
+        """Give up the section with the fewest frames, of these the latest, if there are many.
+
+        The one that was opened last stays: others would keep out all that comes.
+        """
+        if len(self._open) > MOST_OPEN:
+            old = list(self._open.items())[:-1]
+            sizes = {k: (one.section.n_frames, -one.section.begin_ns) for k, one in old}
+            worst = min(sizes, key=sizes.__getitem__)
+            before, after = self._open[worst].before, self._after(worst)
+            if before in self._open:
+                self._open[before].section.rest = None
+            if after is not None:
+                self._open[after].before = None
+            self.counts["dropped"] += self._open.pop(worst).section.n_frames
+
+    def _close(self, keys: list[int]) -> list[Running]:
+        """Return some sections without those that are a rest, and wait for no frame of them."""
+        found = [self._open[k].section for k in keys if not self._is_rest(k)]
+        for k in keys:
+            self._next_ns = max(self._next_ns, self._end_ns(self._open[k]))
+            self._open[k].section.flush()
+        for k in keys:
+            if (after := self._after(k)) is not None:
+                self._open[after].before = None
+            del self._open[k]
+        return found
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values that `restore` makes the same stream of."""
+        return {
+            "counts": dict(self.counts),
+            "next_ns": self._next_ns,
+            "back": dict(self._back),
+            "standing": self._standing.state(),
+            "open": {
+                str(k): {
+                    "section": one.section.state(),
+                    "before": one.before,
+                    "after": dict(one.after),
+                    "cut_ns": one.cut_ns,
+                    "n_tried": one.n_tried,
+                }
+                for k, one in self._open.items()
+            },
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of a stream of the same identity."""
+        self.counts, self._next_ns = Counter(state["counts"]), state["next_ns"]
+        self._back = Counter(state["back"])
+        self._standing.restore(state["standing"])
+        self._open = {}
+        for k, saved in state["open"].items():
+            after, cut = Counter(saved["after"]), (saved["cut_ns"], saved["n_tried"])
+            one = _Open(self._begun(int(k)), saved["before"], after, *cut)
+            one.section.restore(saved["section"])
+            self._open[int(k)] = one
+        for k, one in self._open.items():
+            if one.before in self._open and self._is_short(k):
+                self._open[one.before].section.rest = one.section
+
+
+def _n_before(frame: Frame, time_ns: int) -> int:
+    """Return how many samples of a frame lie before a time."""
+    n = math.ceil((time_ns - frame.time_ns) * frame.rate_hz / SECOND_NS - BORDER_SAMPLES)
+    return min(max(n, 0), len(frame.samples))
+
+
+def _from(frame: Frame, n: int, border_ns: int) -> Frame | None:
+    """Return what is left of a frame without its first samples, which lie before a border."""
+    if n >= len(frame.samples):
+        return None
+    if n == 0:
+        return replace(frame, time_ns=max(frame.time_ns, border_ns))
+    time_ns = frame.time_ns + round(n * SECOND_NS / frame.rate_hz)
+    return replace(frame, time_ns=time_ns, samples=frame.samples[n:])

@@ -1,0 +1,360 @@
+"""Assessment of a suspension by its trips, for maintenance: a severity and its reason in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.fleet_lives import ONE_FLAGGED
+from suspnet.maintenance.life import Life
+from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
+from suspnet.maintenance.trend import PAYLOAD, Shape, Step, Trend
+from suspnet.maintenance.watch import beside, km_words
+
+LARGE_PERCENT = 10.0
+"""Size of a change, in % of healthy, from which words give the level that it leads to."""
+TOLD_PERCENT = 2.0
+"""Distance of the last trip from the last trips' median, in % of healthy, from which it is
+named."""
+FLAGGED = "flagged and may be wrong"
+ALL_FLAGGED = "all trips are flagged"
+
+
+@dataclass(frozen=True)
+class LastTrips:
+    """The last trips with an estimate of one parameter, the newest last.
+
+    Attributes
+    ----------
+    values, low, high : arrays of shape (n_last,), [-]
+        Estimates and their intervals relative to healthy; an interval may be NaN.
+    flagged : bool array of shape (n_last,)
+    all_flagged : bool
+        Every trip with an estimate is flagged, also those before.
+    """
+
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    flagged: BoolArray
+    all_flagged: bool = False
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Assessment of one parameter by its trips.
+
+    Attributes
+    ----------
+    trend : Trend
+    severity : Severity
+    words : str
+        The reason.
+    limited : bool
+        The parameter has limits.
+    alarms : tuple of Alarm
+        That stand.
+    life : Life, optional
+        Mileage until the act limit; None if it is unknown.
+    now : float, [-]
+        Median of the last trips (``present``).
+    unknown_life : str
+        Why the remaining life is unknown, or not to be relied on; empty if it is known.
+    """
+
+    trend: Trend
+    severity: Severity
+    words: str
+    limited: bool = True
+    alarms: tuple[Alarm, ...] = ()
+    life: Life | None = None
+    now: float = math.nan
+    unknown_life: str = ""
+
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter."""
+        return self.trend.parameter
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the parameter is named at the top of a report."""
+        return self.severity > Severity.NONE or self.trend.changed
+
+
+def last_trips(
+    mileage_km: ArrayLike, values: ArrayLike, intervals: ArrayLike, flagged: ArrayLike
+) -> LastTrips:
+    """Return the ``N_LAST`` trips of largest mileage that have an estimate.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        In any order.
+    values : array of shape (n_trips,), [-]
+        NaN: no estimate.
+    intervals : array of shape (n_trips, 2), [-]
+    flagged : bool array of shape (n_trips,)
+    """
+    km, centre = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
+    known = np.flatnonzero(np.isfinite(km) & np.isfinite(centre))
+    order = known[np.argsort(km[known], kind="stable")]
+    doubtful = np.asarray(flagged, dtype=bool)
+    last = order[-N_LAST:]
+    low, high = np.asarray(intervals, dtype=float).reshape(-1, 2)[last].T
+    everywhere = bool(len(order)) and bool(doubtful[order].all())
+    return LastTrips(centre[last], low, high, doubtful[last], everywhere)
+
+
+def assess(
+    trend: Trend, last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm] = ()
+) -> Assessment:
+    """Return how severe it is what the trips show of one parameter, and why.
+
+    The severity is that of ``judge``, of the last trips alone, or that of an alarm that stands if
+    that is worse. If all trips are flagged, they speak against the model rather than the vehicle:
+    then it is a notice at most, and unknown at least.
+
+    Parameters
+    ----------
+    trend : Trend
+        Of all trips.
+    last : LastTrips
+    limits : Limits or None
+        None: no value is alarming, as of the pay-load.
+    alarms : sequence of Alarm
+        Of the parameter, that stand.
+    """
+    found = _assess(trend, last, limits)
+    worst = max((one.severity for one in alarms), default=Severity.NONE)
+    if worst <= found.severity:
+        return replace(found, alarms=tuple(alarms))
+    why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
+    since = f"alarm since {km_words(why.begin_km)}"
+    told = why.cause == Cause.CHANGE and trend.changed
+    words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
+    return replace(found, severity=worst, words=words, alarms=tuple(alarms))
+
+
+def _assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
+    """Return the assessment by the limits."""
+    if len(last.values) == 0:
+        severity = Severity.UNKNOWN if limits else Severity.NONE
+        return Assessment(trend, severity, "no trip with an estimate", bool(limits))
+    if limits is None:
+        return Assessment(trend, Severity.NONE, _joined(_calm(trend, last), trend, last), False)
+    judged = judge(last.values, last.low, last.high, last.flagged, limits)
+    severity = Severity(int(judged.severity))
+    if severity == Severity.NONE and last.flagged.all():
+        return Assessment(trend, Severity.UNKNOWN, _not_judged(trend, last))
+    parts = _calm(trend, last, limits) if severity == Severity.NONE else []
+    if severity > Severity.NONE:
+        parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
+    if last.all_flagged:
+        severity = min(severity, Severity.NOTICE)
+    return Assessment(trend, severity, _joined(parts, trend, last))
+
+
+def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
+    """Return assessments in their order, those of one severity and one reason together."""
+    found: dict[tuple[Severity, str], list[Assessment]] = {}
+    for one in assessments:
+        found.setdefault((one.severity, one.words), []).append(one)
+    return list(found.values())
+
+
+def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
+    """Return the assessments named at the top of a report, the most severe first."""
+    return sorted((a for a in assessments if a.is_told), key=lambda a: -a.severity)
+
+
+def spoken(assessments: Sequence[Assessment]) -> str:
+    """Return severity, sentence and reasons as lines for a terminal."""
+    lines = [
+        f"  {group[0].severity!s:7s}  {', '.join(a.parameter for a in group)}: {group[0].words}"
+        for group in joined(worst_first(assessments))
+    ]
+    return "\n".join([overall(assessments)[1], *lines])
+
+
+def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
+    """Return the largest severity of all parameters, and a sentence on them."""
+    judged = [a for a in assessments if a.parameter != PAYLOAD]
+    severity = max((a.severity for a in judged), default=Severity.UNKNOWN)
+    n = {level: sum(a.severity == level for a in judged) for level in Severity}
+    n_known = sum(a.trend.n_trips > 0 for a in judged)
+    n_changed = sum(a.trend.changed for a in judged)
+    n_tested = sum(a.trend.shape != Shape.TOO_FEW for a in judged)
+    of = f"of {len(judged)} parameters"
+    quiet = "No parameter is beyond its limits"
+    if not any(a.limited for a in judged):
+        quiet = "No parameter has limits"
+    if severity == Severity.ACT:
+        more = f", {n[Severity.NOTICE]} more to be looked at" if n[Severity.NOTICE] else ""
+        return severity, f"Act: {n[severity]} {of} {_is(n[severity])} beyond the act limit{more}:"
+    if severity == Severity.NOTICE:
+        return severity, f"Notice: {n[severity]} {of} {_is(n[severity])} to be looked at:"
+    if n_known == 0:
+        return severity, "No trip has an estimate, so that nothing can be told."
+    if severity == Severity.UNKNOWN:
+        return severity, f"No alarm, but {n[severity]} {of} cannot be judged:"
+    if n_changed:
+        return severity, f"{quiet}; {n_changed} {of} changed:"
+    if n_tested < len(judged):
+        which = "there are" if n_tested == 0 else "some parameters have"
+        return severity, f"{quiet}; {which} too few trips to tell of a change."
+    return (
+        severity,
+        f"Nothing stands out. {quiet}, and none changed by more than its trips scatter.",
+    )
+
+
+def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
+    """Return where the last trips are, for a severity above none."""
+    side, run, count = (int(part) for part in (judged.side, judged.run, judged.count))
+    severity, n_last = Severity(int(judged.severity)), len(last.values)
+    name = "act" if severity == Severity.ACT else "notice"
+    limit = getattr(limits, name)[(side + 1) // 2]
+    beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
+    if count >= N_CONFIRMING and run < count:
+        out = last.values[side * (last.values - limit) > 0]
+        where = beside(np.median(out), limit)
+        words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
+        return words if run else f"{words}; the last trip is {beside(last.values[-1], limit)}"
+    trips, it, are, its = ("trip", "it", "is", "its interval reaches")
+    if run > 1:
+        trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
+    where = beside(np.median(last.values[n_last - run :]), limit)
+    words = f"the last {trips} {are} {where} of healthy, {beyond}"
+    if judged.weak and last.flagged[n_last - run :].any():
+        return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
+    if judged.weak:
+        return f"{words}, but without an interval that would make it sure"
+    if severity == Severity.UNKNOWN:
+        return f"{words}, but {its} back within it: too uncertain to tell"
+    return words
+
+
+def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
+    """Return how the parameter came to where it is, for a severity above none."""
+    if trend.shape == Shape.RETURNED and trend.step is not None:
+        if trend.n_trips - trend.step.n_before <= N_LAST:
+            return [f"the change began at about {_km(trend.step)}"]
+        size = _percent(trend.step.size_percent)
+        return [f"earlier, it differed by {size} before and after about {_km(trend.step)}"]
+    if trend.shape != Shape.NONE:
+        return [_change(trend)]
+    side = int(judged.side)
+    if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
+        return ["so it was from the first trips on"]
+    if judged.severity == Severity.UNKNOWN:
+        return []
+    if judged.run and judged.count < N_CONFIRMING:
+        return ["too few trips so far to call it a lasting change"]
+    return [f"not clear against the spread of {_percent(trend.spread_percent)}"]
+
+
+def _not_judged(trend: Trend, last: LastTrips) -> str:
+    """Return why nothing is judged where flagged trips alone lie within the limits."""
+    why = (
+        ALL_FLAGGED if last.all_flagged else f"all of the last {len(last.values)} trips are flagged"
+    )
+    if last.all_flagged and len(last.values) == 1:
+        why = ONE_FLAGGED
+    return "; ".join([f"not judged, as {why}", *([_change(trend)] if trend.changed else [])])
+
+
+def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
+    """Return how the parameter develops where no limit is crossed, or there is none."""
+    change, median = _change(trend), float(np.median(last.values))
+    if trend.parameter == PAYLOAD:
+        return [f"{change} (pay-load: varies by nature, no fault)"]
+    scatter = 3 * float(np.nan_to_num(trend.spread_percent))
+    level = f"at {100 * median:.0f} % of healthy"
+    if trend.changed:
+        parts = [f"{change}, within its limits" if limits else change]
+    elif abs(100 * (median - 1)) > max(LARGE_PERCENT, scatter):
+        parts = [f"{level}, within its limits" if limits else level, change]
+    elif trend.shape == Shape.TOO_FEW and limits:
+        parts = ["within its limits", change]
+    else:
+        parts = [change]
+    if abs(100 * (last.values[-1] - median)) > max(TOLD_PERCENT, scatter):
+        parts.append(f"the last trip is at {100 * last.values[-1]:.0f} %")
+    if limits:
+        n = int(np.sum((last.values < limits.notice[0]) | (last.values > limits.notice[1])))
+        if n:
+            lie = "lies" if n == 1 else "lie"
+            parts.append(
+                f"{n} of the last {len(last.values)} trips {lie} beyond a limit, the newest not"
+            )
+    return parts
+
+
+def _change(trend: Trend) -> str:
+    """Return what the tests along the mileage found."""
+    without = ", without the flagged trips" if trend.without_flagged else ""
+    return f"{_change_words(trend)}{without}"
+
+
+def _change_words(trend: Trend) -> str:
+    """Return what the tests found, in the trips that they were made of."""
+    if trend.shape == Shape.TOO_FEW:
+        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to tell of a change"
+    if trend.shape == Shape.NONE:
+        return f"no change beyond the spread of {_percent(trend.spread_percent)}"
+    if trend.shape == Shape.RETURNED and trend.step is not None:
+        size = _percent(trend.step.size_percent)
+        return f"differs by {size} before and after about {_km(trend.step)}, but ends as it began"
+    change = trend.change_percent
+    verb, going_on = ("falls", "falling") if change < 0 else ("rises", "rising")
+    amount = f"{verb} by {_percent(change)}"
+    if abs(change) >= LARGE_PERCENT:
+        level = f"{100 * trend.last_median:.0f} % of healthy"
+        amount = f"{verb} to {level} (median of the last {trend.n_ends} trips)"
+    if trend.shape == Shape.STEADY:
+        return f"{amount}, steadily along the mileage"
+    if trend.step is None:
+        return f"{amount} from the first to the last trips"
+    if trend.shape == Shape.GRADUAL:
+        return f"{amount}, gradually around {_km(trend.step)}, and was still {going_on} at the end"
+    return f"{amount} at about {_km(trend.step)}"
+
+
+def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
+    """Return all parts as one sentence, with a remark on flagged trips."""
+    flags = []
+    if last.all_flagged:
+        flags.append(ALL_FLAGGED)
+    elif trend.flagged_first or trend.flagged_last:
+        ends = {"first": trend.flagged_first, "last": trend.flagged_last}
+        if any(FLAGGED in part for part in parts) and trend.flagged_last == 1:
+            ends["last"] = 0
+        words = [f"{n} of the {end} {trend.n_ends}" for end, n in ends.items() if n]
+        if words:
+            flags.append(f"{' and '.join(words)} trips {_is(sum(ends.values()))} flagged")
+    return "; ".join([*parts, *flags])
+
+
+def _is(n: int) -> str:
+    """Return the verb for some number of things."""
+    return "is" if n == 1 else "are"
+
+
+def _percent(value: float) -> str:
+    """Return the size of a change in %, with digits by its size."""
+    size = abs(value)
+    digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
+    return f"{size:.{digits}f} %"
+
+
+def _km(step: Step) -> str:
+    """Return the mileage, rounded to the power of ten below the distance between the trips."""
+    digits = math.floor(math.log10(max(step.gap_km, 1.0)))
+    return km_words(round(step.mileage_km, -digits))

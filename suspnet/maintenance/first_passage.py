@@ -1,0 +1,95 @@
+"""Mileages until a process first passes a limit, drawn at random."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from suspnet.ground.types import FloatArray
+from suspnet.maintenance.noise import UNIT_KM
+
+HORIZON_KM = 5e6
+"""Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
+FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
+"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
+
+
+def first_passage_km(
+    distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws of the mileage until a Wiener process with drift first passes a limit.
+
+    With a drift towards the limit, of `distance` d, `rate` v and variance q per mileage, the law is
+    inverse Gaussian with mean d / v and shape d^2 / q [1]_; with a drift away from it, it is that
+    of |v| with probability exp(-2 |v| d / q) and infinite otherwise. Without diffusion it is d / v.
+
+    Parameters
+    ----------
+    distance : array of shape (n_samples,), [-]
+        At most 0: passed already, which gives 0. May be infinite.
+    rate : array of shape (n_samples,), [1 / UNIT_KM]
+    diffusion : array of shape (n_samples,), [1 / UNIT_KM]
+        Variance per mileage.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+
+    References
+    ----------
+    .. [1] Chhikara, Folks, The Inverse Gaussian Distribution, Marcel Dekker, 1989; drawn as by
+       Michael, Schucany, Haas, The American Statistician 30 (1976) 88-90.
+    """
+    y, u, away = rng.normal(size=rate.size) ** 2, rng.random(rate.size), rng.random(rate.size)
+    reachable = (distance > 0) & (distance < np.inf)
+    d, v = np.where(reachable, distance, 1.0), np.maximum(np.abs(rate), 1e-12)
+    q = np.where(diffusion > 0, diffusion, 1.0)
+    mean = d / v
+    half = 0.5 * y * q / (v * d)
+    # the smaller root, without the difference of large numbers of the usual form
+    smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
+    random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
+    reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
+    passage = np.where(reached, np.where(diffusion > 0, random, mean), np.inf)
+    return UNIT_KM * np.where(distance <= 0, 0.0, np.where(reachable, passage, np.inf))
+
+
+def changing_passage_km(
+    mean: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    spread: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
+
+    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
+
+    Parameters
+    ----------
+    mean : array of shape (n_samples, n_future), [-]
+        Mean value at ``FUTURE``.
+    lower, upper, spread : arrays of shape (n_samples,)
+        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+    """
+    dt = np.diff(FUTURE)
+    a, b = rng.normal(size=(2, lower.size, dt.size))
+    rates = np.cumsum(np.sqrt(dt) * a, axis=1)
+    before = rates - np.sqrt(dt) * a
+    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
+    motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
+    values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
+    out = (values <= lower[:, None]) | (values >= upper[:, None])
+    index, each = out.argmax(axis=1), np.arange(lower.size)
+    last = np.maximum(index - 1, 0)
+    one, two = values[each, last], values[each, index]
+    limit = np.where(two >= upper, upper, lower)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
+    passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
+    return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)

@@ -1,0 +1,324 @@
+"""Clocks of two sensors that run apart: the delay between them along the trip.
+
+Sensors of one vehicle feel the same track, so that the cross-correlation of two has its peak at a
+delay that depends on the vehicle and its speed only. If one clock runs fast, the delay grows with
+time; if a logger loses samples, it jumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
+from scipy.signal import get_window
+
+from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
+from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.cleaning import Fault
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.speed import STANDING_M_PER_S
+
+WINDOW_S = 20.0
+"""Length of the windows whose delays are compared, [s]."""
+
+BAND_HZ = (1.0, 15.0)
+"""Band of the cross-correlation, [Hz]."""
+
+LEAST_WINDOWS = 6
+"""Least number of windows with a clear peak."""
+
+SPEED_CLASS = 0.05
+"""Relative width of a class of speed, and largest change of the speed within a window."""
+
+TRIMS = 3
+"""Number of times that windows far off are left out."""
+
+JUMP_SHARE = 0.25
+"""The delay jumps if that leaves less than this share of the squares that a drift leaves."""
+
+FINEST_S = 1e-5
+"""Least deviation of a delay, [s]."""
+
+LEAST_CORRELATION = 0.4
+"""Least correlation of a window's cross-spectrum with the common one for its peak to be clear."""
+
+RELIABLE = 0.9
+"""Least share of clear windows between the first and the last clear one for the others to mean that
+samples were lost: sensors left and right have little in common where the rails differ."""
+
+NEWTON_STEPS = 3
+"""Number of steps from the highest sample of the cross-correlation to its peak."""
+
+MEMORY = 0.2
+"""Weight of the newest window in the common cross-spectrum that follows a drifting clock."""
+
+SIGNIFICANT = 6.0
+"""Least size of a drift or jump that is told, in standard deviations."""
+
+TOLD_S, REFUSED_S = 0.003, 0.02
+"""Changes of the delay along the trip from which a drift or jump is told, and above which the trip
+is refused, [s]: more than the second costs estimates 2 % and more."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How the delay of one sensor behind another changes along a trip.
+
+    Attributes
+    ----------
+    is_jump : bool
+        It jumps rather than drifts.
+    size : float, [s] or [-]
+        The jump, or the change of the delay over time. Infinite if the signals have nothing in
+        common before or after the jump.
+    deviation : float
+        Its standard deviation.
+    jump_at_s : float, [s]
+        When it jumps.
+    seconds : float, [s]
+        Time between the first and the last window.
+    """
+
+    is_jump: bool
+    size: float
+    deviation: float
+    jump_at_s: float
+    seconds: float
+
+
+def clock_faults(
+    manifest: TripManifest,
+    values: Mapping[str, FloatArray],
+    usable: BoolArray,
+    speed_m_per_s: FloatArray,
+    rate_hz: float,
+) -> tuple[Fault, ...]:
+    """Return the faults of clocks that run apart.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+    values : dict of arrays of shape (n,), [m/s2]
+        Each sensor on the common clock.
+    usable : array of shape (n,)
+    speed_m_per_s : array of shape (n,), [m/s]
+    rate_hz : float, [Hz]
+
+    Raises
+    ------
+    TripError
+        If two run apart by more than ``REFUSED_S``.
+    """
+    faults = []
+    for first, second in _compared(manifest):
+        drift = find_drift(values[first], values[second], usable, speed_m_per_s, rate_hz)
+        if drift is None:
+            continue
+        words, size_s = _words(manifest, first, second, drift)
+        if size_s > REFUSED_S:
+            raise TripError(
+                f"{manifest.path}: channel {second!r}: clock {words}; correct that or give a "
+                "column of `time`"
+            )
+        if size_s >= TOLD_S:
+            faults.append(
+                Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words)
+            )
+    return tuple(faults)
+
+
+def _compared(manifest: TripManifest) -> list[tuple[str, str]]:
+    """Return the pairs of sensors that are compared: along the chain, and at each place."""
+    sides = {
+        name: [name] if isinstance(one, Channel) else [f"{name} {side}" for side in SIDES]
+        for name, one in manifest.channels.items()
+    }
+    firsts = [sides[name][0] for name in CHANNELS]
+    pairs = [(sides[name][0], sides[name][1]) for name in CHANNELS if len(sides[name]) == 2]
+    return [*pairwise(firsts), *pairs]
+
+
+def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
+    """Return what is wrong with the second sensor's clock, and how much the delay changes [s]."""
+    if abs(drift.size) < SIGNIFICANT * drift.deviation:
+        return "", 0.0
+    if math.isinf(drift.size):
+        words = (
+            f"seems to jump against that of {first}: only on one side of {drift.jump_at_s:.0f} s "
+            "after the begin do they show the same motion; were samples lost?"
+        )
+        return words, TOLD_S
+    if drift.is_jump:
+        words = (
+            f"jumps by {1e3 * drift.size:+.3g} ms against that of {first} about "
+            f"{drift.jump_at_s:.0f} s after the begin: were samples lost or added?"
+        )
+        return words, abs(drift.size)
+    size_s = abs(drift.size) * drift.seconds
+    words = (
+        f"runs {1e6 * drift.size:+.3g} ppm against that of {first}, {1e3 * size_s:.3g} ms along "
+        "the trip"
+    )
+    stated_hz = manifest.sensors()[second].rate_hz
+    if stated_hz is not None:
+        words += f"; with `rate_hz` {stated_hz * (1 + drift.size):.8g} they would agree"
+    return words, size_s
+
+
+def find_drift(
+    first: FloatArray,
+    second: FloatArray,
+    usable: BoolArray,
+    speed_m_per_s: FloatArray,
+    rate_hz: float,
+) -> Drift | None:
+    """Return how the delay of the second signal behind the first changes; None if that is unclear.
+
+    Parameters
+    ----------
+    first, second : arrays of shape (n,), [m/s2]
+    usable : array of shape (n,)
+    speed_m_per_s : array of shape (n,), [m/s]
+    rate_hz : float, [Hz]
+    """
+    size = round(WINDOW_S * rate_hz)
+    n_windows = len(first) // size
+    if n_windows < LEAST_WINDOWS:
+        return None
+    whole = slice(0, n_windows * size)
+    good = np.asarray(usable[whole].reshape(n_windows, size).all(axis=1))
+    if np.count_nonzero(good) < LEAST_WINDOWS:
+        return None
+    spectra = _cross_spectra(first[whole], second[whole], good, size, rate_hz)
+    delays_s, clear = _delays(spectra, size, rate_hz)
+    if np.count_nonzero(clear) < LEAST_WINDOWS:
+        return None
+    begins_s = WINDOW_S * np.flatnonzero(good)
+    classes = _speed_classes(speed_m_per_s[whole].reshape(n_windows, size)[good])
+    # at another speed, or while it changes, the motion may be another one
+    alike = (classes >= 0) & np.isin(classes, classes[clear])
+    among = np.flatnonzero(clear[alike])
+    if len(among):
+        before, after = among[0], np.count_nonzero(alike) - 1 - among[-1]
+        share = clear[alike][among[0] : among[-1] + 1].mean()
+        if max(before, after) >= LEAST_WINDOWS and share >= RELIABLE:
+            place = among[-1] if after >= before else among[0] - 1
+            lost_s = float(begins_s[alike][place]) + WINDOW_S
+            return Drift(True, math.inf, 0.0, lost_s, WINDOW_S * len(clear))
+    middles_s = np.asarray(begins_s[clear] + WINDOW_S / 2, dtype=np.float64)
+    return _fitted(middles_s, delays_s[clear], classes[clear])
+
+
+def _speed_classes(speeds: FloatArray) -> IntArray:
+    """Return a number for each window that windows of like speed share; -1 if it is not steady.
+
+    Parameters
+    ----------
+    speeds : array of shape (n_windows, n_samples), [m/s]
+    """
+    mean = speeds.mean(axis=1)
+    steady = (mean > STANDING_M_PER_S) & (np.ptp(speeds, axis=1) <= SPEED_CLASS * mean)
+    classes = np.round(np.log(np.maximum(mean, STANDING_M_PER_S)) / SPEED_CLASS).astype(np.intp)
+    return np.where(steady, classes - classes.min(), -1)
+
+
+def _cross_spectra(
+    first: FloatArray, second: FloatArray, good: BoolArray, size: int, rate_hz: float
+) -> ComplexArray:
+    """Return conj(X) Y of each good window in the band, each bin over its mean size."""
+    window = get_window("hann", size)
+    n_fft = 2 * size
+    band = _band(n_fft, rate_hz)
+    x, y = (
+        rfft(window * signal.reshape(-1, size)[good], n_fft, axis=1)[:, band]
+        for signal in (first, second)
+    )
+    scale = np.sqrt((np.abs(x) ** 2).mean(axis=0) * (np.abs(y) ** 2).mean(axis=0))
+    return np.asarray(x.conj() * y / np.where(scale == 0, 1.0, scale))
+
+
+def _band(n_fft: int, rate_hz: float) -> slice:
+    """Return the bins of the band."""
+    low, high = (round(edge * n_fft / rate_hz) for edge in BAND_HZ)
+    return slice(low, high + 1)
+
+
+def _delays(spectra: ComplexArray, size: int, rate_hz: float) -> tuple[FloatArray, BoolArray]:
+    """Return the delay of each window relative to the others [s], and whether it is clear.
+
+    The common spectrum first follows the windows one after the other, whatever the drift. Then it
+    is the mean of all windows, each without its delay.
+    """
+    n_fft = 2 * size
+    omega = (2 * np.pi * rfftfreq(n_fft, 1 / rate_hz))[_band(n_fft, rate_hz)]
+    common = spectra[0]
+    delays = np.zeros(len(spectra))
+    for k in range(1, len(spectra)):
+        delays[k] = _peak(spectra[k : k + 1] * common.conj(), omega, n_fft, rate_hz)[0]
+        aligned = spectra[k] * np.exp(1j * omega * delays[k])
+        common = (1 - MEMORY) * common + MEMORY * aligned
+    for _ in range(2):
+        aligned = spectra * np.exp(1j * omega * delays[:, None])
+        common = aligned.mean(axis=0)
+        delays += _peak(aligned * common.conj(), omega, n_fft, rate_hz)
+    aligned = spectra * np.exp(1j * omega * delays[:, None])
+    matched = (aligned * common.conj()).real.sum(axis=1)
+    sizes = np.sqrt((np.abs(spectra) ** 2).sum(axis=1) * (np.abs(common) ** 2).sum())
+    return delays, matched > LEAST_CORRELATION * np.where(sizes > 0, sizes, np.inf)
+
+
+def _peak(spectra: ComplexArray, omega: FloatArray, n_fft: int, rate_hz: float) -> FloatArray:
+    """Return the delay at the peak of the correlation of each of these spectra, (n,), [s].
+
+    The peak of the sampled correlation is where Newton's method starts on Re sum G exp(i w t).
+    """
+    whole = np.zeros((len(spectra), n_fft // 2 + 1), dtype=np.complex128)
+    whole[:, _band(n_fft, rate_hz)] = spectra
+    top = irfft(whole, n_fft, axis=1).argmax(axis=1)
+    delays = np.where(top > n_fft // 2, top - n_fft, top) / rate_hz
+    for _ in range(NEWTON_STEPS):
+        turned = spectra * np.exp(1j * omega * delays[:, None])
+        slope, bend = -(turned.imag @ omega), turned.real @ omega**2
+        step = np.divide(slope, bend, out=np.zeros(len(slope)), where=bend > 0)
+        delays += step.clip(-0.5 / rate_hz, 0.5 / rate_hz)
+    return np.asarray(delays)
+
+
+def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> Drift | None:
+    """Return drift or jump of delays, whichever explains them better; None if neither can be told.
+
+    Delays depend on the speed, so that each class of speed has a mean of its own.
+    """
+    kept = classes >= 0
+    for _ in range(1 + TRIMS):
+        at = np.flatnonzero(kept)
+        if len(at) < LEAST_WINDOWS:
+            return None
+        _, place, count = np.unique(classes[at], return_inverse=True, return_counts=True)
+        later = np.tri(len(at), len(at), -1)[:, 1:-2]  # column k: after window k + 1
+        regressors = np.column_stack([middles_s[at], later, delays_s[at]])
+        sums = np.zeros((len(count), regressors.shape[1]))
+        np.add.at(sums, place, regressors)
+        regressors -= (sums / count[:, None])[place]
+        target, regressors = regressors[:, -1], regressors[:, :-1]
+        power = np.einsum("ij,ij->j", regressors, regressors)
+        known = power > 1e-6 * len(at)
+        slopes = np.divide(regressors.T @ target, power, out=np.zeros(len(power)), where=known)
+        explained = slopes**2 * power
+        best = 1 + int(np.argmax(explained[1:]))
+        left = np.maximum(target @ target - explained[[0, best]], 0.0)
+        is_jump = bool(left[1] < JUMP_SHARE * left[0])
+        chosen = best if is_jump else 0
+        if not known[chosen]:
+            return None
+        residuals = target - slopes[chosen] * regressors[:, chosen]
+        spread = max(1.4826 * float(np.median(np.abs(residuals))), FINEST_S)
+        kept[at[np.abs(residuals) > 5 * spread]] = False
+    deviation = spread / math.sqrt(power[chosen])
+    seconds = float(middles_s[at[-1]] - middles_s[at[0]])
+    jump_at_s = float(middles_s[at[best]] + middles_s[at[best + 1]]) / 2 if is_jump else 0.0
+    return Drift(is_jump, float(slopes[chosen]), deviation, jump_at_s, seconds)

@@ -1,0 +1,219 @@
+"""Frames: consecutive samples of one sensor, as they travel from a logger.
+
+A frame is one message of the Arrow IPC streaming format: a schema with one column ``samples`` of
+float32 or float64, whose metadata name the sensor and the rest, then one record batch. Arrow was
+chosen among three existing encodings. SenML (RFC 8428) writes a record with a name for each sample:
+at 5000 Hz that is ten times the bytes. CBOR (RFC 8949) with typed arrays (RFC 8746) is as compact,
+but would need one more dependency, and readers of typed arrays are rare. Arrow is a dependency
+already, names its types, and has readers in every language of loggers; its 570 bytes
+of schema are a seventh of a frame of 1000 samples in single precision.
+
+Nothing that a frame claims is trusted: its bytes are bounded before they are read, and compressed
+batches, which could claim any size, are refused.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.clocks import SECOND_NS
+
+MOST_SAMPLES = 2**16
+"""Largest number of samples of a frame: 13 s at 5000 Hz."""
+
+MOST_BYTES = 8 * MOST_SAMPLES + 2**13
+"""Largest size of an encoded frame: its samples in double precision, and 8 KiB for the rest."""
+
+MOST_CHARACTERS = 200
+"""Largest length of each text in a frame."""
+
+MOST_SEQUENCE, MOST_NS = 2**53, 2**62
+"""Bounds of the sequence number and of the time: whole in every language, below the year 2116."""
+
+RATES_HZ = (0.01, 1e6)
+"""Lowest and highest rate of a sensor, [Hz]."""
+
+REASONS = ("size", "foreign", "truncated", "sensor", "rate", "unit", "time", "sequence", "nan")
+"""What can be wrong with one frame, whatever came before."""
+
+
+class FrameError(ValueError):
+    """A frame cannot be used; the message says why, `reason` in one word.
+
+    Parameters
+    ----------
+    reason : str
+    message : str
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Consecutive samples of one sensor.
+
+    Parameters
+    ----------
+    suspension : str
+        Which suspension it is of, as its ``Place`` is written: "train 1, car 2, front, left".
+    sensor : str
+        The channel, followed by the side in a pair: "axle_box", "bogie left"; or "speed".
+    sequence : int
+        One more than that of the sensor's frame before.
+    time_ns : int, [ns]
+        Time of the first sample, since 1970 in UTC.
+    rate_hz : float, [Hz]
+    unit : str
+        Of the samples, as files write it: "m/s2", "g", "km/h".
+    samples : array of shape (n_samples,), float32 or float64, [unit]
+
+    Raises
+    ------
+    FrameError
+        If a value is out of range, or a sample is NaN or infinite.
+    """
+
+    suspension: str
+    sensor: str
+    sequence: int
+    time_ns: int
+    rate_hz: float
+    unit: str
+    samples: FloatArray
+
+    def __post_init__(self) -> None:
+        for reason, text in (("sensor", self.suspension + self.sensor), ("unit", self.unit)):
+            if not text.isprintable() or len(text) > MOST_CHARACTERS:
+                raise FrameError(reason, f"`{reason}` must be short plain text, got {text[:80]!r}")
+        if not self.sensor:
+            raise FrameError("sensor", "`sensor` is empty")
+        if not 0 <= self.sequence < MOST_SEQUENCE:
+            raise FrameError("sequence", f"`sequence` must be in 0 to 2^53, got {self.sequence}")
+        if not 0 <= self.time_ns < MOST_NS:
+            raise FrameError("time", f"`time_ns` must be in 0 to 2^62, got {self.time_ns}")
+        if not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:  # NaN is not
+            raise FrameError("rate", f"`rate_hz` must be in 0.01 to 1e6, got {self.rate_hz}")
+        if self.samples.ndim != 1 or not 1 <= len(self.samples) <= MOST_SAMPLES:
+            shape = self.samples.shape
+            raise FrameError("size", f"a frame has 1 to {MOST_SAMPLES} samples, got {shape}")
+        if not np.isfinite(self.samples).all():
+            n_bad = int(np.count_nonzero(~np.isfinite(self.samples)))
+            raise FrameError("nan", f"{n_bad} of {len(self.samples)} samples are NaN or infinite")
+
+
+def end_ns(frame: Frame) -> int:
+    """Return when a frame ends and the next one begins, [ns] since 1970."""
+    return frame.time_ns + round(len(frame.samples) * SECOND_NS / frame.rate_hz)
+
+
+def encode(frame: Frame) -> bytes:
+    """Return a frame as one Arrow IPC stream."""
+    metadata = {
+        "suspension": frame.suspension,
+        "sensor": frame.sensor,
+        "sequence": str(frame.sequence),
+        "time_ns": str(frame.time_ns),
+        "rate_hz": repr(float(frame.rate_hz)),
+        "unit": frame.unit,
+    }
+    array = pa.array(frame.samples)
+    schema = pa.schema([pa.field("samples", array.type, nullable=False)], metadata=metadata)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, schema) as writer:
+        writer.write_batch(pa.record_batch([array], schema=schema))
+    return bytes(sink.getvalue().to_pybytes())
+
+
+def decode(data: bytes) -> Frame:
+    """Return the frame that some bytes hold.
+
+    Raises
+    ------
+    FrameError
+        If they are too many, truncated, of another format, or a value is out of range.
+    """
+    if len(data) > MOST_BYTES:
+        raise FrameError("size", f"a frame has at most {MOST_BYTES} bytes, got {len(data)}")
+    reader = pa.BufferReader(data)
+    try:
+        schema = pa.ipc.read_schema(reader)
+        is_frame = schema.names == ["samples"] and schema.types[0] in (pa.float32(), pa.float64())
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise FrameError("foreign", f"no Arrow IPC stream: {error}") from None
+    if not is_frame:
+        raise FrameError("foreign", "a frame has one column `samples` of float32 or float64")
+    samples = _samples(reader, schema)
+    return Frame(samples=samples, **_described(schema.metadata or {}))
+
+
+def _samples(reader: pa.BufferReader, schema: pa.Schema) -> FloatArray:
+    """Return the samples of the record batch that follows the schema."""
+    try:
+        message = pa.ipc.read_message(reader)
+        if message.type != "record batch" or _is_compressed(bytes(message.metadata)):
+            raise FrameError("foreign", "a frame has one record batch, which is not compressed")
+        batch = pa.ipc.read_record_batch(message, schema)
+        batch.validate(full=True)
+        column = batch.column(0)
+        if column.null_count:
+            raise FrameError("nan", f"{column.null_count} of {len(column)} samples are missing")
+        return np.asarray(column.to_numpy())
+    except (pa.ArrowException, OSError, EOFError, ValueError, struct.error) as error:
+        if isinstance(error, FrameError):
+            raise
+        raise FrameError("truncated", f"the record batch is truncated: {error}") from None
+
+
+def _is_compressed(metadata: bytes) -> bool:
+    """Return whether a message of a record batch names a compression of its body.
+
+    It is a flatbuffer: field 2 of the table Message is the table RecordBatch, field 3 of that is
+    the compression (Arrow's Message.fbs). struct.error if an offset leads out of it.
+    """
+    (root,) = struct.unpack_from("<I", metadata)
+    header = flatbuffer_field(metadata, root, 2)
+    if header is None:
+        return False
+    (to_batch,) = struct.unpack_from("<I", metadata, header)
+    return flatbuffer_field(metadata, header + to_batch, 3) is not None
+
+
+def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
+    """Return where a field of a flatbuffer's table is, None if the table lacks it."""
+    (to_vtable,) = struct.unpack_from("<i", buffer, table)
+    vtable = table - to_vtable
+    if vtable < 0:
+        raise struct.error("a table begins before the message")
+    (size,) = struct.unpack_from("<H", buffer, vtable)
+    at = 4 + 2 * number
+    if at + 2 > size:
+        return None
+    (offset,) = struct.unpack_from("<H", buffer, vtable + at)
+    return table + int(offset) if offset else None
+
+
+def _described(metadata: dict[bytes, bytes]) -> dict[str, Any]:
+    """Return what the metadata of a schema say of a frame."""
+    found: dict[str, Any] = {}
+    kinds = {"sequence": ("sequence", int), "time_ns": ("time", int), "rate_hz": ("rate", float)}
+    for name in ("suspension", "sensor", "unit", *kinds):
+        reason, kind = kinds.get(name, ("unit" if name == "unit" else "sensor", str))
+        try:
+            text = metadata[name.encode()].decode()
+            if len(text) > MOST_CHARACTERS:
+                raise ValueError(f"{len(text)} characters")
+            found[name] = kind(text)
+        except (KeyError, ValueError) as error:
+            raise FrameError(
+                reason, f"`{name}` is missing or no {kind.__name__}: {error}"
+            ) from None
+    return found

@@ -1,0 +1,415 @@
+"""Readers in processes of their own: a file that crashes or hangs one costs an error, no more.
+
+Libraries for binary formats crash on some damaged files (the MAT reader of scipy on 6 of 500), or
+never return (HDF5 on 2 of 500), and some do what a file says: run a formula, read other files. So a
+file is read in a process of its own that may do no more than that (`confinement`). It is asked for
+one step at a time, to open the file or to read its next block; each step has a bound in time. The
+processes are forked from one that has imported the libraries. Requests are lines of JSON, answers
+too; the bytes of the arrays lie in shared memory. Nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import atexit
+import fcntl
+import functools
+import importlib
+import itertools
+import json
+import mmap
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from suspnet.ground.plain_files import open_plain, stored_bytes
+from suspnet.recordings.bounds import memory_bytes, step_s
+from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile
+from suspnet.recordings.confinement import confine
+from suspnet.recordings.manifest import CsvDialect
+
+Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
+
+LIMIT = "SUSPNET_READER_S"
+"""Environment variable: longest time that opening a file, or reading its next block, may take [s].
+
+A block is 262,144 samples; only of MAT files before version 7.3 and of UFF it is a whole column."""
+CRASH_S = 5.0
+"""Longest time between the end of a process's answers and its own, [s]."""
+DTYPES = ("float64", "datetime64[ns]")
+"""Those of a block."""
+SHARED_BYTES = 8 * 8 * BLOCK
+"""Size of the memory that a process shares with the one that asks: a block of eight columns."""
+MEMORY_WORDS = (
+    "reading it takes more memory than a recording of its size does, so the file is damaged or "
+    "declares more than it holds; export the recording again"
+)
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+    "HDF5_PLUGIN_PRELOAD": "::",  # no filter of HDF5 is loaded that is not in the library
+}
+"""Environment variables of readers."""
+
+
+def apart(reader: Reader, library: str | None = None) -> Reader:
+    """Return a reader that does the same in another process.
+
+    Parameters
+    ----------
+    reader : callable
+        A function of a module that can be imported.
+    library : str, optional
+        A package that the reader imports.
+
+    Returns
+    -------
+    callable
+        Raises TripError where the process is killed or takes longer than ``SUSPNET_READER_S``, and
+        ValueError with the words of any other error; also where blocks are read.
+    """
+
+    @contextmanager
+    @functools.wraps(reader)
+    def opened(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
+        process = _Process(path, [reader.__module__, reader.__name__], library)
+        try:
+            found, _arrays = process.ask({"open": True})
+            columns = tuple(Column(**column) for column in found["columns"])
+            numbers = itertools.count()
+
+            def read(names: Sequence[str]) -> Iterator[Block]:
+                number = next(numbers)
+                while True:  # ends: with the columns of the file
+                    _, block = process.ask({"block": number, "names": list(names)})
+                    if not block:
+                        return
+                    yield block
+
+            yield OpenFile(columns, read, found["words"], found["hint"])
+        finally:
+            process.end()
+
+    return opened
+
+
+class _Server:
+    """A process that forks others which read one file each, and buries them."""
+
+    def __init__(self) -> None:
+        code = (
+            f"import sys; sys.path[:] = {[str(place) for place in sys.path]}; "
+            f"from {__name__} import serve; serve()"
+        )
+        self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self._child = subprocess.Popen(
+                [sys.executable, "-c", code],
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                env=os.environ | ENVIRONMENT,
+            )
+        self._control.recv(1)  # it is ready: a slow start is no fault of the first file
+
+    def ask(self, request: dict[str, Any], handles: Sequence[int] = ()) -> int:
+        """Return a number that it answers; OSError or ValueError if it has ended."""
+        socket.send_fds(self._control, [json.dumps(request).encode()], handles)
+        return int(self._control.recv(64))
+
+    def end(self) -> None:
+        """End the process."""
+        self._control.close()
+        self._child.kill()
+        self._child.wait()
+
+
+_servers: dict[int, _Server] = {}
+"""That of each process: a fork has none."""
+_late: dict[tuple[str, int, int], str] = {}
+"""Files whose readers took too long, by path, size and time of change, and the words of it."""
+_lock = threading.Lock()
+
+
+def _started(request: dict[str, Any], handles: Sequence[int]) -> int:
+    """Return the number of a new process; the server is started if there is none."""
+    with _lock:
+        if (server := _servers.get(os.getpid())) is not None:
+            with suppress(OSError, ValueError):
+                return server.ask(request, handles)
+            server.end()
+        _servers[os.getpid()] = _Server()
+        return _servers[os.getpid()].ask(request, handles)
+
+
+def _ended(request: dict[str, Any]) -> int:
+    """Return the exit code of a process that is to end; without its server it has been killed."""
+    with _lock, suppress(OSError, ValueError, KeyError):
+        return _servers[os.getpid()].ask(request)
+    return -signal.SIGKILL
+
+
+@atexit.register
+def end_all() -> None:
+    """End the process that readers are forked from, and the readers with it."""
+    with _lock:
+        if (server := _servers.pop(os.getpid(), None)) is not None:
+            server.end()
+
+
+class _Process:
+    """The process that reads a file."""
+
+    def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
+        self.path = path
+        self._is_late = False
+        words = _late.get(_state(path))
+        if words is not None:
+            raise TripError(words)
+        ours, theirs = socket.socketpair()
+        with ours, theirs, open_plain(path) as stream:
+            stored = stored_bytes(stream)
+            self._limit_s = _limit_s(stored)
+            request = {
+                "path": str(path),
+                "folder": os.getcwd(),
+                "function": list(function),
+                "library": library,
+                "memory_bytes": memory_bytes(stored),
+            }
+            handle = _shared_memory()
+            try:
+                self._shared = mmap.mmap(handle, SHARED_BYTES)
+                self._pid = _started(request, [stream.fileno(), theirs.fileno(), handle])
+            finally:
+                os.close(handle)
+            self._requests, self._answers = ours.makefile("wb"), ours.makefile("rb")
+
+    def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
+        """Return what the process answers: values, and arrays.
+
+        Raises
+        ------
+        TripError
+            As the reader's own, or if the process ends or is late: then it is gone.
+        ValueError
+            With the words of any other error.
+        """
+        if self._requests.closed:
+            raise ValueError("its reader has ended")
+        timer = threading.Timer(self._limit_s, self._end_late)
+        timer.daemon = True
+        timer.start()
+        try:
+            answer, arrays = self._exchange(request | {"limit_s": self._limit_s})
+        except (OSError, ValueError):  # the connection is broken, or ended within an answer
+            raise TripError(self._ending()) from None
+        except BaseException:
+            self.end()
+            raise
+        finally:
+            timer.cancel()
+        if "problems" in answer:
+            raise TripError(*answer["problems"])
+        if "error" in answer:
+            raise ValueError(answer["error"])
+        return answer, arrays
+
+    def _exchange(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
+        """Send a request and return the answer; OSError or ValueError if none comes."""
+        self._requests.write(json.dumps(request).encode() + b"\n")
+        self._requests.flush()
+        answer = json.loads(self._answers.readline())
+        arrays, place = [], 0
+        for dtype, n_samples in answer.get("arrays", []):
+            if place + 8 * n_samples > SHARED_BYTES:
+                raise ValueError
+            kind = np.dtype(DTYPES[DTYPES.index(dtype)])
+            arrays.append(np.frombuffer(self._shared, kind, n_samples, place).copy())
+            place += 8 * n_samples
+        return answer, tuple(arrays)
+
+    def _end_late(self) -> None:
+        """End the process because it takes too long."""
+        self._is_late = True
+        os.kill(self._pid, signal.SIGKILL)
+
+    def _ending(self) -> str:
+        """Return in words why the process has ended; a file that is late is not tried again."""
+        code = self.end(CRASH_S)
+        if self._is_late or code == -signal.SIGALRM:
+            words = (
+                f"{self.path}: its reader took longer than {self._limit_s:g} s for one step, so "
+                f"the file is damaged, or very slow to read (the variable {LIMIT} gives more time)"
+            )
+            with suppress(OSError):
+                _late[_state(self.path)] = words
+            return words
+        how = f"exit code {code}"
+        if code < 0:
+            with suppress(ValueError):
+                how = signal.Signals(-code).name
+        short = ", or there was too little memory" if code == -signal.SIGKILL else ""
+        return f"{self.path}: its reader crashed ({how}), so the file is damaged{short}"
+
+    def end(self, grace_s: float = 0.0) -> int:
+        """End the process if it does not end by itself in some time; return its exit code."""
+        if self._requests.closed:
+            return 0
+        for part in (self._requests, self._answers, self._shared):
+            with suppress(OSError):
+                part.close()
+        return _ended({"end": self._pid, "grace_s": grace_s})
+
+
+def _shared_memory() -> int:
+    """Return the descriptor of memory that cannot be made smaller by who shares it."""
+    handle = os.memfd_create("block", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    os.ftruncate(handle, SHARED_BYTES)
+    fcntl.fcntl(handle, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
+    return handle
+
+
+def _state(path: Path) -> tuple[str, int, int]:
+    """Return what tells whether a file has changed."""
+    found = path.stat()
+    return str(path), found.st_size, found.st_mtime_ns
+
+
+def _limit_s(stored: int) -> float:
+    """Return the longest time of one step, [s]; TripError if the variable is no such time."""
+    text = os.environ.get(LIMIT, "")
+    if not text:
+        return step_s(stored)
+    with suppress(ValueError):
+        if 0 < float(text) <= threading.TIMEOUT_MAX:
+            return float(text)
+    raise TripError(f"the environment variable {LIMIT} must be a time in seconds, got {text!r}")
+
+
+# in the other processes
+
+
+def serve() -> None:
+    """Fork a process for each file; what libraries print goes nowhere."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one that asks hears it
+    control = socket.socket(fileno=os.dup(0))
+    control.send(b"1")
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 2):
+        os.dup2(nowhere, stream)
+    with suppress(BrokenPipeError, ConnectionResetError):
+        while True:  # ends with the process that asks
+            message, handles, _, _ = socket.recv_fds(control, 2**16, 3)
+            if not message:
+                return
+            request = json.loads(message)
+            if "end" in request:
+                number = _end(request["end"], request["grace_s"])
+            else:
+                number = _forked(request, handles, control)
+            for handle in handles:
+                os.close(handle)
+            control.send(str(number).encode())
+
+
+def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
+    """Return the number of a process that reads a file and never returns from here."""
+    module, name = request["function"]
+    reader = getattr(importlib.import_module(module), name)
+    if request["library"] is not None:
+        with suppress(Exception):  # the reader says what is wrong with it
+            importlib.import_module(request["library"])
+    pid = os.fork()
+    if pid == 0:
+        try:
+            control.close()
+            file, connection, memory = handles
+            shared = mmap.mmap(memory, SHARED_BYTES)
+            os.chdir(request["folder"])  # names in messages may be relative to it
+            confine(file, Path(request["path"]), request["memory_bytes"])
+            _serve_file(reader, Path(request["path"]), connection, shared)
+        finally:
+            os._exit(0 if sys.exc_info()[0] is None else 1)
+    return pid
+
+
+def _end(pid: int, grace_s: float) -> int:
+    """Return the exit code of a process that is killed if it does not end in some time."""
+    last = time.monotonic() + grace_s
+    with suppress(ChildProcessError):  # it is that of another server, from before a fork
+        while not (ended := os.waitpid(pid, os.WNOHANG))[0]:
+            if time.monotonic() >= last:
+                os.kill(pid, signal.SIGKILL)
+                ended = os.waitpid(pid, 0)
+                break
+            time.sleep(0.001)
+        return os.waitstatus_to_exitcode(ended[1])
+    return -signal.SIGKILL
+
+
+def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) -> None:
+    """Answer requests on a file until there are no more."""
+    with (
+        os.fdopen(connection, "rb", closefd=False) as requests,
+        os.fdopen(connection, "wb", closefd=False) as answers,
+        suppress(BrokenPipeError, ConnectionResetError),
+    ):
+        for answer, arrays in _answers(reader, path, requests):
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            kinds, place = [], 0
+            for array in arrays:
+                kinds.append([str(array.dtype), len(array)])
+                np.frombuffer(shared, array.dtype, len(array), place)[:] = array
+                place += array.nbytes
+            answers.write(json.dumps(answer | {"arrays": kinds}).encode() + b"\n")
+            answers.flush()
+
+
+def _answers(
+    reader: Reader, path: Path, requests: IO[bytes]
+) -> Iterator[tuple[dict[str, Any], Block]]:
+    """Yield the answer to each request."""
+    with ExitStack() as stack:
+        file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
+        for line in requests:
+            request = json.loads(line)
+            # The process that asks bounds the time of a step too, but it may be gone by then.
+            signal.setitimer(signal.ITIMER_REAL, min(request["limit_s"], 1e8))
+            answer: dict[str, Any] = {}
+            arrays: Block = ()
+            try:
+                if "open" in request:
+                    file = stack.enter_context(reader(path, None))
+                    columns = [asdict(column) for column in file.columns]
+                    answer = {"columns": columns, "words": file.words, "hint": file.hint}
+                else:
+                    number = request["block"]
+                    if number not in blocks:
+                        blocks[number] = _pieces(file.read(request["names"]))
+                    arrays = next(blocks[number], ())
+            except TripError as error:
+                answer = {"problems": error.problems}
+            except MemoryError:
+                answer = {"problems": [f"{path}: {MEMORY_WORDS}"]}
+            except Exception as error:  # whatever a library raises on a damaged file
+                answer = {"error": str(error) or type(error).__name__}
+            yield answer, arrays
+
+
+def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks that fit into the shared memory."""
+    for block in blocks:
+        most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
+        for start in range(0, len(block[0]), most):
+            yield tuple(array[start : start + most] for array in block)

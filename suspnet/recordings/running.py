@@ -1,0 +1,358 @@
+"""A recording that grows while the train runs, and gives what the batch gives on the same samples.
+
+The batch takes steps of two kinds. Those up to the common clock are local, so that a stream takes
+them by the same code as its samples come (``sensor.py``): spikes, gaps, saturation and dead sensors
+are found in windows that begin at fixed samples, whatever the blocks; both filters are finite; the
+instants of the common clock are multiples of ``1 / rate_hz``.
+
+All later steps look at the whole recording: whether clocks drift apart; which speeds are impossible
+or stuck; which segments share a speed; which are louder than ``LOUD`` medians, or less coherent
+than the others. Signals on the common clock are kept for them: 27 bytes for each instant of three
+sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with half overlap, up to
+a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
+chosen. So a recording has to end; `longest_s` bounds it, and with it the memory.
+
+Besides, each sensor holds the samples whose window is not yet complete or waits for its turn (at
+most twice ``CORE_SAMPLES`` and two seconds or so, 4.3 MB): recordings of many suspensions begin at
+the same instant, and each sensor is cleaned at a time of its own, by its name. Then there are the
+frames of `Assembler`. The rate of a sensor is that of the manifest. Where the manifest leaves it to
+the file, as to a column of times, it is that of the sensor's first frame: the mean rate that the
+batch takes from such a column is known at its end only. Units are left to frames in the same way.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.assembler import Assembler, OrderSettings
+from suspnet.recordings.cleaning import CleaningSettings
+from suspnet.recordings.clocks import SECOND_NS, Zero
+from suspnet.recordings.frames import Frame, FrameError, end_ns
+from suspnet.recordings.joining import followed
+from suspnet.recordings.manifest import (
+    ACCELERATION_UNITS,
+    SPEED_UNITS,
+    Source,
+    SpeedSource,
+    TripError,
+    TripManifest,
+)
+from suspnet.recordings.recording import HIGHEST_HZ, Recording, joined
+from suspnet.recordings.running_sensor import RunningSensor
+from suspnet.recordings.sources import RATE_TOLERANCE
+from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
+from suspnet.recordings.timeline import RATE_TOLERANCE as TIMES_TOLERANCE
+from suspnet.recordings.units import size_of
+
+UNITS = {"acceleration": "m/s2", "speed": "m/s"}
+"""Units in which samples are kept where the manifest leaves them to the file."""
+
+
+class Running:
+    """One recording of one suspension as it comes in.
+
+    Parameters
+    ----------
+    manifest : TripManifest
+        Files and times are not looked at. Frames say what it says nothing of, unit and rate.
+    zero_ns : int, [ns]
+        A whole second, from which it is counted how early or late a frame may be.
+    rate_hz : float, [Hz]
+        Of the common clock.
+    cleaning : CleaningSettings, optional
+    order : OrderSettings, optional
+    longest_s : float, [s]
+        Frames that begin later after `zero_ns` are refused: then another recording is due.
+    before_s : float, [s]
+        Frames that begin earlier before `zero_ns` are refused.
+
+    Attributes
+    ----------
+    begin_ns, end_ns : int, [ns]
+        When the first frame begins and the last one ends, by their times.
+    goes_on : bool
+        Whether it goes on with the trip of another one.
+    rest : Running or None
+        What follows of the same trip, where it is too short for a recording of its own.
+
+    Raises
+    ------
+    TripError
+        If a rate is out of range, or the unit of a sensor's `range` is missing.
+    ValueError
+        If a number is out of range.
+    """
+
+    def __init__(
+        self,
+        manifest: TripManifest,
+        zero_ns: int,
+        rate_hz: float = 100.0,
+        cleaning: CleaningSettings | None = None,
+        order: OrderSettings | None = None,
+        longest_s: float = 3600.0,
+        before_s: float = 0.0,
+    ) -> None:
+        check_number("zero_ns", zero_ns, low=0, whole=True)
+        check_number("rate_hz", rate_hz, above=0)
+        check_number("longest_s", longest_s, above=0, high=2 * 86400)
+        check_number("before_s", before_s, low=0, high=86400)
+        self.manifest, self.zero_ns, self.rate_hz = manifest, zero_ns, float(rate_hz)
+        self.longest_s, self.before_s = longest_s, before_s
+        self.begin_ns, self.end_ns = zero_ns + round(longest_s * SECOND_NS), 0
+        self.goes_on = False
+        self.rest: Running | None = None
+        self.cleaning = CleaningSettings() if cleaning is None else cleaning
+        self.order = OrderSettings() if order is None else order
+        self._name = str(manifest.place)
+        self._sources: dict[str, Source] = dict(manifest.sensors())
+        self._units = dict.fromkeys(self._sources, ("acceleration", ACCELERATION_UNITS))
+        if isinstance(manifest.speed, SpeedSource):
+            self._sources["speed"] = manifest.speed
+            self._units["speed"] = ("speed", SPEED_UNITS)
+        for name, source in self._sources.items():
+            if source.rate_hz is not None and (words := self._rate_problem(name, source.rate_hz)):
+                raise TripError(f"{manifest.path}: {words}")
+            if source.unit is None and getattr(source, "range", None) is not None:
+                raise TripError(
+                    f"{manifest.path}: {name!r} has a `range`; write its `unit` to have it read as "
+                    "it comes"
+                )
+        self._orders: dict[str, Assembler] = {}
+        self._sensors: dict[str, RunningSensor] = {}
+        self._speeds: list[FloatArray] = []
+
+    @property
+    def sensors(self) -> dict[str, Counter[str]]:
+        """What was counted of each sensor's frames, as ``Assembler.counts``."""
+        return {name: order.counts for name, order in self._orders.items()}
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames that were taken or are held back."""
+        return sum(order.n_frames for order in self._orders.values())
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no acceleration has come."""
+        return not any(self._orders[name].n_frames for name in self._sensors)
+
+    @property
+    def _accelerations(self) -> list[str]:
+        """Names of the accelerometers."""
+        return list(self.manifest.sensors())
+
+    @property
+    def n_seconds(self) -> float:
+        """Length of what has come of each sensor at least, with gaps, [s]; 0 before a first."""
+        orders = [self._orders.get(name) for name in self._accelerations]
+        return min(0.0 if order is None else order.n_samples / order.rate_hz for order in orders)
+
+    def add(self, frame: Frame) -> None:
+        """Take a frame.
+
+        Raises
+        ------
+        FrameError
+            If it is of another suspension or sensor, has another rate or unit, or lies before or
+            after the recording. What is already known of it is as before.
+        """
+        source = self._sources.get(frame.sensor)
+        if source is None or frame.suspension != self._name:
+            raise FrameError(
+                "sensor",
+                f"{self._name!r} has {list(self._sources)}, the frame is of "
+                f"{frame.sensor!r} of {frame.suspension!r}",
+            )
+        kind, units = self._units[frame.sensor]
+        found, unit = size_of(kind, frame.unit), source.unit
+        if found is None or (unit is not None and abs(found / units[unit] - 1) > 1e-9):
+            wanted = unit or f"a unit of {kind} like {' or '.join(units)}"
+            raise FrameError(
+                "unit", f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}"
+            )
+        if unit is None and found != 1.0:
+            frame = replace(frame, samples=found * frame.samples.astype(np.float64))
+        begins_s = (frame.time_ns - self.zero_ns) / SECOND_NS
+        if not -self.before_s <= begins_s <= self.longest_s:
+            raise FrameError(
+                "time",
+                f"a frame of {frame.sensor!r} begins {begins_s:.6g} s after the recording, which "
+                f"has at most {self.longest_s:g} s",
+            )
+        given = self._order(frame).push(frame)
+        self.begin_ns = min(self.begin_ns, frame.time_ns)
+        self.end_ns = max(self.end_ns, end_ns(frame))
+        self._give(frame.sensor, given)
+
+    def _order(self, frame: Frame) -> Assembler:
+        """Return what orders the frames of a sensor; its first frame may say its rate."""
+        name, source = frame.sensor, self._sources[frame.sensor]
+        if name not in self._orders:
+            rate_hz = source.rate_hz
+            if rate_hz is None or source.time is not None:
+                words = self._rate_problem(name, frame.rate_hz)
+                if rate_hz is not None and abs(frame.rate_hz / rate_hz - 1) > TIMES_TOLERANCE:
+                    words = f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+                if words:
+                    raise FrameError("rate", words)
+                rate_hz = frame.rate_hz
+            elif abs(frame.rate_hz - rate_hz) > RATE_TOLERANCE * rate_hz:
+                raise FrameError(
+                    "rate", f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+                )
+            self._begin(name, rate_hz)
+        return self._orders[name]
+
+    def _begin(self, name: str, rate_hz: float) -> None:
+        """Begin a sensor, whose rate is known."""
+        self._orders[name] = Assembler(rate_hz, self.order)
+        channel = self.manifest.sensors().get(name)
+        if channel is not None:
+            self._sensors[name] = RunningSensor(
+                f"{self.manifest.path}: channel {name!r}",
+                name,
+                replace(channel, rate_hz=rate_hz, unit=channel.unit or UNITS["acceleration"]),
+                self.rate_hz,
+                self.cleaning,
+                late=zlib.crc32(f"{self._name}, {name}".encode()) / 2**32,
+            )
+
+    def _rate_problem(self, name: str, rate_hz: float) -> str:
+        """Return why a sensor cannot have a rate; empty if it can."""
+        least = 0.0 if name == "speed" else 0.99 * self.rate_hz
+        most = 2 * HIGHEST_RATE_HZ if name == "speed" else HIGHEST_HZ
+        if least < rate_hz < most:
+            return ""
+        return (
+            f"{name!r} needs a rate of {least:g} to {most:g} Hz to be read as it comes, got "
+            f"{rate_hz:g} Hz"
+        )
+
+    def flush(self) -> None:
+        """Take all frames that wait for earlier ones; those are missing then."""
+        for name, order in self._orders.items():
+            self._give(name, order.flush())
+
+    def recording(self) -> Recording:
+        """Return the recording up to the samples so far: what the batch makes of them.
+
+        Its clock begins with the second of `begin_ns`. Frames that wait for earlier ones are left
+        out; `flush` takes them. A `rest` of which nothing can be made is left out, too.
+
+        Raises
+        ------
+        TripError
+            As `load_recording` does: a sensor is dead or missing, the time too short, the speed
+            unknown, or clocks run apart.
+        """
+        begun = [name for name, order in self._orders.items() if order.first_ns is not None]
+        missing = [name for name in self._sources if name not in begun]
+        if missing:
+            raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
+        signals = [
+            self._sensors[name].signal((self._clock_ns - self._zero_ns(name)) / SECOND_NS)
+            for name in self._accelerations
+        ]
+        found = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz)
+        if self.rest is None:
+            return found
+        try:
+            rest = self.rest.recording()
+        except TripError:
+            return found
+        return followed(found, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
+
+    @property
+    def _clock_ns(self) -> int:
+        """Zero of the recording's clock, since 1970, [ns]."""
+        return _second(self.begin_ns) if self.rate_hz.is_integer() else self.zero_ns
+
+    def _zero_ns(self, name: str) -> int:
+        """Return the zero of a sensor's clock, since 1970, [ns].
+
+        It is the second of its own first sample, so that nothing depends on the order in which
+        frames came; between two seconds there are common instants if the rate is a whole number.
+        """
+        first_ns = self._orders[name].first_ns
+        assert first_ns is not None
+        return _second(first_ns) if self.rate_hz.is_integer() else self.zero_ns
+
+    def _give(self, name: str, blocks: list[FloatArray]) -> None:
+        """Give the next samples of a sensor to what keeps them."""
+        if name == "speed":
+            self._speeds += blocks
+            return
+        sensor = self._sensors[name]
+        if blocks and sensor.start_s is None:
+            sensor.begin(self._start_s(name, self._zero_ns(name)))
+        for block in blocks:
+            sensor.push(block)
+
+    def _start_s(self, name: str, zero_ns: int) -> float:
+        """Return the time of a sensor's first sample on a clock, [s]."""
+        first_ns = self._orders[name].first_ns
+        assert first_ns is not None
+        return (first_ns - zero_ns) / SECOND_NS
+
+    def _track(self) -> SpeedTrack | None:
+        """Return the speeds so far as the batch reads them; None if the manifest gives one."""
+        source = self.manifest.speed
+        if not isinstance(source, SpeedSource):
+            return None
+        rate_hz = self._orders["speed"].rate_hz
+        self._speeds = [np.concatenate(self._speeds)]
+        speeds = SPEED_UNITS[source.unit or UNITS["speed"]] * self._speeds[0]
+        elapsed_s = np.arange(len(speeds)) / rate_hz
+        step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / rate_hz
+        start_s = self._start_s("speed", self._clock_ns)
+        return SpeedTrack(start_s + elapsed_s, speeds, Zero(), step_s, "")
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values that `restore` makes the same recording of."""
+        self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
+        return {
+            "speeds": self._speeds[0],
+            "times": [self.begin_ns, self.end_ns, self.goes_on],
+            "rates": {name: order.rate_hz for name, order in self._orders.items()},
+            "orders": {name: order.state() for name, order in self._orders.items()},
+            "sensors": {name: sensor.state() for name, sensor in self._sensors.items()},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of a recording of the same identity."""
+        self._speeds = [state["speeds"]]
+        self.begin_ns, self.end_ns, self.goes_on = state["times"]
+        for name, rate_hz in state["rates"].items():
+            self._begin(name, rate_hz)
+            self._orders[name].restore(state["orders"][name])
+        for name, sensor in self._sensors.items():
+            sensor.restore(state["sensors"][name])
+
+    @property
+    def identity(self) -> list[Any]:
+        """Return what a state must share with the recording that goes on from it."""
+        sensors = {
+            name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
+            for name, one in self._sources.items()
+        }
+        settings = [
+            self.rate_hz,
+            self.longest_s,
+            self.before_s,
+            asdict(self.cleaning),
+            asdict(self.order),
+        ]
+        return [self._name, self.zero_ns, sensors, *settings]
+
+
+def _second(time_ns: int) -> int:
+    """Return the whole second in which a time lies, [ns]."""
+    return time_ns // SECOND_NS * SECOND_NS

@@ -1,0 +1,273 @@
+"""The fleet as it is now, kept up to date from a history."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from suspnet.dynamics import Vehicle
+from suspnet.history import History, HistoryError
+from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.car_sisters import Key
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.fleet import Fleet
+from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.planner import Planner
+from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.sisters import SisterSettings
+from suspnet.maintenance.state import State, worst_first
+from suspnet.maintenance.watch import Watched
+from suspnet.report.fleet_view import FleetView, fleet_view
+
+log = logging.getLogger(__name__)
+SHOWN_S = 5.0
+"""Time after which a refresh that is not done shows what it has, [s]."""
+READ_AT_ONCE = 100
+"""Number of suspensions that are read in one transaction."""
+LOOK_S = 1.0
+"""Longest time that a look at the store waits for other programs, [s]."""
+AT_ONCE = 50
+"""Number of suspensions whose alarms are found before the time is looked at."""
+
+
+@dataclass(frozen=True)
+class BoardSettings:
+    """What the states of a fleet and its plan depend on, besides its history.
+
+    Parameters
+    ----------
+    vehicles : mapping of Vehicle
+        Those whose limits are known; others have ``DEFAULT_LIMITS``.
+    limits : mapping, optional
+        In place of the vehicles': from a parameter to `notice` and `act`.
+    changes : ChangeSettings
+    sisters : SisterSettings
+    plan : PlanSettings
+    today : str, optional
+        ISO 8601; the day of the computer's clock by default.
+    seed : int
+        Of the predicted lives.
+
+    Raises
+    ------
+    ValueError
+        If `today` is not a day, or the limits do not go together.
+    """
+
+    vehicles: Mapping[str, Vehicle] = field(default_factory=dict)
+    limits: Mapping[str, Any] | None = None
+    changes: ChangeSettings = field(default_factory=ChangeSettings)
+    sisters: SisterSettings = field(default_factory=SisterSettings)
+    plan: PlanSettings = field(default_factory=PlanSettings)
+    today: str | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        try:
+            self.day()
+        except ValueError:
+            raise ValueError(f"`today` must be a day like 2026-03-31, got {self.today!r}") from None
+        for one in self.vehicles.values():
+            self.limits_of(one.name)
+
+    def day(self) -> date:
+        """Return the day from which on is planned."""
+        return date.fromisoformat(str(self.today)) if self.today else date.today()
+
+    def limits_of(self, vehicle: str) -> Mapping[str, Limits]:
+        """Return the limits of a vehicle by its name.
+
+        Raises
+        ------
+        ValueError
+            If `limits` cannot be read.
+        """
+        known = {one.name: one.known_limits for one in self.vehicles.values()}
+        return read_limits(self.limits or {}, known.get(vehicle, DEFAULT_LIMITS))
+
+
+class Board:
+    """The fleet as it is now, kept up to date from a history.
+
+    Only suspensions whose revision in the store changed are read and worked out again, and compared
+    with their sisters. The rates of wear of a fleet, and with them the lives of all its
+    suspensions, are learnt again as ``Fleet`` says. A refresh that takes long shows what it has
+    every ``SHOWN_S``: first the suspensions with the alarms that the store keeps.
+
+    The store is told the alarms of sisters, which nobody else finds while trips are monitored;
+    those of limits and changes are kept by who evaluates the trips. They are written only when they
+    are not as this board found them the last time, so that boards of different settings do not wake
+    each other again and again.
+
+    Parameters
+    ----------
+    store : str
+        File or URL of the history. A file may be made later.
+    settings : BoardSettings
+    """
+
+    def __init__(self, store: str, settings: BoardSettings) -> None:
+        self.store = store
+        self.settings = settings
+        self._limits: dict[str, Mapping[str, Limits]] = {}
+        self._fleet = Fleet(self._limits, settings.changes, settings.sisters, settings.seed)
+        self._planner = Planner(settings.plan)
+        self._view = FleetView()
+        self._revisions: dict[Key, int] = {}
+        self._early: dict[Key, State] = {}
+        self._unkept: set[Key] = set()
+        self._kept: dict[Key, list[Alarm]] = {}
+        self._plan: Plan | None = None
+        self._day = settings.day()
+        self._is_due = True
+        self._file: tuple[int, int] | None = None
+        self._is_doubted = False
+        self._not_kept = ""
+        self._shown_at = 0.0
+        self._lock = threading.Lock()
+
+    @property
+    def view(self) -> FleetView:
+        """The last view; it costs nothing, also while the next one is made."""
+        return self._view
+
+    def refresh(self) -> bool:
+        """Work out what changed in the store since the last time.
+
+        Where the store cannot be used the last view stays, with its `trouble`. Threads may call
+        this at once; they wait for each other.
+
+        Returns
+        -------
+        bool
+            Whether there is a new view.
+        """
+        with self._lock:
+            before = self._view
+            try:
+                with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
+                    self._refresh(history)
+            except HistoryError as error:
+                self._is_doubted = True  # it may be another store when it can be read again
+                if str(error) != self._view.trouble:
+                    log.warning("%s", error)
+                    version = self._view.version + 1
+                    self._view = replace(self._view, version=version, trouble=str(error))
+            return self._view is not before
+
+    def _refresh(self, history: History) -> None:
+        """Make the view again, if anything changed."""
+        revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
+        self._is_due |= day != self._day
+        bad = {one.key for one in self._view.bad_rows}  # they may have been mended
+        is_other = self._is_doubted or file != self._file
+        changed = [
+            key
+            for key, one in revisions.items()
+            if is_other or key in bad or self._revisions.get(key) != one
+        ]
+        if changed or self._revisions.keys() - revisions.keys():
+            self._read(history, revisions, changed)
+        self._file, self._is_doubted = file, False
+        if self._is_due:
+            while not self._fleet.predict(SHOWN_S):
+                self._show(history, is_complete=False)
+            self._plan = self._planner.plan(self._fleet.states(), day)
+            self._show(history, is_complete=True)
+            self._day, self._is_due = day, False
+            self._early.clear()
+        elif (
+            self._view.trouble
+            or history.all_acknowledgements() != self._view.acknowledged
+            or {*history.bad_rows} != {*self._view.bad_rows}
+        ):
+            self._show(history, is_complete=True)
+        if self._unkept:
+            self._keep(history)
+
+    def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
+        """Read the suspensions that changed, and find their alarms."""
+        changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
+        series = [  # in parts: an SQLite file cannot be written while it is read
+            one
+            for begin in range(0, len(changed), READ_AT_ONCE)
+            for one in history.series(changed[begin : begin + READ_AT_ONCE])
+        ]
+        for vehicle in {one.vehicle for one in series} - self._limits.keys():
+            try:
+                self._limits[vehicle] = self.settings.limits_of(vehicle)
+            except ValueError as error:  # of a vehicle that the settings do not name
+                raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
+        new = [one for one in series if (one.vehicle, one.place) not in self._revisions]
+        if new or self._view.bad_rows:
+            alarms = history.all_alarms()
+            states = [State(one, Watched(alarms.get((one.vehicle, one.place), []))) for one in new]
+            self._early |= {state.key: state for state in states}
+        if len(new) > AT_ONCE:
+            self._show(history, is_complete=False)
+        gone = self._fleet.keys() - revisions.keys()
+        gone |= set(changed) - {(one.vehicle, one.place) for one in series}
+        self._is_due |= bool(gone)
+        self._found(self._fleet.update([], gone))
+        self._unkept -= gone
+        self._kept = {key: alarms for key, alarms in self._kept.items() if key not in gone}
+        for begin in range(0, len(series), AT_ONCE):
+            self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
+            if time.monotonic() - self._shown_at > SHOWN_S:
+                self._show(history, is_complete=False)
+        self._revisions = revisions
+
+    def _found(self, keys: set[Key]) -> None:
+        """Note suspensions whose alarms were found anew, for the view and for the store."""
+        self._is_due |= bool(keys)
+        self._unkept |= keys
+
+    def _show(self, history: History, *, is_complete: bool) -> None:
+        """Make the view of what is known by now."""
+        states = self._fleet.states()
+        known = {state.key for state in states}
+        early = [state for key, state in self._early.items() if key not in known]
+        acknowledged = history.all_acknowledgements()
+        self._view = fleet_view(
+            sorted([*states, *early], key=worst_first),
+            dict(self._limits),
+            acknowledged,
+            self._plan,
+            version=self._view.version + 1,
+            is_complete=is_complete,
+            bad_rows=list(dict.fromkeys(history.bad_rows)),
+        )
+        self._shown_at = time.monotonic()
+
+    def _keep(self, history: History) -> None:
+        """Tell the store the alarms of sisters that are not as they were found the last time."""
+        found = {key: self._fleet.of_sisters(key) for key in self._unkept}
+        other = {key: alarms for key, alarms in found.items() if self._kept.get(key) != alarms}
+        try:
+            history.keep_all_alarms(other, [Cause.SISTER])
+        except HistoryError as error:  # it may be locked or read-only: try at the next look
+            if str(error) != self._not_kept:
+                log.warning("alarms of sisters are not kept: %s", error)
+            self._not_kept = str(error)
+            return
+        self._kept |= other
+        self._unkept.clear()
+        self._not_kept = ""
+
+
+def file_number(store: str) -> tuple[int, int] | None:
+    """Return what changes if a file is replaced by another; None for a server."""
+    if "://" in store:
+        return None
+    try:
+        status = Path(store).stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino

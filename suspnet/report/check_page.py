@@ -1,0 +1,186 @@
+"""All checked trips in words, as a table, as JSON and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tabulate import tabulate
+
+from suspnet._version import __version__
+from suspnet.estimation.healthy_trips import LEAST_TRIPS
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
+from suspnet.report.templates import render
+from suspnet.spectra.estimates import SPEED_HALF_WIDTH
+from suspnet.spectra.speeds import covering, setting_words
+
+LISTED = 5
+"""Largest number of trips that share a problem and are named in its line."""
+TONES = {READY: "good", TOO_LITTLE: "notice", PROBLEM: "act"}
+"""Tone of each state on the page; its style sheet has the colours."""
+
+
+def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
+    """Return checks with a remark where an earlier trip has a sensor of the same file and column.
+
+    It is the usual slip when a manifest is copied.
+    """
+    owners: dict[str, TripCheck] = {}
+    found = []
+    for check in checks:
+        others = {owners[source].name: None for source in check.sources if source in owners}
+        owners = {source: check for source in check.sources} | owners
+        remark = f"reads the same data as {', '.join(list(others)[:LISTED])}"
+        found.append(replace(check, remarks=(*check.remarks, remark)) if others else check)
+    return found
+
+
+@dataclass(frozen=True)
+class Suspension:
+    """The trips of one suspension.
+
+    Attributes
+    ----------
+    title : str
+        Vehicle and place.
+    checks : list of TripCheck
+    """
+
+    title: str
+    checks: list[TripCheck]
+
+    def sentences(self) -> list[str]:
+        """Return what commissioning and reading would have to work with."""
+        ready = [check for check in self.checks if check.state == READY]
+        words = [f"{len(ready)} of {len(self.checks)} trips ready"]
+        speeds = [part.speed_m_per_s for check in ready for part in check.parts]
+        if speeds:
+            setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
+            kilometres = [check.mileage_km for check in ready]
+            words[0] += (
+                f", {_span(min(kilometres), max(kilometres), '{:.0f}')} km, at "
+                f"{_span(min(speeds), max(speeds), '{:.1f}')} m/s: "
+                f"{ready[0].read_by or f'train with {setting}'}"
+            )
+        if len(ready) < LEAST_TRIPS:
+            words.append(f"commissioning needs {LEAST_TRIPS} ready healthy trips")
+        kinds = sorted({check.sensors for check in ready})
+        if len(kinds) > 1:
+            words.append(
+                f"the trips differ in their sensors ({'; '.join(kinds)}): commission on trips with "
+                "the same"
+            )
+        return words
+
+
+def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
+    """Return the trips whose manifests could be read by vehicle and place."""
+    by_title: dict[str, list[TripCheck]] = {}
+    for check in checks:
+        if check.vehicle:
+            by_title.setdefault(f"{check.vehicle}, {check.place}", []).append(check)
+    return [Suspension(title, by_title[title]) for title in sorted(by_title)]
+
+
+def _span(low: float, high: float, form: str) -> str:
+    """Return a range in words, one number if both ends read the same."""
+    return " to ".join(dict.fromkeys((form.format(low), form.format(high))))
+
+
+def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
+    """Return in one line how many trips are in which state."""
+    counts = {state: sum(check.state == state for check in checks) for state in TONES}
+    told = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
+    if counts[TOO_LITTLE]:
+        told.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
+    if counts[PROBLEM]:
+        told.append(f"{counts[PROBLEM]} with problems")
+    if elsewhere:
+        told.append(f"{len(elsewhere)} of the arguments lead to no trip")
+    return ", ".join(told)
+
+
+def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
+    """Return all checks as text: verdict, table of the trips that could be read, all problems.
+
+    Parameters
+    ----------
+    checks : sequence of TripCheck
+    elsewhere : sequence of str
+        What is wrong outside of the trips.
+    """
+    read = [check for check in checks if np.isfinite(check.duration_s)]
+    lines = [verdict(checks, elsewhere)]
+    if read:
+        header = ("trip", "minutes", "usable %", "m/s", "averages", "coherence", "sensors", "state")
+        rows = [_cells(check) for check in read]
+        lines += [tabulate(rows, header, tablefmt="github", disable_numparse=True)]
+    for one in suspensions(checks):
+        lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
+    for title, told in (
+        ("Problems", _by_words((check.name, check.problems) for check in checks)),
+        ("Remarks", _by_words((check.name, check.remarks) for check in checks)),
+    ):
+        rest = [f"  {words}" for words in elsewhere] if title == "Problems" else []
+        if told or rest:
+            lines += ["", f"{title}:", *rest, *(f"  {names}: {words}" for words, names in told)]
+    return "\n".join(lines)
+
+
+def _cells(check: TripCheck) -> list[str]:
+    """Return the cells of a trip that could be read."""
+    parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
+    speeds = _span(min(each), max(each), "{:.1f}") if each else ""
+    coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
+    numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", speeds
+    averages = f"{check.n_averages:.0f}"
+    return [check.name, *numbers, averages, coherence, check.sensors, check.state]
+
+
+def _by_words(told: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
+    """Return each sentence once with the trips that it is said of, in the order of the trips."""
+    names: dict[str, list[str]] = {}
+    for name, sentences in told:
+        for words in sentences:
+            names.setdefault(words, []).append(name)
+    return [(words, _listing(of)) for words, of in names.items()]
+
+
+def _listing(names: Sequence[str]) -> str:
+    """Return names, at most ``LISTED`` of them."""
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
+
+
+def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: Path) -> Path:
+    """Write check.json and the page check.html; return the path of the page.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    content: dict[str, Any] = {
+        "suspnet_version": __version__,
+        "verdict": verdict(checks, elsewhere),
+        "problems": list(elsewhere),
+        "suspensions": {one.title: one.sentences() for one in suspensions(checks)},
+        "trips": [check.row() for check in checks],
+    }
+    write_json(output / "check.json", content)
+    worst = max((check.state for check in checks), key=list(TONES).index, default=PROBLEM)
+    page = render(
+        "check.html",
+        title="Check of recordings",
+        verdict=content["verdict"],
+        tone=TONES[PROBLEM if elsewhere else worst],
+        elsewhere=elsewhere,
+        suspensions=content["suspensions"],
+        checks=checks,
+        tones=TONES,
+    )
+    return write_atomically(output / "check.html", page.encode("utf-8", errors="replace"))

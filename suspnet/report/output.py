@@ -1,0 +1,257 @@
+"""Files of a fleet: tables, figures, TensorBoard, metrics and the report."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from tabulate import tabulate
+
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.history import Event
+from suspnet.history.records import OK, TripResult
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.maintenance.assessment import Assessment, overall, spoken
+from suspnet.maintenance.life import Life
+from suspnet.maintenance.limits import Limits
+from suspnet.maintenance.schedule import count
+from suspnet.report import figures
+from suspnet.report.health_figure import health_trend
+from suspnet.report.report import write_report
+from suspnet.report.tensorboard import RunLog
+from suspnet.trips.commissionings import Commissioning, relative_to_first_healthy
+
+KNOWN_ERROR_PERCENT = "rms error %"
+COVERAGE_PERCENT = "intervals hold %"
+
+
+def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
+    """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
+    header = ["trip", "1000 km", *outputs, "averages", "state"]
+    rows = [
+        [
+            r.trip,
+            r.mileage_km / 1000,
+            *(r.estimates.get(name) for name in outputs),
+            r.quality.n_averages,
+            "flagged" if r.flags else "" if r.status == OK else r.status,
+        ]
+        for r in results
+    ]
+    errors = errors_percent(results, outputs)
+    if errors:
+        rows.append([KNOWN_ERROR_PERCENT, None, *(errors[name] for name in outputs), None, None])
+    held = coverage_percent(results, outputs)
+    if held:
+        rows.append([COVERAGE_PERCENT, None, *(held[name] for name in outputs), None, None])
+    words = [0, len(header) - 1]
+    table = tabulate(
+        rows,
+        header,
+        tablefmt="github",
+        floatfmt=("", ".1f", *[".4g"] * 20),
+        disable_numparse=words,
+    )
+    done = sum(r.status == OK for r in results)
+    flagged = sum(bool(r.flags) for r in results)
+    are = "is" if flagged == 1 else "are"
+    have = "has" if done == 1 else "have"
+    head = f"{done} of {count(len(results), 'trip')} {have} an estimate, {flagged} {are} flagged"
+    return "\n".join([head, table, *_reasons(results)])
+
+
+def _reasons(results: Sequence[TripResult]) -> list[str]:
+    """Return a paragraph for each reason and flag with its trips, as Markdown."""
+    trips: dict[str, list[str]] = {}
+    for result in results:
+        if words := result.reason or result.flags:
+            trips.setdefault(words, []).append(result.trip)
+    return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
+
+
+def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return the rms relative error of each output over trips whose truth is known, [%]."""
+    known = [r for r in results if r.status == OK and all(name in r.truth for name in outputs)]
+    if not known:
+        return {}
+    found, truth = (
+        np.array([[values[name] for name in outputs] for values in part])
+        for part in ([r.estimates for r in known], [r.truth for r in known])
+    )
+    with np.errstate(over="ignore"):  # a manifest may say any truth
+        rms = 100 * np.sqrt(np.mean((found / truth - 1) ** 2, axis=0))
+    return dict(zip(outputs, rms.tolist(), strict=True))
+
+
+def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
+    """Return how often the intervals hold the truth, over trips whose truth is known, [%].
+
+    Empty where no trip has both truth and intervals.
+    """
+    known = [
+        r
+        for r in results
+        if r.status == OK
+        and all(n in r.truth and np.isfinite(r.interval(n)).all() for n in outputs)
+    ]
+    if not known:
+        return {}
+    return {
+        name: 100
+        * float(
+            np.mean([r.interval(name)[0] <= r.truth[name] <= r.interval(name)[1] for r in known])
+        )
+        for name in outputs
+    }
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table as `path` with the suffixes .parquet and .csv."""
+    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
+        stream = io.BytesIO()
+        write(table, stream)
+        write_atomically(path.with_name(path.name + suffix), stream.getvalue())
+
+
+def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
+    """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
+    rows = pa.Table.from_pylist([result.row(outputs) for result in results])
+    write_table(rows, output / "trips")
+    curves = [
+        pa.table(
+            {
+                "trip": [result.trip] * len(result.curves.frequencies_hz),
+                "frequency_hz": result.curves.frequencies_hz,
+                **{
+                    f"{what}_{link}": values[i]
+                    for i, link in enumerate(("p", "s"))
+                    for what, values in (
+                        ("magnitude", np.abs(result.curves.responses)),
+                        ("phase_rad", np.angle(result.curves.responses)),
+                        ("coherence", result.curves.coherences),
+                        ("deviation", result.curves.deviations),
+                    )
+                },
+            }
+        )
+        for result in results
+        if result.curves is not None
+    ]
+    if curves:
+        stream = io.BytesIO()
+        pq.write_table(pa.concat_tables(curves), stream)
+        write_atomically(output / "responses.parquet", stream.getvalue())
+
+
+def write_pages(
+    results: Sequence[TripResult],
+    outputs: tuple[str, ...],
+    assessments: Sequence[Assessment],
+    output: Path,
+    details: Mapping[str, str],
+    level: float,
+    limits: Mapping[str, Limits],
+    states: Sequence[Commissioning] = (),
+    events: Sequence[Event] = (),
+    alarms: Sequence[Alarm] = (),
+    seen: Sequence[Acknowledgement] = (),
+    draw: bool = True,
+) -> None:
+    """Write figures if they are to be drawn, TensorBoard events, metrics.json and report.html.
+
+    The figure of the trend is relative to the first of several commissionings `states`.
+    """
+    done = [r for r in results if r.status == OK]
+    drawn = {}
+    if draw:
+        drawn = {
+            "trend": health_trend(
+                relative_to_first_healthy(results, states),
+                outputs,
+                level,
+                limits,
+                states,
+                events,
+                alarms,
+                {one.parameter: one.life for one in assessments if one.life},
+            ),
+            "responses": figures.trip_responses(results),
+            "signals": figures.trip_signals(done[-1] if done else results[-1]),
+            "quality": figures.quality(results),
+        }
+    with RunLog(output, is_new=True) as run_log:
+        for i, result in enumerate(done):
+            values = result.estimates | {"n_averages": result.quality.n_averages}
+            step = i if np.isnan(result.mileage_km) else round(result.mileage_km)
+            run_log.scalars("trips", values, step)
+        for name, figure in drawn.items():
+            run_log.figure(name, figure, output / "figures")
+        run_log.text("trips", summary(results, outputs))
+        run_log.text("verdict", spoken(assessments))
+    errors = errors_percent(results, outputs)
+    severity, sentence = overall(assessments)
+    metrics = {
+        "severity": str(severity),
+        "verdict": sentence,
+        "n_trips": len(results),
+        "n_estimated": len(done),
+        "n_flagged": sum(bool(r.flags) for r in results),
+        "rms_error_percent": errors,
+        "coverage_percent": coverage_percent(results, outputs),
+        "limits": {name: one.to_dict() for name, one in limits.items()},
+        "trends": [
+            asdict(one.trend)
+            | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
+            | {"now": one.now, "life": _life_row(one.life), "unknown_life": one.unknown_life}
+            for one in assessments
+        ],
+        "commissionings": [asdict(one) for one in states],
+        "maintenance": [asdict(one) for one in events],
+        "alarms": [_alarm_row(one, seen) for one in alarms],
+        "details": dict(details),
+    }
+    write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
+    write_report(
+        output / "report.html",
+        "Suspension report",
+        results,
+        outputs,
+        drawn,
+        assessments,
+        details,
+        level,
+        limits,
+        states,
+        events,
+        alarms,
+        seen,
+    )
+
+
+def _life_row(life: Life | None) -> dict[str, Any] | None:
+    """Return a remaining life as JSON holds it, null where it has no end."""
+    if life is None:
+        return None
+    ends = dict(zip(("low", "high"), life.interval_km(), strict=True))
+    ends["median"] = life.quantile_km(0.5)
+    return {"model": life.model} | {
+        f"{name}_km": km if np.isfinite(km) else None for name, km in ends.items()
+    }
+
+
+def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
+    """Return an alarm as JSON holds it, with the name of who has seen it last."""
+    by = newest_of(alarm, seen)
+    return asdict(alarm) | {
+        "severity": str(alarm.severity),
+        "end_km": None if alarm.is_open else alarm.end_km,
+        "seen_by": by.by if by else "",
+    }

@@ -1,0 +1,164 @@
+"""Pages of HTML: templates of the packages, and how they write numbers, symbols and words."""
+
+from __future__ import annotations
+
+import math
+import re
+from importlib import resources
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from suspnet.dynamics.vehicle import UNITS
+from suspnet.maintenance.life import Life
+from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.watch import ABSURD
+
+SEVERITIES = {
+    Severity.ACT: ("act", "Act"),
+    Severity.NOTICE: ("notice", "Notice"),
+    Severity.UNKNOWN: ("plain", "Not judged"),
+    Severity.NONE: ("good", "No alarm"),
+}
+"""Tone and label of each severity; style.css has the colours of each tone."""
+LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
+"""The same by the names that stand in tables."""
+KILO = 1e3
+KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
+"""Unit of a thousand of each SI unit."""
+NO_NUMBER = "\N{EN DASH}"
+PACKAGE = "suspnet.report"
+"""Package whose templates those of all others may use."""
+
+
+def environment(*packages: str) -> Environment:
+    """Return an environment of the templates of packages; the first that has a file counts.
+
+    Whatever is not marked as HTML is escaped; a name that is not there is an error.
+
+    Parameters
+    ----------
+    *packages : str
+        Searched in this order, and after them this package.
+    """
+    found = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=FunctionLoader(lambda name: packaged(name, *packages)),
+    )
+    found.filters |= FILTERS
+    found.globals["labels"] = LABELS
+    return found
+
+
+def render(template: str, package: str = PACKAGE, **values: Any) -> str:
+    """Return an HTML template of a package, filled in; it may include those of this package."""
+    return environment(package).get_template(template).render(**values)
+
+
+def packaged(name: str, *packages: str) -> str | None:
+    """Return the text of a file of the first of some packages, or of this one; None: no such."""
+    for package in (*packages, PACKAGE):
+        file = resources.files(package).joinpath(name)
+        if file.is_file():
+            return file.read_text(encoding="utf-8")
+    return None
+
+
+def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
+    """Return a number with a true minus sign, or a dash if there is none."""
+    if value is None or not math.isfinite(value):
+        return NO_NUMBER
+    text = f"{value * scale:.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
+
+
+def level(ratio: float | None, digits: int) -> str:
+    """Return a level over healthy in %, without the number where no suspension has such a one."""
+    if ratio is not None and ratio > ABSURD:
+        return f"over {100 * ABSURD:.0f}"
+    return number(ratio, digits, 100)
+
+
+def _plus_minus(half_width: float, digits: int) -> Markup:
+    """Return a half width in small print; nothing if there is none."""
+    if not math.isfinite(half_width):
+        return Markup()
+    return Markup("<small> ± {}</small>").format(number(half_width, digits))
+
+
+def _si(value: float, name: str) -> Markup:
+    """Return a parameter's value with its unit in small print; nothing if there is none."""
+    if not math.isfinite(value):
+        return Markup()
+    return Markup("<small>{}</small>").format(with_unit(f"{value / KILO:.4g}", name))
+
+
+def with_unit(number: str, name: str) -> str:
+    """Return a number of thousands of a parameter's SI unit with that unit."""
+    unit = KILO_UNITS[UNITS[name]].replace(" ", "\N{NO-BREAK SPACE}")
+    return f"{number}\N{NO-BREAK SPACE}{unit}"
+
+
+def thousands(value: float) -> str:
+    """Return a whole number with no-break spaces between thousands, or a dash."""
+    if not math.isfinite(value):
+        return NO_NUMBER
+    return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+
+
+def _to_go(life: Life | None, unknown: str = "") -> Markup:
+    """Return how far it is to the act limit, with the 80 % interval in small print.
+
+    That is a dash without limits, and "unknown" with the reason if it is `unknown`.
+    """
+    if life is not None and life.interval_km()[1] == 0:
+        return Markup("passed")
+    if unknown:
+        return Markup("unknown<small>{}</small>").format(unknown)
+    if life is None:
+        return Markup(NO_NUMBER)
+    low, high = life.interval_km()
+    if not math.isfinite(low):
+        return Markup("no end in sight")
+    ends = [_rounded(km) for km in (life.quantile_km(0.5), low, high)]
+    return Markup("{}<small>{} to {}</small>").format(*ends)
+
+
+def _rounded(km: float) -> str:
+    """Return a mileage in words, with two digits that count."""
+    return thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
+
+
+def _symbol(name: str) -> Markup:
+    """Return a parameter's symbol with its index."""
+    letter, _, index = name.partition("_")
+    return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
+
+
+def _range(pair: tuple[float, float]) -> str:
+    """Return lower and upper limit, in %."""
+    return " to ".join(f"{100 * one:g}" for one in pair)
+
+
+def _unbroken(words: str) -> str:
+    """Return words in which no line ends between a number and its unit, or within a number."""
+    return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)
+
+
+FILTERS = {
+    "level": level,
+    "number": number,
+    "plus_minus": _plus_minus,
+    "thousands": thousands,
+    "symbol": _symbol,
+    "range": _range,
+    "si": _si,
+    "unbroken": _unbroken,
+    "to_go": _to_go,
+    "rounded": _rounded,
+}
+"""How templates write values, by the names that they use."""

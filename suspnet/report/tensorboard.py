@@ -1,0 +1,155 @@
+"""TensorBoard: scalars of each iteration, hyperparameters, figures, the configuration as text."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
+from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.ground.storage import write_atomically
+from suspnet.learning.metrics import METRICS
+
+HYPERPARAMETERS: dict[str, Any] = {
+    "model": "",
+    "group": "",
+    "C": 0.0,
+    "sigma": 0.0,
+    "epsilon": 0.0,
+    "feature_map": "",
+    "n_components": 0,
+    "length_scale": 0.0,
+    "signal_variance": 0.0,
+    "noise_variance": 0.0,
+    "n_train": 0,
+    "snr_db": 0.0,
+    "seed": 0,
+    "protocol": "",
+    "vehicle": "",
+}
+"""Columns of the HPARAMS tab, each with a value of its type."""
+METRIC_COLUMNS = (
+    *(f"{metric}_{output}" for output in PARAMETERS for metric in METRICS),
+    "cv_rmse",
+    "seconds",
+)
+SECTIONS = {
+    "comparison": ("table6", "sensitivity", "ablation"),
+    "estimates": ("parity", "residuals"),
+    "training": ("features", "peaks", "convergence", "search"),
+    "vehicle": ("bode", "degradation"),
+}
+"""Figures by the section they are shown in; TensorBoard shows sections in alphabetical order."""
+
+
+class RunLog:
+    """One run's TensorBoard events, in the run's own folder; a context manager.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the event file goes.
+    is_new : bool
+        Whether TensorBoard shows these events in the place of those that an earlier run left in the
+        folder, whose file stays.
+    """
+
+    def __init__(self, folder: Path, is_new: bool = False) -> None:
+        self._writer = SummaryWriter(str(folder), purge_step=0 if is_new else None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Write what is left."""
+        self._writer.close()
+
+    def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
+        """Write scalars named prefix/key."""
+        for key, value in values.items():
+            self._writer.add_scalar(f"{prefix}/{key}", value, step)
+
+    def text(self, name: str, content: str) -> None:
+        """Write text, shown as Markdown."""
+        self._writer.add_text(name, content)
+
+    def config(self, content: Mapping[str, Any]) -> None:
+        """Write the resolved configuration as an indented block."""
+        lines = json.dumps(content, indent=2, default=str).splitlines()
+        self.text("config", "\n".join(f"    {line}" for line in lines))
+
+    def figure(self, name: str, figure: Figure, folder: Path | None = None) -> None:
+        """Write a figure as an image, and as folder/name.png if a folder is given."""
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
+        sections = [f"{s}/{name}" for s, names in SECTIONS.items() if name.startswith(names)]
+        self._writer.add_image([*sections, name][0], pixels, dataformats="HWC")
+        if folder is not None:
+            stream = io.BytesIO()
+            Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG")
+            write_atomically(folder / f"{name}.png", stream.getvalue())
+
+    def hyperparameters(
+        self,
+        values: Mapping[str, Any],
+        metrics: Mapping[str, float],
+        varied: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write hyperparameters and final metrics for the HPARAMS tab.
+
+        `SummaryWriter.add_hparams` would open a folder of its own below the run's; these summaries
+        go into the run's own file, so that a run is one row of the table and one line of the
+        parallel coordinates. TensorBoard takes the columns from whichever run it meets first, so
+        every run of a multirun declares the same ones and fills in those it has. It shows those
+        said to differ first, here the model and what the multirun varies, in alphabetical order.
+
+        Parameters
+        ----------
+        values, metrics : mappings
+        varied : mapping, optional
+            What a multirun varies, by its key in the configuration.
+        """
+        varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
+        finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
+        experiment, _, end = hparams(HYPERPARAMETERS | varied, finals)
+        content = experiment.value[0].metadata.plugin_data
+        columns = HParamsPluginData.FromString(content.content)
+        for info in columns.experiment.hparam_infos:
+            info.differs = info.name in ("model", *varied)
+        content.content = columns.SerializeToString()
+        known = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
+        _, start, _ = hparams(known | varied, finals)
+        for summary in (experiment, start, end):
+            self._writer._get_file_writer().add_summary(summary)
+        self.scalars("final", metrics, 0)
+
+
+def _column(key: str) -> str:
+    """Return the column of a key of the configuration: n_train of data.n_train."""
+    last = key.rpartition(".")[2]
+    return last if last in HYPERPARAMETERS else key
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TensorBoard can hold it."""
+    return value if isinstance(value, bool | int | float | str) else str(value)

@@ -1,0 +1,211 @@
+"""The findings in one group of a protocol, as Markdown and as records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tabulate import tabulate
+
+from suspnet.dynamics import PARAMETERS, Vehicle
+from suspnet.estimation.bounds import UNIDENTIFIED, Bound, Direction, best_addition_sentence, listed
+from suspnet.estimation.options import Option
+from suspnet.estimation.protocols import Task
+
+UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What can be identified in one group of a protocol.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The healthy one.
+    task : Task
+    table : list of (Option, list of Bound)
+        What could be measured and how well that would identify; what is measured now comes first.
+    now : Option
+        What is made of what is measured now: a trip's estimates, else the first of the table.
+    directions : list of Direction
+        Of `now` at the healthy vehicle, weakest first.
+    guess_percent : float or None
+        Where stiffness cannot be told from mass, the MAPE of the best guess within the range.
+    """
+
+    vehicle: Vehicle
+    task: Task
+    table: list[tuple[Option, list[Bound]]]
+    now: Option
+    directions: list[Direction]
+    guess_percent: float | None
+
+    @property
+    def bounds_now(self) -> list[Bound]:
+        """The bounds of `now`."""
+        return next(found for option, found in self.table if option is self.now)
+
+    def healthy(self, parameter: str) -> float:
+        """Return a parameter of the healthy vehicle, SI units."""
+        return self.vehicle.healthy_values()[PARAMETERS.index(parameter)]
+
+    def bound_at_healthy(self, bound: Bound) -> float:
+        """Return a bound at the healthy vehicle in the parameter's own unit."""
+        return self.healthy(bound.parameter) * bound.healthy_percent / 100
+
+
+def group_markdown(found: Findings) -> str:
+    """Return three tables: bounds, what is uncertain together, and what would help."""
+    task = found.task
+    mass = "known" if task.mass_known else "unknown"
+    fixed = [name for name in PARAMETERS if name not in task.varied]
+    others = f"; {listed(fixed)} stay healthy" if fixed else ""
+    blocks = [
+        f"## Group {task.group}: {listed(task.outputs)}",
+        f"Measured now: {found.now.title}; the car-body mass is {mass}{others}.",
+        _bounds_table(found),
+        "What is uncertain together at the healthy vehicle, weakest first: changes by one standard "
+        "deviation [%]; any: such changes leave the curves unchanged.",
+        _directions_table(found.directions),
+        "What would help: median bound over the range [%], in brackets relative to the first row.",
+        _options_table(found),
+        best_addition_sentence(found.table),
+    ]
+    if found.guess_percent is not None:
+        guess = f"The best guess within the range has a MAPE of {found.guess_percent:.3g} %."
+        blocks.insert(3, guess)
+    loss = [r for bound in found.bounds_now if (r := _ratio(found, bound)) is not None]
+    if found.now.kind == "estimate" and loss:
+        blocks.append(
+            f"The estimate has {min(loss):.2f} to {max(loss):.2f} times the bounds of the "
+            "recordings; longer segments (data.segment_s) leak less."
+        )
+    return "\n\n".join(blocks) + "\n"
+
+
+def records(found: Findings) -> list[dict[str, Any]]:
+    """Return one record for each option and parameter; ratio is None where a bound is infinite."""
+    return [
+        {
+            "group": found.task.group,
+            "option": option.title,
+            "kind": option.kind,
+            "parameter": bound.parameter,
+            "healthy_percent": bound.healthy_percent,
+            "median_percent": bound.median_percent,
+            "p95_percent": bound.p95_percent,
+            "ratio": _ratio(found, bound),
+            "identified": bound.verdict,
+        }
+        for option, part in found.table
+        for bound in part
+    ]
+
+
+def plain(found: Findings) -> dict[str, Any]:
+    """Return the findings as JSON-able values, absolute bounds in SI units."""
+    task = found.task
+    return {
+        "outputs": task.outputs,
+        "responses": task.responses,
+        "mass_known": task.mass_known,
+        "measured": found.now.title,
+        "bounds": {
+            bound.parameter: {
+                "unit": UNITS[bound.parameter],
+                "healthy": found.healthy(bound.parameter),
+                "bound_at_healthy": found.bound_at_healthy(bound),
+                "healthy_percent": bound.healthy_percent,
+                "median_percent": bound.median_percent,
+                "p95_percent": bound.p95_percent,
+                "identified": bound.verdict,
+            }
+            for bound in found.bounds_now
+        },
+        "best_guess_mape_percent": found.guess_percent,
+        "directions": [
+            {
+                "words": direction.words(),
+                "components": dict(
+                    zip(direction.parameters, direction.components.tolist(), strict=True)
+                ),
+                "deviation_percent": direction.deviation_percent,
+            }
+            for direction in found.directions
+        ],
+        "options": records(found),
+    }
+
+
+def _bounds_table(found: Findings) -> str:
+    """Return the bounds of what is measured now, as Markdown."""
+    rows = []
+    for bound in found.bounds_now:
+        unit, least = UNITS[bound.parameter], found.bound_at_healthy(bound)
+        percents = (bound.healthy_percent, bound.median_percent, bound.p95_percent)
+        rows.append(
+            [
+                bound.parameter,
+                f"{_value(found.healthy(bound.parameter), 6)} {unit}",
+                f"{_value(least, 3)} {unit}" if math.isfinite(least) else "-",
+                *(_percent(percent) for percent in percents),
+                bound.verdict,
+            ]
+        )
+    header = ["", "healthy", "bound at healthy", "%", "median %", "19 of 20 below %", "identified"]
+    return _markdown(rows, header)
+
+
+def _directions_table(found: Sequence[Direction]) -> str:
+    """Return the directions and the changes along them, as Markdown."""
+    rows = []
+    for direction in found:
+        if math.isfinite(direction.deviation_percent):
+            changes = [f"{change:+.2g}" for change in direction.changes_percent.values()]
+        else:
+            moving = direction.taking_part
+            changes = ["any" if name in moving else "0" for name in direction.parameters]
+        rows.append([direction.words(), *changes])
+    return _markdown(rows, ["", *found[0].parameters])
+
+
+def _options_table(found: Findings) -> str:
+    """Return the median bounds of every option, as Markdown."""
+    rows = []
+    for option, part in found.table:
+        cells = dict.fromkeys(found.task.varied, "known")
+        for bound in part:
+            ratio = None if option.kind == "baseline" else _ratio(found, bound)
+            cells[bound.parameter] = _percent(bound.median_percent)
+            cells[bound.parameter] += "" if ratio is None else f" ({ratio:.2g})"
+        title = f"{option.title}, as now" if option.kind == "baseline" else option.title
+        rows.append([title, *cells.values()])
+    return _markdown(rows, ["", *found.task.varied])
+
+
+def _ratio(found: Findings, bound: Bound) -> float | None:
+    """Return a median bound relative to the baseline's, or None if one of them is infinite."""
+    baseline = {now.parameter: now.median_percent for now in found.table[0][1]}
+    before, after = baseline.get(bound.parameter, math.inf), bound.median_percent
+    return after / before if math.isfinite(before) and math.isfinite(after) else None
+
+
+def _value(value: float, digits: int) -> str:
+    """Return a number with some digits and commas between thousands."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:,.0f}" if rounded >= 100 else f"{rounded:g}"
+
+
+def _percent(value: float) -> str:
+    """Return a percentage with three digits, or the verdict of an infinite one."""
+    if math.isinf(value):
+        return UNIDENTIFIED
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Return a table as Markdown."""
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)

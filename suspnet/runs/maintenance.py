@@ -1,0 +1,117 @@
+"""The fleet from its history: overview, plan and calendar; `evaluate.py study=maintenance`."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from suspnet.dynamics import Vehicle
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.history import History
+from suspnet.maintenance.calendar_figure import plan_calendar
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.fleet import fleet_state
+from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.planner import Planner
+from suspnet.maintenance.sisters import SisterSettings
+from suspnet.maintenance.state import State
+from suspnet.report.board import BoardSettings
+from suspnet.report.fleet_overview import overview_table, write_page
+from suspnet.report.fleet_view import fleet_view
+from suspnet.report.output import write_table
+
+log = logging.getLogger(__name__)
+
+
+def write_maintenance(
+    store: str | None,
+    folder: Path,
+    *,
+    vehicles: Mapping[str, Vehicle],
+    limits: Mapping[str, Any] | None,
+    changes: ChangeSettings,
+    sisters: SisterSettings,
+    plan: PlanSettings,
+    today: str | None = None,
+    seed: int = 0,
+) -> list[State]:
+    """Write what a depot needs: overview and plan of all suspensions of a history.
+
+    Written are overview.html, overview.csv and .parquet, plan.csv and .parquet, calendar.png. The
+    history keeps the alarms that were found.
+
+    Parameters
+    ----------
+    store : str
+        File or URL of the history.
+    folder : Path
+    vehicles : mapping of Vehicle
+        Those whose limits are known; others have ``DEFAULT_LIMITS``.
+    limits : mapping, optional
+        In place of the vehicles': from a parameter to `notice` and `act`.
+    changes : ChangeSettings
+    sisters : SisterSettings
+    plan : PlanSettings
+    today : str, optional
+        ISO 8601; the day of the computer's clock by default.
+    seed : int
+        Of the predicted lives.
+
+    Returns
+    -------
+    list of State
+        The most severe first.
+
+    Raises
+    ------
+    HistoryError
+        If the store cannot be used.
+    ValueError
+        If it is empty, or a setting is out of range.
+    """
+    if not store:
+        raise ValueError("which history? Give store=FILE, or store=postgresql://...")
+    if "://" not in store and not Path(store).is_file():
+        raise ValueError(f"{store}: there is no such store; evaluate.py trips=DIR store= makes one")
+    settings = BoardSettings(vehicles, limits, changes, sisters, plan, today, seed)
+    with History(store) as history:
+        fleet = history.series()
+        if not fleet:
+            raise ValueError(f"{store}: no trip is kept here yet")
+        own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
+        states = fleet_state(fleet, own, changes, sisters, seed)
+        history.keep_all_alarms({state.key: state.watched.alarms for state in states})
+        acknowledged = history.all_acknowledgements()
+    planned = Planner(plan).plan(states, settings.day())
+    view = fleet_view(states, own, acknowledged, planned)
+    write_table(pa.Table.from_pylist(view.rows), folder / "overview")
+    jobs: list[dict[str, Any]] = planned.rows()
+    if jobs:
+        write_table(pa.Table.from_pylist(jobs), folder / "plan")
+    figure = plan_calendar(planned)
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=150)
+    write_atomically(folder / "calendar.png", picture.getvalue())
+    write_page(folder / "overview.html", view.rows, view.cars, planned, figure)
+    counts = {str(state.severity): 0 for state in states}
+    for state in states:
+        counts[str(state.severity)] += 1
+    write_json(
+        folder / "metrics.json",
+        {
+            "severities": counts,
+            "n_visits": len(planned.visits),
+            "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
+            "n_waiting": len(planned.waiting),
+            "n_unknown": len(planned.unknown),
+            "objective": planned.objective,
+            "gap": planned.gap,
+        },
+    )
+    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)
+    return states

@@ -1,0 +1,220 @@
+"""The reliability study: whether intervals hold the truth and what is out of range is flagged.
+
+Everything is measured on curves made anew: intervals on curves like the training curves, over all
+and by slices of each parameter; flags on these and on curves that a model was not trained for.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.stats import norm
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS, Vehicle
+from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.from_curves import MASS, estimate_curves
+from suspnet.estimation.ood import KINDS
+from suspnet.estimation.problem import BLOCK, TEST, Problem
+from suspnet.estimation.protocols import Task
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.checks import check_number
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.learning.metrics import covers, interval_scores
+from suspnet.report.table6 import MODEL_TITLES, records_csv
+from suspnet.report.tensorboard import RunLog
+from suspnet.runs.evaluate import find_runs
+from suspnet.runs.predict import Outcome, predict_stream
+from suspnet.runs.reliability_figure import reliability_figure
+from suspnet.runs.reliability_findings import Reliability, markdown, records
+from suspnet.runs.scores import LEVEL, label
+from suspnet.spectra.observation import MOST_CURVES
+
+log = logging.getLogger(__name__)
+N_SLICES = 5
+LOW, HIGH = 0.3, 2.5
+"""Ratios to healthy outside the range of every protocol."""
+IN_RANGE = "in range"
+
+
+def write_reliability(
+    run: str,
+    others: Mapping[str, Vehicle],
+    folder: Path,
+    *,
+    n_test: int,
+    n_odd: int,
+    seed: int,
+    threads: int | None,
+    device: str,
+    progress: bool,
+) -> list[Reliability]:
+    """Write reliability.md, .csv, .json and .png of every model at or below `run`; print tables.
+
+    Parameters
+    ----------
+    run : str
+        Folder of a run, or of a whole multirun.
+    others : mapping
+        Vehicles of another type than the model's, by name.
+    folder : Path
+    n_test, n_odd : int
+        Curves like the training curves, and of each set unlike them.
+    seed : int
+        Of the curves; not a run's own.
+    threads : int or None
+    device : str
+    progress : bool
+
+    Raises
+    ------
+    FileNotFoundError, ModelFileError
+        If there is no model, or it is damaged.
+    TypeError, ValueError
+        If a model was not calibrated, the seed is its own, or `n_odd` is no number of curves.
+    """
+    check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
+    found = []
+    for path in find_runs(Path(run)):
+        model = load_model(path, device)
+        if model.intervals is None or model.ood is None:
+            raise ValueError(
+                f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
+            )
+        if seed == model.training["seed"]:
+            raise ValueError(f"seed={seed} made the training curves of {path}; give another seed")
+        settings = replace(model.settings, n_test=n_test, cache_dir=None)
+        workers = torch.get_num_threads() if threads is None else threads
+        problem = Problem(model.generator, model.task, settings, seed, workers, progress)
+        found.append(measure(problem, model, others, n_odd))
+    text = "\n".join(markdown(one) for one in found)
+    write_json(folder / "reliability.json", {one.name: vars(one) for one in found})
+    write_atomically(folder / "reliability.csv", records_csv(list(records(found))))
+    write_atomically(folder / "reliability.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text("reliability", text)
+        run_log.figure("reliability", reliability_figure(found), folder)
+    log.info("%s\n-> %s/reliability.*", text, folder)
+    return found
+
+
+def measure(
+    problem: Problem, model: TrainedModel, others: Mapping[str, Vehicle], n_odd: int
+) -> Reliability:
+    """Return coverage and shares of flags of one calibrated model."""
+    outcome = predict_stream(problem, model, TEST, flags=True)
+    assert outcome.flags is not None
+    flags = {IN_RANGE: _shares(outcome.flags.found)}
+    sets = dict(_odd_sets(problem, others, n_odd))
+    observer = problem.observer
+    n_all = len(sets) * n_odd
+    with progress_bar("curves out of range", n_all, unit="curve", shown=problem.progress) as bar:
+        for name, (ratios, curves) in sets.items():
+            known = ratios[:, MASS] if problem.task.mass_known else None
+            found = []
+            for start in range(0, n_odd, BLOCK):
+                rows = slice(start, start + BLOCK)
+                mass = None if known is None else known[rows]
+                found.append(
+                    estimate_curves(model, observer, curves[rows], LEVEL, mass).flags.found
+                )
+                bar.update(len(found[-1]))
+            flags[name] = _shares(np.concatenate(found))
+    title = f"{MODEL_TITLES[label(model)]}, {model.task.protocol}/{model.task.group}"
+    return Reliability(title, _intervals(problem, model, outcome), flags)
+
+
+def _intervals(
+    problem: Problem, model: TrainedModel, outcome: Outcome
+) -> dict[str, dict[str, Any]]:
+    """Return coverage, width and slices of conformal intervals, and of a GP's own."""
+    intervals, scales = model.intervals, outcome.scales
+    assert intervals is not None
+    assert scales is not None
+    kinds = {
+        "conformal": tuple(
+            intervals.ends(outcome.predicted, scales, LEVEL, joint) for joint in (False, True)
+        )
+    }
+    if model.estimator.gives_deviations and not model.refined:
+        n_outputs = len(problem.task.outputs)
+        kinds["GP's own"] = tuple(
+            _gp_intervals(model, outcome.data.inputs, level)
+            for level in (LEVEL, LEVEL ** (1 / n_outputs))
+        )
+    actual = outcome.data.outputs
+    return {
+        kind: interval_scores(actual, single, joint, problem.task.outputs)
+        | {"slices": _slices(problem.task, outcome.data.ratios, covers(actual, single))}
+        for kind, (single, joint) in kinds.items()
+    }
+
+
+def _gp_intervals(
+    model: TrainedModel, inputs: FloatArray, level: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return intervals from the standard deviations that a Gaussian process predicts."""
+    assert model.output_scaling is not None
+    mean, deviation = model.estimator.predict(model.scaled(inputs), return_std=True)
+    half = norm.ppf((1 + level) / 2) * deviation
+    return model.output_scaling.undo(mean - half), model.output_scaling.undo(mean + half)
+
+
+def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict[str, list[float]]]:
+    """Return the coverage [%] of each output in each fifth of each parameter that varies."""
+    slices: dict[str, dict[str, list[float]]] = {}
+    for name in task.varied:
+        low, high = task.range(name)
+        column = ratios[:, PARAMETERS.index(name)]
+        place = np.clip(((column - low) / (high - low) * N_SLICES).astype(int), 0, N_SLICES - 1)
+        slices[name] = {
+            output: [_share(within[place == k, j]) for k in range(N_SLICES)]
+            for j, output in enumerate(task.outputs)
+        }
+    return slices
+
+
+def _share(within: BoolArray) -> float:
+    """Return the coverage in %, NaN of no samples."""
+    return 100 * float(within.mean()) if len(within) else math.nan
+
+
+def _odd_sets(
+    problem: Problem, others: Mapping[str, Vehicle], n_odd: int
+) -> Iterator[tuple[str, tuple[FloatArray, Tensor]]]:
+    """Yield ratios and noisy curves of vehicles and recordings a model was not trained for."""
+    task, observer = problem.task, problem.observer
+    ratios = task.sample(n_odd, problem.seed, TEST)
+    for column, name in enumerate(PARAMETERS):
+        for value in (LOW, HIGH):
+            odd = ratios.copy()
+            odd[:, column] = value
+            curves = observer.observe(torch.as_tensor(odd), problem.seed + 1)
+            yield f"{name} at {100 * value:g} %", (odd, curves)
+    curves = observer.observe(torch.as_tensor(ratios), problem.seed + 2)
+    primary, secondary = curves.unbind(1)
+    for words, swapped in {
+        "axle box and bogie swapped": (1 / primary, primary * secondary),
+        "bogie and body swapped": (primary * secondary, 1 / secondary),
+        "axle box and body swapped": (1 / secondary, 1 / primary),
+    }.items():
+        yield words, (ratios, torch.stack(swapped, dim=1))
+    for name, vehicle in others.items():
+        if name != problem.vehicle.name:
+            observer = problem.settings.observer(problem.generator.of(vehicle))
+            yield f"vehicle {name}", (ratios, observer.observe(torch.as_tensor(ratios), 1))
+
+
+def _shares(found: BoolArray) -> dict[str, float]:
+    """Return the share of curves with each kind of flag, and with any, in %."""
+    shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
+    return {"any": 100 * float(found.any(axis=1).mean())} | shares

@@ -1,0 +1,202 @@
+"""Callbacks at the end of a multirun: tables, figures, override files."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+from tabulate import tabulate
+
+from suspnet.ground.storage import read_json, write_atomically, write_json
+from suspnet.report import plots
+from suspnet.report.table6 import (
+    records_csv,
+    sensitivity_markdown,
+    sensitivity_records,
+    table6_caption,
+    table6_markdown,
+    table6_records,
+)
+from suspnet.report.tensorboard import RunLog
+from suspnet.runs.ablation import write_ablation
+
+log = logging.getLogger(__name__)
+Run = Mapping[str, Any]
+
+
+class _Summary(Callback):
+    """Reads the metrics.json of every job and hands them to `summarise`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Summarise the jobs of the multirun that has just ended."""
+        folder = Path(config.hydra.sweep.dir)
+        runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
+        if runs:
+            self.summarise(runs, folder)
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write what the runs show together into `folder`."""
+
+
+class Jobs(Callback):
+    """A table of all jobs of a multirun, the one of least error first, failed ones last."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Write jobs.csv and jobs.md and print the table."""
+        folder = Path(config.hydra.sweep.dir)
+        rows = job_rows(folder)
+        if not rows:
+            return
+        write_atomically(folder / "jobs.csv", records_csv(rows))
+        table = tabulate(rows, headers="keys", tablefmt="github", floatfmt=".4g")
+        write_atomically(folder / "jobs.md", f"{table}\n")
+        log.info("rms error in %%, least mean first\n\n%s\n-> %s/jobs.*", table, folder)
+
+
+def job_rows(folder: Path) -> list[dict[str, Any]]:
+    """Return a row for each job of a multirun: rms error of each output [%], their mean, state.
+
+    Jobs that did not finish come last. Of several speeds or suspensions an error is their mean.
+    """
+    jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
+    jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
+    errors = {job: run_errors(job) for job in jobs}
+    outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
+    rows = []
+    for job, found in errors.items():
+        row: dict[str, Any] = {"job": job.name, "mean": None} | dict.fromkeys(outputs) | found
+        row["mean"] = sum(found.values()) / len(found) if found else None
+        failed = "failed" if (job / "error.txt").exists() else "unfinished"
+        rows.append(row | {"state": "finished" if found else failed})
+    return sorted(rows, key=lambda row: (row["mean"] is None, row["mean"] or 0.0, row["job"]))
+
+
+def run_errors(job: Path) -> dict[str, float]:
+    """Return the rms error of each output of a run, [%]; {} if it did not finish."""
+    for name in ("metrics.json", "speeds.json", "fleet.json"):
+        if (job / name).is_file():
+            found = read_json(job / name)
+            several = found if isinstance(found, list) else [found]
+            parts = [part["rms_percent"] for part in several]
+            return {key: sum(part[key] for part in parts) / len(parts) for key in parts[0]}
+    return {}
+
+
+class Table6(_Summary):
+    """Table VI: published and measured side by side, as JSON, CSV, Markdown and a figure.
+
+    Parameters
+    ----------
+    note : str
+        What is unequal among the methods; printed below the table.
+    """
+
+    def __init__(self, note: str = "") -> None:
+        self._note = note
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write table6.json, .csv, .md and .png and print the table."""
+        write_table6(runs, folder, self._note)
+
+
+class Comparison(Table6):
+    """As Table VI, where the runs differ in protocol, group, model or seed."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write what `Table6` does, unless two runs would have the same place in the table."""
+        places = {(r["protocol"], r["group"], r["model"], r["seed"]) for r in runs}
+        if 1 < len(places) == len(runs):
+            super().summarise(runs, folder)
+
+
+class Table5(_Summary):
+    """Table V: the best hyperparameters of each method and group, as an override file."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write experiment/best.yaml and table5.json and print the best settings."""
+        tuned: dict[str, dict[str, Any]] = {}
+        edges = []
+        for run in runs:
+            if "search" in run:
+                told = run["search"]["edges"].values()
+                edges += [f"{run['group']}, {run['model']}: {words}" for words in told]
+                best = run["search"]["best"].items()
+                numbers = {key: value for key, value in best if isinstance(value, int | float)}
+                tuned.setdefault(run["group"], {})[run["model"]] = numbers
+        content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
+        content += "".join(f"# {words}\n" for words in edges)
+        path = write_atomically(
+            folder / "experiment" / "best.yaml",
+            f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
+            f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
+        )
+        write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
+        log.info(
+            "best hyperparameters (least cross-validated RMSE):\n%s-> %s\n"
+            "use them with: python train.py --config-dir %s experiment=best",
+            content,
+            path,
+            folder,
+        )
+
+
+class Sensitivity(_Summary):
+    """MAPE against sensor precision (Fig. 11)."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write sensitivity.json, .csv, .md and .png and print the table."""
+        records = sensitivity_records(runs)
+        write_json(folder / "sensitivity.json", records)
+        write_atomically(folder / "sensitivity.csv", records_csv(records))
+        with RunLog(folder) as run_log:
+            run_log.figure("sensitivity", plots.sensitivity(runs), folder)
+        table = sensitivity_markdown(records)
+        write_atomically(folder / "sensitivity.md", f"{table}\n")
+        log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
+
+
+class Ablation(Callback):
+    """Comparison of the changes about a baseline: see `write_ablation`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Compare the jobs of the multirun that has just ended."""
+        write_ablation(Path(config.hydra.sweep.dir))
+
+
+def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
+    """Write and print the comparison of runs with Table VI of the paper, and a note below it."""
+    records = table6_records(runs)
+    by_protocol = {
+        name: [r for r in records if r["protocol"] == name]
+        for name in dict.fromkeys(r["protocol"] for r in records)
+    }
+    text = "\n".join(
+        f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
+    )
+    text += f"{note}\n" if note else ""
+    write_json(folder / "table6.json", records)
+    write_atomically(folder / "table6.csv", records_csv(records))
+    write_atomically(folder / "table6.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text("table6", text)
+        for name, part in by_protocol.items():
+            figure = "table6" if len(by_protocol) == 1 else f"table6_{name}"
+            run_log.figure(figure, plots.table6(part), folder)
+    log.info("Table VI, published beside measured\n\n%s\n-> %s/table6.*", text, folder)
+
+
+def _search_record(run: Run) -> dict[str, Any]:
+    """Return the outcome of a run's search as one record."""
+    search = run["search"]
+    keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
+    return {key: run[key] for key in keys} | {
+        "best": search["best"],
+        "cv_rmse": min(search["rmse"]),
+        "n_settings": len(search["rmse"]),
+        "edges": list(search["edges"].values()),
+    }

@@ -1,0 +1,1 @@
+"""Frequency responses: how they are measured, their noise, and their features."""

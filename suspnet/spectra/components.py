@@ -1,0 +1,318 @@
+"""The feature set `curve`: principal components of log-magnitude and phase of both responses.
+
+With G relative to the healthy vehicle's, v = (log abs, phase) over the bins of a band, mu and s the
+mean of v and the spread of its noise over training curves, B the leading principal directions of
+the noise-free (v - mu) / s::
+
+    features = B ((v - mu) / s)
+
+so that the noise of every feature has about unit variance and the leading features are those that
+stand out of it most.
+
+Curves may be magnitudes only, with white noise that can make them negative. There v is
+
+    asinh(m / 2a) - asinh(m_healthy / 2a),   a = FLOOR times the rms of the noise,
+
+the logarithm where the magnitude m is well above the floor a, linear below: what the noise buries
+is not blown up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray, IntArray
+from suspnet.spectra.extraction import FeatureTable, PeakFeatures
+
+MISSING = 1
+"""Reason code of a curve that is not finite."""
+ROUNDING = 1e-12
+"""Noise below which a bin is the healthy vehicle's in all curves: it tells nothing."""
+FLOOR = 10.0
+"""Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
+
+
+@dataclass(frozen=True)
+class CurveBasis:
+    """What `CurveFeatures` learns from training curves.
+
+    Attributes
+    ----------
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    healthy : complex tensor of shape (2, n_freq), [-]
+        G_p and G_s of the healthy vehicle; real where the curves are magnitudes.
+    mean, noise : tensors of shape (4 n_freq,)
+        mu and s: log-magnitude and phase [rad] of G_p, then of G_s; of magnitudes (2 n_freq,).
+    directions : tensor of shape (n_components, 4 n_freq)
+        B, orthonormal rows; of magnitudes (n_components, 2 n_freq).
+    explained : tensor of shape (n_components,)
+        Share of the noise-free variance along each direction.
+    floor : tensor of shape (2,), optional, [-]
+        a, of each response; None where the curves have phases.
+    """
+
+    frequencies_hz: Tensor
+    healthy: Tensor
+    mean: Tensor
+    noise: Tensor
+    directions: Tensor
+    explained: Tensor
+    floor: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class CurveFeatures:
+    """Principal components of both responses or magnitudes, relative to the healthy vehicle's.
+
+    Parameters
+    ----------
+    n_components : int, optional
+        Their number; None takes as many as `explained` asks for.
+    explained : float, [-]
+        Share of the noise-free variance (in units of the noise) that is kept, if `n_components`
+        is None.
+    low_hz, high_hz : float, optional, [Hz]
+        Band; None is all of the estimate's.
+    basis : CurveBasis, optional
+        What `fitted` has learnt.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range.
+    """
+
+    n_components: int | None = None
+    explained: float = 0.9999
+    low_hz: float | None = None
+    high_hz: float | None = None
+    basis: CurveBasis | None = field(default=None, compare=False)
+
+    kind: ClassVar[str] = "curve"
+    positive: ClassVar[bool] = False
+    """Features may have any sign: no logarithm is taken of them."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Name of what each column of the reasons belongs to."""
+        return ("curve",)
+
+    def __post_init__(self) -> None:
+        check_number(
+            "n_components", self.n_components, low=1, most=10_000, whole=True, optional=True
+        )
+        check_number("explained", self.explained, above=0, below=1)
+        for name in ("low_hz", "high_hz"):
+            check_number(name, getattr(self, name), above=0, optional=True, most=1e4)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature.
+
+        Raises
+        ------
+        ValueError
+            If their number is not known before the basis is fitted.
+        """
+        count = self.n_components if self.basis is None else len(self.basis.directions)
+        if count is None:
+            raise ValueError("how many components there are is only known once they are fitted")
+        return tuple(f"component_{i + 1}" for i in range(count))
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the basis has been learnt."""
+        return self.basis is not None
+
+    def blank(self) -> CurveFeatures:
+        """Return the feature set without its basis."""
+        return replace(self, basis=None)
+
+    def fitted(
+        self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
+    ) -> CurveFeatures:
+        """Return the feature set with a basis learnt from training curves.
+
+        Parameters
+        ----------
+        clean, noisy : complex tensors of shape (n_curves, 2, n_freq), [-]
+            The same curves without and with noise; magnitudes, if they are real.
+        healthy : tensor of shape (2, n_freq), [-]
+            Complex where the curves are.
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+        Raises
+        ------
+        ValueError
+            If the band holds no bin or fewer curves are given than components.
+        """
+        inside = self._inside(frequencies_hz)
+        frequencies, healthy = frequencies_hz[inside], healthy[:, inside]
+        clean, noisy = clean[..., inside], noisy[..., inside]
+        floor = None
+        if not clean.is_complex():
+            floor = FLOOR * (noisy - clean).square().mean(dim=(0, 2)).sqrt()
+        rows = _rows(clean, healthy, floor)
+        noise = (_rows(noisy, healthy, floor) - rows).square().mean(dim=0).sqrt()
+        noise = noise.where(noise > ROUNDING, 1.0)  # as the healthy vehicle's in every curve
+        mean = rows.mean(dim=0)
+        _, singular, directions = torch.linalg.svd((rows - mean) / noise, full_matrices=False)
+        share = singular.square() / singular.square().sum()
+        count = self.n_components
+        if count is None:
+            count = int((share.cumsum(dim=0) < self.explained).sum()) + 1
+        if count > len(directions):
+            raise ValueError(
+                f"{count} components were asked for, {len(clean)} curves on {len(frequencies)} "
+                f"bins have {len(directions)}"
+            )
+        leading = directions[:count].contiguous()  # as restored: the same products, bit for bit
+        basis = CurveBasis(frequencies, healthy, mean, noise, leading, share[:count], floor)
+        return replace(self, basis=basis)
+
+    def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+        """Return the features of curves.
+
+        Parameters
+        ----------
+        responses : complex tensor of shape (n_curves, 2, n_freq), [-]
+            G_p and G_s, or their magnitudes if the basis was learnt from magnitudes.
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+            Bins that hold those of the basis.
+
+        Returns
+        -------
+        FeatureTable
+            NaN, and the reason 1, where a curve is not finite.
+
+        Raises
+        ------
+        ValueError
+            If the basis is not fitted or the bins are others, or it needs phases and there are
+            none.
+        """
+        basis = self._learnt()
+        inside = self._inside(frequencies_hz)
+        bins = frequencies_hz[inside]
+        if bins.shape != basis.frequencies_hz.shape or not torch.allclose(
+            bins, basis.frequencies_hz.to(bins), rtol=0, atol=1e-6
+        ):
+            raise ValueError(
+                "the curves lie on other bins than those the features were learnt on: "
+                f"{_span(bins)} instead of {_span(basis.frequencies_hz)}"
+            )
+        responses = responses[..., inside]
+        floor = basis.floor
+        if floor is None and not responses.is_complex():
+            raise ValueError("the features were learnt with phases, these curves are magnitudes")
+        if floor is not None:
+            responses = responses.abs() if responses.is_complex() else responses
+            floor = floor.to(responses)
+        rows = _rows(responses, basis.healthy.to(responses), floor)
+        values = ((rows - basis.mean.to(rows)) / basis.noise.to(rows)) @ basis.directions.to(rows).T
+        missing = ~torch.isfinite(values).all(dim=1)
+        return FeatureTable(
+            torch.where(missing[:, None], torch.nan, values), (missing * MISSING)[:, None].long()
+        )
+
+    def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
+        """Return features relative to the healthy vehicle's: their difference."""
+        return values - healthy
+
+    def missing(self, reasons: IntArray) -> str:
+        """Return what is wrong with a curve, in words, from one row of the reasons."""
+        return "curve (not finite)" if reasons.any() else ""
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the basis as real arrays, for storage; only that of magnitudes has a floor."""
+        basis = self._learnt()
+        arrays = {f.name: getattr(basis, f.name) for f in fields(basis)}
+        if basis.floor is None:
+            del arrays["floor"]
+            arrays["healthy"] = torch.view_as_real(basis.healthy)
+        return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
+
+    def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
+        """Return the feature set with a stored basis.
+
+        Raises
+        ------
+        ValueError
+            If the arrays do not fit together.
+        """
+        magnitudes = "floor" in arrays
+        expected = {f.name for f in fields(CurveBasis)} - (set() if magnitudes else {"floor"})
+        if set(arrays) != expected:
+            raise ValueError(f"the basis must hold {sorted(expected)}, got {sorted(arrays)}")
+        tensors = {name: torch.as_tensor(array) for name, array in arrays.items()}
+        n_freq, n = len(tensors["frequencies_hz"]), len(tensors["directions"])
+        n_columns = (2 if magnitudes else 4) * n_freq
+        shapes: dict[str, tuple[int, ...]] = {
+            "healthy": (2, n_freq) if magnitudes else (2, n_freq, 2),
+            "mean": (n_columns,),
+            "noise": (n_columns,),
+            "directions": (n, n_columns),
+            "explained": (n,),
+        }
+        if magnitudes:
+            shapes["floor"] = (2,)
+        for name, shape in shapes.items():
+            if tuple(tensors[name].shape) != shape:
+                raise ValueError(f"`{name}` must have shape {shape}, got {arrays[name].shape}")
+        if not magnitudes:
+            tensors["healthy"] = torch.view_as_complex(tensors["healthy"])
+        return replace(self, basis=CurveBasis(**tensors))
+
+    def _learnt(self) -> CurveBasis:
+        """Return the basis; raise ValueError if it is not learnt yet."""
+        if self.basis is None:
+            raise ValueError("the feature set `curve` is not fitted to training curves yet")
+        return self.basis
+
+    def _inside(self, frequencies_hz: Tensor) -> Tensor:
+        """Return which bins lie in the band; raise ValueError if none does."""
+        low = 0.0 if self.low_hz is None else self.low_hz
+        high = torch.inf if self.high_hz is None else self.high_hz
+        inside = (frequencies_hz >= low - 1e-9) & (frequencies_hz <= high + 1e-9)
+        if not bool(inside.any()):
+            raise ValueError(f"no bin lies between {low} and {high} Hz: {_span(frequencies_hz)}")
+        return inside
+
+
+def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:
+    """Return v of each curve: with phases where there is no floor, else of magnitudes."""
+    if floor is None:
+        return _relative_rows(responses, healthy)
+    scale = 2 * floor[:, None]
+    return (torch.asinh(responses / scale) - torch.asinh(healthy / scale)).flatten(1)
+
+
+def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
+    """Return log-magnitude and phase relative to `healthy`, shape (n_curves, 4 n_freq).
+
+    The phase relative to healthy is near 0 at low frequency and is unwrapped towards higher ones.
+    """
+    ratio = responses / healthy
+    phase = ratio.angle()
+    steps = torch.diff(phase, dim=-1)
+    turns = -torch.round(steps / (2 * torch.pi)).cumsum(dim=-1) * 2 * torch.pi
+    phase = phase + torch.nn.functional.pad(turns, (1, 0))
+    return torch.stack([ratio.abs().log(), phase], dim=2).flatten(1)
+
+
+def _span(frequencies_hz: Tensor) -> str:
+    """Return number and range of some bins in words."""
+    if not len(frequencies_hz):
+        return "no bins"
+    low, high = float(frequencies_hz[0]), float(frequencies_hz[-1])
+    return f"{len(frequencies_hz)} bins, {low:g} to {high:g} Hz"
+
+
+FEATURE_SETS: dict[str, Any] = {kind.kind: kind for kind in (PeakFeatures, CurveFeatures)}
+"""Every feature set by the name that protocols and model files give it."""

@@ -1,0 +1,150 @@
+"""Transfer functions from spectra: H1, H2, Hv and the instrument estimate IV.
+
+Cross spectra are S_xy = E[conj(X) Y], as in scipy. With x the input, y the output::
+
+    H1 = S_xy / S_xx               unbiased if only the output is noisy (tfestimate)
+    H2 = S_yy / S_yx               unbiased if only the input is noisy
+    Hv = sqrt(S_yy / S_xx) S_xy / abs(S_xy)     total least squares, both equally noisy
+    IV = S_zy / S_zx               z a third sensor, whose noise is independent of the others'
+
+On a train the axle box's signal lies almost all above 20 Hz: its noise biases H1. With three
+sensors each response has an instrument: the body's for the primary suspension, the axle box's for
+the secondary (Söderström and Stoica, Instrumental Variable Methods for System Identification).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from suspnet.ground.checks import check_choice
+
+METHODS = ("H1", "H2", "Hv", "IV")
+Method = Literal["H1", "H2", "Hv", "IV"]
+PAIRS = ((0, 1), (0, 2), (1, 2))
+"""The channels of each column of `CrossSpectra.cross`."""
+CHAIN = ((0, 1, 2), (1, 2, 0))
+"""Input, output and instrument of G_p and of G_s."""
+
+
+@dataclass(frozen=True)
+class CrossSpectra:
+    """Averaged auto and cross spectra of axle box, bogie and body.
+
+    Attributes
+    ----------
+    auto : real tensor of shape (..., 3, n_freq), [(m/s^2)^2/Hz]
+    cross : complex tensor of shape (..., 3, n_freq)
+        The pairs of ``PAIRS``: axle box - bogie, axle box - body, bogie - body.
+    n_averages : float
+        Independent averages behind them.
+    """
+
+    auto: Tensor
+    cross: Tensor
+    n_averages: float
+
+    def at(self, bins: Tensor) -> CrossSpectra:
+        """Return the spectra on chosen bins, a bool tensor (n_freq,)."""
+        return CrossSpectra(self.auto[..., bins], self.cross[..., bins], self.n_averages)
+
+    def between(self, x: int, y: int) -> Tensor:
+        """Return S_xy, shape (..., n_freq)."""
+        if x == y:
+            return self.auto[..., x, :].to(self.cross.dtype)
+        spectrum = self.cross[..., PAIRS.index((min(x, y), max(x, y))), :]
+        return spectrum if x < y else spectrum.conj()
+
+    def transfer(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
+        """Return the response from channel x to y, complex, shape (..., n_freq).
+
+        Raises
+        ------
+        ValueError
+            If the method is unknown, or IV has no instrument.
+        """
+        check_choice("method", method, METHODS)
+        if method == "Hv":
+            cross = self.between(x, y)
+            return (self.auto[..., y, :] / self.auto[..., x, :]).sqrt() * cross / cross.abs()
+        z = {"H1": x, "H2": y, "IV": instrument}[method]
+        if z is None:
+            raise ValueError("method 'IV' needs a third channel as its instrument")
+        return self.between(z, y) / self.between(z, x)
+
+    def coherence(self, x: int, y: int) -> Tensor:
+        """Return abs(S_xy)^2 / (S_xx S_yy), shape (..., n_freq)."""
+        power = self.auto[..., x, :] * self.auto[..., y, :]
+        return self.between(x, y).abs().square() / power
+
+    def deviation(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
+        """Return the standard deviation of the log-magnitude of a response, (..., n_freq), [-].
+
+        With e = y - G x and instrument z (x for H1, y for H2) the complex estimate has the
+        relative variance S_zz S_ee / (n abs(S_zy)^2), half of it along the magnitude. For H1 that
+        is (1 - coherence) / (2 n coherence), as in Bendat and Piersol; for Hv the coherence in the
+        denominator is missing.
+        """
+        if method == "Hv":
+            return ((1 - self.coherence(x, y)).clamp(min=0) / (2 * self.n_averages)).sqrt()
+        response = self.transfer(x, y, method, instrument)
+        z = {"H1": x, "H2": y}.get(method, instrument)
+        assert z is not None
+        residual = (
+            self.auto[..., y, :]
+            - 2 * (response * self.between(x, y).conj()).real
+            + response.abs().square() * self.auto[..., x, :]
+        )
+        relative = self.auto[..., z, :] * residual / self.between(z, y).abs().square()
+        return (relative.clamp(min=0) / (2 * self.n_averages)).sqrt()
+
+    def responses(self, method: Method) -> Tensor:
+        """Return G_p and G_s, complex, shape (..., 2, n_freq); each has the third as instrument."""
+        return torch.stack([self.transfer(x, y, method, z) for x, y, z in CHAIN], dim=-2)
+
+    def coherences(self) -> Tensor:
+        """Return the coherence of each link, shape (..., 2, n_freq)."""
+        return torch.stack([self.coherence(x, y) for x, y, _ in CHAIN], dim=-2)
+
+    def deviations(self, method: Method) -> Tensor:
+        """Return the standard deviation of the log-magnitude of G_p, G_s, (..., 2, n_freq)."""
+        return torch.stack([self.deviation(x, y, method, z) for x, y, z in CHAIN], dim=-2)
+
+    def covariance(self, method: Method) -> Tensor:
+        """Return the covariance of (log G_p, log G_s), complex Hermitian (..., 2, 2, n_freq).
+
+        With e_i = y_i - G_i x_i and instruments z_i: S_zi_zj S_ej_ei / (n S_zi_yi conj(S_zj_yj)),
+        the expectation of four normal variables. Hv is taken as H1.
+        """
+        residual, scale = self.covariance_parts(method)
+        return residual / scale
+
+    def covariance_parts(self, method: Method) -> tuple[Tensor, Tensor]:
+        """Return numerator (over n) and denominator of `covariance`, each (..., 2, 2, n_freq).
+
+        The numerator is the covariance of S_zi_yi - G_i S_zi_xi: it changes slowly from bin to bin.
+        """
+        kind: Method = "H1" if method == "Hv" else method
+        responses = self.responses(kind)
+        chosen = [{"H1": x, "H2": y, "IV": z}[kind] for x, y, z in CHAIN]
+        rows, scales = [], []
+        for i, (x_i, y_i, _) in enumerate(CHAIN):
+            row, row_scales = [], []
+            for j, (x_j, y_j, _) in enumerate(CHAIN):
+                g_i, g_j = responses[..., i, :], responses[..., j, :].conj()
+                residual = (
+                    self.between(y_j, y_i)
+                    - g_i * self.between(y_j, x_i)
+                    - g_j * self.between(x_j, y_i)
+                    + g_i * g_j * self.between(x_j, x_i)
+                )
+                row_scales.append(
+                    self.between(chosen[i], y_i) * self.between(chosen[j], y_j).conj()
+                )
+                row.append(self.between(chosen[i], chosen[j]) * residual / self.n_averages)
+            rows.append(torch.stack(row, dim=-2))
+            scales.append(torch.stack(row_scales, dim=-2))
+        return torch.stack(rows, dim=-3), torch.stack(scales, dim=-3)

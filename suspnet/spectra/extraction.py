@@ -1,0 +1,280 @@
+"""Feature sets: which peaks of which response, and where to look for them.
+
+"The largest peak" of abs(G_p) jumps from the first to the second resonance as k_p grows, so the
+two primary peaks are defined by their place, below and above the peak of abs(G_s): its position
+is the car body's frequency, near which abs(G_p) dips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Protocol, Self
+
+import torch
+from torch import Tensor
+
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.types import FloatArray, IntArray
+from suspnet.spectra.peaks import PeakFit, PeakReason, Peaks, SmoothedCurves, check_grid, findpeaks
+
+PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
+MEASURES = ("position", "height", "width")
+LOWER_PEAK_ENDS = 1.2
+"""The lower primary peak lies below this multiple of the position of the secondary peak."""
+UPPER_PEAK_BEGINS = 1.6
+"""The upper primary peak lies above this multiple of the position of the secondary peak."""
+UPPER_PEAK_TILT = 1.5
+"""`tilt` of the upper primary peak, which keeps it in sight where much damping flattens it."""
+_WINDOWS = {
+    "secondary": (0.4, 0.4),
+    "primary_lower": (0.4, 0.25),
+    "primary_upper": (0.25, 1.0),
+    "primary_largest": (0.3, 0.3),
+}
+"""Half widths below and above a peak, in log-frequency, of the first fit's window."""
+GAUSSIAN_WINDOW = 0.25
+"""Largest half width, in log-frequency, of the first fit's window of a Gaussian."""
+
+
+@dataclass(frozen=True)
+class FeatureTable:
+    """Features of a batch of curves.
+
+    Attributes
+    ----------
+    values : tensor of shape (n_curves, 3 n_peaks)
+        Position [Hz], height [-] and width [Hz] of each peak; NaN where a peak is missing.
+    reasons : int64 tensor of shape (n_curves, n_peaks)
+        A ``PeakReason`` for each peak.
+    """
+
+    values: Tensor
+    reasons: Tensor
+
+
+class FeatureSet(Protocol):
+    """What turns curves into the inputs of a regression.
+
+    Attributes
+    ----------
+    kind : str
+        Names the feature set in protocols and model files.
+    positive : bool
+        Whether features are positive, so that their logarithms may be taken.
+    """
+
+    kind: ClassVar[str]
+    positive: ClassVar[bool]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Name of what each column of the reasons belongs to."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature."""
+        ...
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the feature set has learnt from training curves, or has nothing to learn."""
+        ...
+
+    def fitted(self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor) -> Self:
+        """Return the feature set with what it learns from training curves.
+
+        Parameters
+        ----------
+        clean, noisy : tensors of shape (n_curves, 2, n_freq), [-]
+            The same curves without and with noise.
+        healthy : tensor of shape (2, n_freq), [-]
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+        """
+        ...
+
+    def blank(self) -> Self:
+        """Return the feature set without what it has learnt."""
+        ...
+
+    def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+        """Return the features of curves (n_curves, 2, n_freq)."""
+        ...
+
+    def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
+        """Return features relative to the healthy vehicle's."""
+        ...
+
+    def missing(self, reasons: IntArray) -> str:
+        """Return what is missing of one curve and why, in words."""
+        ...
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return what was learnt from training curves, for storage."""
+        ...
+
+    def restored(self, arrays: Mapping[str, FloatArray]) -> Self:
+        """Return the feature set with what was stored."""
+        ...
+
+
+@dataclass(frozen=True)
+class PeakFeatures:
+    """Position, height and width of chosen peaks of both responses.
+
+    Parameters
+    ----------
+    peaks : sequence of str
+        From ``PEAK_NAMES``. `secondary` is the peak of abs(G_s); `primary_lower` and
+        `primary_upper` those of abs(G_p) below and above it; `primary_largest` the paper's.
+    shape : {"lorentzian", "gaussian"}
+        Shape fitted to the top of each peak.
+    smoothing_hz : float, [Hz]
+        Length of the moving average.
+    low_hz, high_hz : float, [Hz]
+        Band in which peaks are searched.
+    window : float
+        Factor on the windows of all fits, > 0; the smaller, the closer to the top and the noisier.
+
+    Raises
+    ------
+    ValueError
+        If a peak is unknown, the band is empty or `window` is out of range.
+    """
+
+    peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
+    shape: Literal["lorentzian", "gaussian"] = "lorentzian"
+    smoothing_hz: float = 0.2
+    low_hz: float = 0.2
+    high_hz: float = 15.0
+    window: float = 1.0
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.peaks if name not in PEAK_NAMES]
+        if unknown or not self.peaks:
+            raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
+        check_choice("shape", self.shape, ("lorentzian", "gaussian"))
+        check_number("smoothing_hz", self.smoothing_hz, above=0, most=1e4)
+        for name, most in (("low_hz", 1e4), ("high_hz", 1e4), ("window", 100)):
+            check_number(name, getattr(self, name), above=0, most=most)
+        if not self.low_hz < self.high_hz:
+            raise ValueError(f"need low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
+
+    kind: ClassVar[str] = "peaks"
+    positive: ClassVar[bool] = True
+    """Features are positive: their logarithms may be taken."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Name of what each column of the reasons belongs to."""
+        return tuple(self.peaks)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each feature, in the order of the columns of `extract`."""
+        return tuple(f"{peak}_{measure}" for peak in self.peaks for measure in MEASURES)
+
+    def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
+        """Return features relative to the healthy vehicle's: their quotient."""
+        return values / healthy
+
+    def missing(self, reasons: IntArray) -> str:
+        """Return which peaks are missing and why, in words, from one row of the reasons."""
+        return ", ".join(
+            f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
+            for peak, reason in zip(self.peaks, reasons, strict=True)
+            if reason
+        )
+
+    is_fitted: ClassVar[bool] = True
+    """It learns nothing from training curves."""
+
+    def fitted(
+        self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
+    ) -> PeakFeatures:
+        """Return the same: it learns nothing from training curves."""
+        return self
+
+    def blank(self) -> PeakFeatures:
+        """Return the same: it learns nothing from training curves."""
+        return self
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return nothing: it learns no arrays."""
+        return {}
+
+    def restored(self, arrays: Mapping[str, FloatArray]) -> PeakFeatures:
+        """Return the same: it learns no arrays."""
+        return self
+
+    def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+        """Return the features of curves.
+
+        Parameters
+        ----------
+        curves : tensor of shape (n_curves, 2, n_freq), [-]
+            G_p and G_s, or their magnitudes.
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+        Returns
+        -------
+        FeatureTable
+
+        Raises
+        ------
+        ValueError
+            If shapes disagree or the frequencies are not ascending and evenly spaced.
+        """
+        if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
+            expected = f"(n_curves, 2, {len(frequencies_hz)})"
+            raise ValueError(f"`curves` must have shape {expected}, got {tuple(curves.shape)}")
+        band = slice(
+            int((frequencies_hz < self.low_hz).sum()), int((frequencies_hz <= self.high_hz).sum())
+        )
+        frequencies, curves = frequencies_hz[band], curves[:, :, band]
+        primary, secondary = (curves.abs() if curves.is_complex() else curves).unbind(1)
+        check_grid(primary, frequencies)
+        found: dict[str, Peaks] = {}
+        if set(self.peaks) - {"primary_largest"}:
+            found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))
+        if set(self.peaks) - {"secondary"}:
+            smoothed = SmoothedCurves.of(primary, frequencies, self._fit("primary_largest"))
+            for name in self.peaks:
+                if name not in found:
+                    found[name] = self._primary_peak(name, smoothed, found.get("secondary"))
+        chosen = [found[name] for name in self.peaks]
+        columns = [c for p in chosen for c in (p.position_hz, p.height, p.width_hz)]
+        return FeatureTable(
+            torch.stack(columns, dim=1), torch.stack([p.reason for p in chosen], dim=1)
+        )
+
+    def _primary_peak(self, name: str, primary: SmoothedCurves, secondary: Peaks | None) -> Peaks:
+        """Return one peak of abs(G_p), searched on its side of the secondary peak."""
+        fit = self._fit(name)
+        if name == "primary_largest" or secondary is None:
+            return primary.peaks(fit)
+        body = torch.nan_to_num(secondary.position_hz, nan=1.0)
+        if name == "primary_lower":
+            band = {"high_hz": LOWER_PEAK_ENDS * body}
+        else:
+            band = {"low_hz": UPPER_PEAK_BEGINS * body}
+        peak = primary.peaks(fit, **band)
+        unplaced = torch.full_like(peak.reason, PeakReason.PLACE_UNKNOWN)
+        reason = torch.where(secondary.valid, peak.reason, unplaced)
+        return replace(peak, reason=reason).blanked()
+
+    def _fit(self, name: str) -> PeakFit:
+        """Return how a named peak is smoothed, found and fitted."""
+        below, above = _WINDOWS[name]
+        if self.shape == "gaussian":
+            below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)
+        tilt = UPPER_PEAK_TILT if name == "primary_upper" else 0.0
+        return PeakFit(
+            self.shape,
+            self.smoothing_hz,
+            self.window * below,
+            self.window * above,
+            tilt,
+            top=self.window * PeakFit.top,
+        )

@@ -1,0 +1,315 @@
+"""Position, height and width of a resonance peak, for a batch of magnitude curves at once.
+
+As in O'Haver's findpeaks (reference 41 of the paper): smooth the curve, find its maximum, then fit
+the raw points around it by least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal
+
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.tensors import as_tensor
+from suspnet.spectra.parabola import windowed_parabola
+
+CLIP_FRACTION = 0.3
+"""Fraction of the smoothed curve to which lower raw points are raised: they are noise."""
+
+FLOOR_FRACTION = 1e-3
+"""Fraction of its maximum to which the smoothed curve is raised: noise can make it negative."""
+
+LOWEST, REACH = 0.5, 1.5
+"""A fit is rejected if its position lies below LOWEST times the frequency of the maximum (a tilt
+moves the maximum up), or more than REACH half widths of the window above it."""
+
+
+class PeakReason(IntEnum):
+    """Why a curve has no peak; 0 where it has one."""
+
+    FOUND = 0
+    NOT_FINITE = 1
+    NO_MAXIMUM = 2
+    WRONG_CURVATURE = 3
+    OUTSIDE_WINDOW = 4
+    PLACE_UNKNOWN = 5
+
+
+@dataclass(frozen=True)
+class PeakFit:
+    """How a peak is smoothed, found and fitted.
+
+    Parameters
+    ----------
+    shape : {"lorentzian", "gaussian"}
+        Lorentzian: a parabola through 1/abs(G)^2, exact for one lightly damped mode.
+        Gaussian: a parabola through log abs(G).
+    smoothing_hz : float, [Hz]
+        Length of the moving average that finds the maximum and weighs the points.
+    window_below, window_above : float
+        Half widths of the first fit's window on either side of its centre, in log-frequency; the
+        window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features stay continuous.
+    tilt : float
+        The maximum is searched on abs(G) f^tilt; a positive tilt keeps a flattening peak in sight.
+        The fit is always to abs(G) itself.
+    n_fits : int
+        Least-squares fits; each after the first is centred on the position found before, and
+        dropped where it fails.
+    top : float
+        Half width of the window of the later fits, as a multiple of the width found before; the
+        first window is never exceeded. The smaller, the closer to the top and the noisier.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of range.
+    """
+
+    shape: Literal["lorentzian", "gaussian"] = "lorentzian"
+    smoothing_hz: float = 0.2
+    window_below: float = 0.4
+    window_above: float = 0.4
+    tilt: float = 0.0
+    n_fits: int = 3
+    top: float = 0.7
+
+    def __post_init__(self) -> None:
+        check_choice("shape", self.shape, ("lorentzian", "gaussian"))
+        for name in ("smoothing_hz", "window_below", "window_above", "top"):
+            check_number(name, getattr(self, name), above=0)
+        check_number("n_fits", self.n_fits, low=1, whole=True)
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """One peak for each curve; NaN and a reason where there is none.
+
+    Attributes
+    ----------
+    position_hz, height, width_hz : tensors of shape (n_curves,)
+        Place [Hz] and value [-] of the fitted maximum, and full width at half power [Hz]
+        (2 zeta f_0 for one lightly damped mode).
+    reason : int64 tensor of shape (n_curves,)
+        A ``PeakReason``.
+    """
+
+    position_hz: Tensor
+    height: Tensor
+    width_hz: Tensor
+    reason: Tensor
+
+    @property
+    def valid(self) -> Tensor:
+        """True where a peak was found, shape (n_curves,)."""
+        return self.reason == PeakReason.FOUND
+
+    def blanked(self) -> Peaks:
+        """Return the peaks with NaN where none was found."""
+        position, height, width = (
+            torch.where(self.valid, measure, math.nan)
+            for measure in (self.position_hz, self.height, self.width_hz)
+        )
+        return Peaks(position, height, width, self.reason)
+
+
+def findpeaks(
+    magnitude: Tensor | ArrayLike,
+    frequencies_hz: Tensor | ArrayLike,
+    *,
+    low_hz: Tensor | ArrayLike = 0.0,
+    high_hz: Tensor | ArrayLike = math.inf,
+    fit: PeakFit | None = None,
+) -> Peaks:
+    """Return the largest peak of each curve within its band.
+
+    Parameters
+    ----------
+    magnitude : tensor or array of shape (n_curves, n_freq), [-]
+        Magnitudes of frequency responses, noise included.
+    frequencies_hz : tensor or array of shape (n_freq,), [Hz]
+        Evenly spaced and positive.
+    low_hz, high_hz : float, tensor or array of shape (n_curves,), [Hz]
+        The band of each curve in which the maximum is searched.
+    fit : PeakFit, optional
+        Smoothing, window and shape.
+
+    Returns
+    -------
+    Peaks
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree or the frequencies are not positive and evenly spaced.
+
+    Examples
+    --------
+    >>> f = torch.arange(1, 1001, dtype=torch.float64) * 0.01
+    >>> curve = 1 / torch.sqrt((1 - (f / 4) ** 2) ** 2 + (0.04 * f / 4) ** 2)
+    >>> peak = findpeaks(curve[None], f, fit=PeakFit(smoothing_hz=0.05))
+    >>> round(peak.position_hz.item(), 2), round(peak.width_hz.item() / 4 / 2, 3)
+    (4.0, 0.02)
+    """
+    fit = PeakFit() if fit is None else fit
+    curves, bins = as_tensor(magnitude), as_tensor(frequencies_hz)
+    check_grid(curves, bins)
+    return SmoothedCurves.of(curves, bins, fit).peaks(fit, low_hz, high_hz)
+
+
+def check_grid(magnitude: Tensor, frequencies_hz: Tensor) -> None:
+    """Raise ValueError unless shapes agree and frequencies are positive and evenly spaced."""
+    n_freq = frequencies_hz.shape[0]
+    if magnitude.ndim != 2 or magnitude.shape[1] != n_freq:
+        shape = tuple(magnitude.shape)
+        raise ValueError(f"`magnitude` must have shape (n_curves, {n_freq}), got {shape}")
+    if n_freq < 3:
+        raise ValueError(f"`frequencies_hz` must hold at least 3 values, got {n_freq}")
+    steps = frequencies_hz.diff()
+    even = bool(torch.allclose(steps, steps.mean(), rtol=1e-6, atol=0))
+    if not even or float(frequencies_hz[0]) <= 0 or float(steps[0]) <= 0:
+        raise ValueError("`frequencies_hz` must be positive, ascending and evenly spaced")
+
+
+def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tensor:
+    """Return the centred moving average over `length_hz`, shorter at the ends; same shape."""
+    step = float(frequencies_hz[1] - frequencies_hz[0])
+    n_freq = magnitude.shape[1]
+    half = min(round(length_hz / step) // 2, (n_freq - 1) // 2)
+    length = 2 * half + 1
+    # sums of 1, 2, 4, ... neighbours; those in the binary digits of `length` make up the whole
+    sums = torch.nn.functional.pad(magnitude, (half, half))
+    total = sums[:, :n_freq].clone()
+    width = taken = 1
+    while 2 * width <= length:  # width doubles
+        sums = sums[:, :-width] + sums[:, width:]
+        width *= 2
+        if length & width:
+            total += sums[:, taken : taken + n_freq]
+            taken += width
+    bins = torch.arange(n_freq, device=magnitude.device)
+    n_averaged = 1 + bins.clamp(max=half) + bins.flip(0).clamp(max=half)
+    return total.div_(n_averaged)
+
+
+@dataclass(frozen=True)
+class SmoothedCurves:
+    """Curves made ready for several searches of a peak with one shape and smoothing.
+
+    The transformed noise of a point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
+    (Gaussian); least squares weighs by the inverse square, the smoothed curve standing for abs(G).
+
+    Attributes
+    ----------
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    finite : bool tensor of shape (n_curves,)
+        The other curves are replaced by ones.
+    smoothed, target, weight : tensors of shape (n_curves, n_freq)
+        The moving average; the transform to which a parabola is fitted; the weight of its points.
+    """
+
+    frequencies_hz: Tensor
+    finite: Tensor
+    smoothed: Tensor
+    target: Tensor
+    weight: Tensor
+
+    @classmethod
+    def of(cls, magnitude: Tensor, frequencies_hz: Tensor, fit: PeakFit) -> SmoothedCurves:
+        """Return the curves smoothed and transformed as `fit` says."""
+        finite = torch.isfinite(magnitude.amax(dim=1)) & torch.isfinite(magnitude.amin(dim=1))
+        if not bool(finite.all()):
+            magnitude = torch.where(finite[:, None], magnitude, torch.ones_like(magnitude))
+        smoothed = smooth(magnitude, frequencies_hz, fit.smoothing_hz)
+        floored = torch.maximum(smoothed, FLOOR_FRACTION * smoothed.amax(dim=1, keepdim=True))
+        raised = torch.maximum(magnitude, CLIP_FRACTION * floored)
+        weight = floored.square_()
+        if fit.shape == "lorentzian":
+            target, weight = raised.square_().reciprocal_(), weight.pow_(3)
+        else:
+            target = raised.log_()
+        return cls(frequencies_hz, finite, smoothed, target, weight)
+
+    def peaks(
+        self, fit: PeakFit, low_hz: Tensor | ArrayLike = 0.0, high_hz: Tensor | ArrayLike = math.inf
+    ) -> Peaks:
+        """Return the largest peak of each curve within its band, see ``findpeaks``."""
+        centre, interior = _largest(self.smoothed, self.frequencies_hz, low_hz, high_hz, fit.tilt)
+        top, near = _fit_top(self, centre, fit)
+        reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
+        reason[~near] = PeakReason.OUTSIDE_WINDOW
+        reason[~top.found] = PeakReason.WRONG_CURVATURE
+        reason[~interior] = PeakReason.NO_MAXIMUM
+        reason[~self.finite] = PeakReason.NOT_FINITE
+        return Peaks(top.position, top.height, top.width, reason).blanked()
+
+
+def _largest(
+    smoothed: Tensor,
+    frequencies_hz: Tensor,
+    low_hz: Tensor | ArrayLike,
+    high_hz: Tensor | ArrayLike,
+    tilt: float,
+) -> tuple[Tensor, Tensor]:
+    """Return where the tilted curve is largest in its band, and whether that is a maximum."""
+    low, high = (torch.as_tensor(v).to(smoothed).reshape(-1, 1) for v in (low_hz, high_hz))
+    inside = ((frequencies_hz >= low) & (frequencies_hz <= high)).expand_as(smoothed)
+    tilted = smoothed * frequencies_hz**tilt if tilt else smoothed
+    index = torch.where(inside, tilted, -math.inf).argmax(dim=1, keepdim=True)
+    last = frequencies_hz.shape[0] - 1
+    here = inside.gather(1, index)
+    before = inside.gather(1, (index - 1).clamp(min=0)) & (index > 0)
+    after = inside.gather(1, (index + 1).clamp(max=last)) & (index < last)
+    return frequencies_hz[index[:, 0]], (here & before & after)[:, 0]
+
+
+def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top, Tensor]:
+    """Return the last fit that is a maximum, and whether it lies near where it was searched."""
+    below = torch.full_like(centre, fit.window_below)
+    above = torch.full_like(centre, fit.window_above)
+    low = centre * LOWEST
+    high = centre * math.exp(REACH * fit.window_above)
+    best = None
+    for _ in range(fit.n_fits):
+        parabola = windowed_parabola(
+            curves.frequencies_hz, curves.target, curves.weight, centre, below, above
+        )
+        top = _top(*parabola, centre, fit.shape)
+        best = top if best is None else top.where_found_else(best)
+        centre = torch.where(best.found, best.position.clamp(low, high), centre)
+        reach = torch.where(best.found, fit.top * best.width / centre, math.inf)
+        below, above = reach.clamp(max=fit.window_below), reach.clamp(max=fit.window_above)
+    assert best is not None
+    return best, (best.position > low) & (best.position < high)
+
+
+@dataclass(frozen=True)
+class _Top:
+    """A fitted top for each curve: its measures, and whether it is a maximum."""
+
+    position: Tensor
+    height: Tensor
+    width: Tensor
+    found: Tensor
+
+    def where_found_else(self, earlier: _Top) -> _Top:
+        """Keep an earlier maximum where this fit found none."""
+        take = self.found | ~earlier.found
+        pairs = zip(vars(self).values(), vars(earlier).values(), strict=True)
+        return _Top(*(torch.where(take, new, old) for new, old in pairs))
+
+
+def _top(constant: Tensor, vertex: Tensor, curvature: Tensor, centre: Tensor, shape: str) -> _Top:
+    """Return the top whose transform is constant + curvature (f / centre - 1 - vertex)^2."""
+    if shape == "lorentzian":
+        found = (curvature > 0) & (constant > 0)
+        height, half_width = constant.abs() ** -0.5, (constant / curvature).abs().sqrt()
+    else:
+        found = curvature < 0
+        height, half_width = constant.exp(), (0.5 * math.log(2) / curvature.abs()).sqrt()
+    return _Top(centre * (1 + vertex), height, 2 * centre * half_width, found)

@@ -1,0 +1,105 @@
+"""Selection of the segments of a recording that an estimate is made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.recording import Recording
+from suspnet.spectra.cross_spectra import CHAIN
+from suspnet.spectra.transfer_estimate import SegmentSpectra, segment_spectra
+from suspnet.spectra.welch import Welch
+
+LOUD = 30.0
+"""Segments with more power than this multiple of the median are left out before any average."""
+ROUNDS = 3
+"""Number of rounds in which segments of low coherence are left out and the average is renewed."""
+ODD = 3.0
+"""A segment is odd if its unexplained share of power exceeds this multiple of the median share."""
+
+
+class NoEstimateError(Exception):
+    """The trip is sound, but nothing can be estimated from it; the message says why."""
+
+
+def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
+    """Return the segments that are free of faults, up to a quarter of the rate."""
+    return _faultless(recording, recording.signals, welch)
+
+
+def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
+    """Return the segments of `recording_segments` of half the differences of pairs of sensors."""
+    return _faultless(recording, recording.differences, welch)
+
+
+def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
+    """Return the segments of signals on the recording's clock that are free of its faults."""
+    return segment_spectra(
+        torch.as_tensor(signals),
+        recording.rate_hz,
+        welch,
+        high_hz=recording.rate_hz / 4,
+        usable=torch.as_tensor(recording.usable),
+    )
+
+
+def segment_speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
+    """Return the speed in each segment, shape (n_segments, n_samples of a segment), [m/s]."""
+    length, _ = segments.welch.sizes(recording.rate_hz)
+    return torch.as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
+
+
+def without_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:
+    """Return the chosen segments without those far louder than their median."""
+    if not bool(chosen.any()):
+        return chosen
+    power = segments.values.abs().square().mean(dim=2)
+    return chosen & (power <= LOUD * power[chosen].median(dim=0).values).all(dim=1)
+
+
+def in_band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
+    """Return the segments on the bins of a model.
+
+    Raises
+    ------
+    NoEstimateError
+        If the recording does not reach that far.
+    """
+    if float(frequencies_hz[-1]) > float(segments.frequencies_hz[-1]) + 1e-9:
+        raise NoEstimateError(
+            f"the model's band reaches {float(frequencies_hz[-1]):g} Hz, the recording is read up "
+            f"to {float(segments.frequencies_hz[-1]):g} Hz: raise trips.rate_hz"
+        )
+    inside = (segments.frequencies_hz >= frequencies_hz[0] - 1e-6) & (
+        segments.frequencies_hz <= frequencies_hz[-1] + 1e-6
+    )
+    return replace(
+        segments,
+        frequencies_hz=segments.frequencies_hz[inside],
+        values=segments.values[..., inside],
+    )
+
+
+def without_incoherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tuple[Tensor, int]:
+    """Return the chosen segments that the average explains, and the number of the others.
+
+    A segment's coherence is 1 - u, u = mean over bins of abs(Y - H1 X)^2 / S_yy, on the worse of
+    both links. It is too low if below `least` and u is also `ODD` times the median of the trip: a
+    noisy sensor lowers all segments alike, and IV can cope with that.
+    """
+    n_before = int(chosen.sum())
+    for _ in range(ROUNDS):
+        if not bool(chosen.any()):
+            break
+        spectra = band.average(chosen)
+        links = []
+        for x, y, _ in CHAIN:
+            residual = band.values[:, y] - spectra.transfer(x, y, "H1") * band.values[:, x]
+            links.append((residual.abs().square() / spectra.auto[y]).mean(dim=1))
+        unexplained = torch.stack(links)
+        threshold = (ODD * unexplained[:, chosen].median(dim=1).values).clamp(min=1 - least)
+        chosen = chosen & (unexplained <= threshold[:, None]).all(dim=0)
+    return chosen, n_before - int(chosen.sum())

@@ -1,0 +1,143 @@
+"""The speeds of a trip's segments, and the speeds that a model reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from suspnet.spectra.welch import NEGLIGIBLE
+
+MARGIN = 0.02
+"""Margin of a range of speeds beyond those of the trips that it is made for; others scatter so."""
+ROUNDING = 1e-9
+"""Relative error of a range's ends, which are computed from the middle and the half width."""
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """The speeds of the segments that one estimate averages, as a quadrature.
+
+    Attributes
+    ----------
+    m_per_s : tuple of float, [m/s]
+    weights : tuple of float
+        Of sum 1.
+    """
+
+    m_per_s: tuple[float, ...]
+    weights: tuple[float, ...]
+
+    @classmethod
+    def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Speeds:
+        """Return three-point Gauss-Hermite quadrature: exact to the fifth moment of a normal."""
+        if not deviation_m_per_s > NEGLIGIBLE * mean_m_per_s:
+            return cls((mean_m_per_s,), (1.0,))
+        step = math.sqrt(3) * deviation_m_per_s
+        nodes = (mean_m_per_s - step, mean_m_per_s, mean_m_per_s + step)
+        return cls(nodes, (1 / 6, 2 / 3, 1 / 6))
+
+
+@dataclass(frozen=True)
+class SpeedRange:
+    """Speeds that one model reads.
+
+    Attributes
+    ----------
+    low_m_per_s, high_m_per_s : float, [m/s]
+    """
+
+    low_m_per_s: float
+    high_m_per_s: float
+
+    @classmethod
+    def around(cls, trained_m_per_s: float, half_width: float) -> SpeedRange:
+        """Return the speeds within 1 +- `half_width` of that of the training curves."""
+        return cls(trained_m_per_s * (1 - half_width), trained_m_per_s * (1 + half_width))
+
+    @property
+    def trained_m_per_s(self) -> float:
+        """Speed of the training curves, the middle."""
+        return (self.low_m_per_s + self.high_m_per_s) / 2
+
+    @property
+    def half_width(self) -> float:
+        """Half width relative to the middle, [-]."""
+        return (self.high_m_per_s - self.low_m_per_s) / (self.high_m_per_s + self.low_m_per_s)
+
+    @property
+    def name(self) -> str:
+        """Name of the folder of its model."""
+        return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s"
+
+    def holds(self, speed_m_per_s: float) -> bool:
+        """Return whether a speed is read; the ends are, also after rounding."""
+        low, high = self.low_m_per_s, self.high_m_per_s
+        return low * (1 - ROUNDING) <= speed_m_per_s <= high * (1 + ROUNDING)
+
+
+def reading_range(speed_m_per_s: float, ranges: Iterable[SpeedRange]) -> SpeedRange | None:
+    """Return the range that holds a speed, the one of the nearest middle; None if none does.
+
+    Ranges that meet leave no speed between them unread.
+    """
+    holding = [one for one in ranges if one.holds(speed_m_per_s)]
+    return min(
+        holding, key=lambda one: abs(math.log(speed_m_per_s / one.trained_m_per_s)), default=None
+    )
+
+
+def range_words(ranges: Iterable[SpeedRange]) -> str:
+    """Return the speeds that some ranges hold together.
+
+    >>> range_words([SpeedRange(70, 80), SpeedRange(60, 70), SpeedRange(20, 25)])
+    '20.0 to 25.0 and 60.0 to 80.0 m/s'
+    """
+    joined: list[SpeedRange] = []
+    for one in sorted(ranges, key=lambda one: one.low_m_per_s):
+        if joined and joined[-1].holds(one.low_m_per_s):
+            high = max(joined[-1].high_m_per_s, one.high_m_per_s)
+            joined[-1] = SpeedRange(joined[-1].low_m_per_s, high)
+        else:
+            joined.append(one)
+    return (
+        " and ".join(f"{one.low_m_per_s:.1f} to {one.high_m_per_s:.1f}" for one in joined) + " m/s"
+    )
+
+
+def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
+    """Return the `speed_m_per_s` whose models read some speeds, and those ``MARGIN`` beside them.
+
+    Parameters
+    ----------
+    speeds : sequence of float, [m/s]
+    half_width : float, [-]
+        Of the range of one model.
+
+    Returns
+    -------
+    float or list of 2 floats, [m/s]
+        One speed to a tenth where one model is enough, otherwise lowest and highest, whole numbers.
+
+    Examples
+    --------
+    >>> covering([69.8, 70.2], 0.08), covering([61.5, 77.2], 0.08)
+    (70.0, [60.0, 79.0])
+    """
+    low, high = min(speeds) / (1 + MARGIN), max(speeds) * (1 + MARGIN)
+    one = round((low + high) / 2, 1)
+    reads = SpeedRange.around(one, half_width)
+    if reads.holds(low) and reads.holds(high):
+        return one
+    return [float(math.floor(low)) or low, float(math.ceil(high))]
+
+
+def setting_words(setting: float | Sequence[float]) -> str:
+    """Return a setting of speeds as on the command line.
+
+    >>> setting_words(70.0), setting_words([60.0, 79.0])
+    ('speed_m_per_s=70', 'speed_m_per_s=[60,79]')
+    """
+    if isinstance(setting, float | int):
+        return f"speed_m_per_s={setting:g}"
+    return f"speed_m_per_s=[{','.join(f'{one:g}' for one in setting)}]"

@@ -1,1 +1,0 @@
-"""Studies of vehicles and models: identifiability, reliability, ablations."""

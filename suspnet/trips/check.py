@@ -1,0 +1,305 @@
+"""Checks of manifests and recordings without a model: what is wrong, and what is there to read."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.dynamics import Vehicle, best_generator
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
+from suspnet.estimation.speed_groups import groups_to_read, readable_words
+from suspnet.estimation.trained import TrainedModel
+from suspnet.history.records import ERROR, OK
+from suspnet.recordings.checked_mapping import all_of
+from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
+from suspnet.recordings.manifest_files import parse_manifest, read_content
+from suspnet.recordings.recording import Recording, load_recording
+from suspnet.report.check_figures import trip_figure, write_picture
+from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.plausibility import check_channels, check_pairs
+from suspnet.spectra.segments import (
+    difference_segments,
+    in_band,
+    recording_segments,
+    segment_speeds,
+)
+from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.trips.checked_manifests import Opened, check_columns
+from suspnet.trips.commissionings import models_at
+from suspnet.trips.models import models_of
+from suspnet.trips.trip import evaluate_recording
+
+log = logging.getLogger(__name__)
+
+UNKNOWN_BAND_HZ = (0.5, 20.0)
+"""Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """How trips are checked.
+
+    Parameters
+    ----------
+    vehicles : mapping of Vehicle
+        Known vehicles by the names that manifests use.
+    trips : TripSettings
+    pictures : Path, optional
+        Folder of the pictures; None draws none.
+    models : sequence of TrainedModel
+        A trip is ready if these read it; if there are none, if a model of its speed would.
+    """
+
+    vehicles: Mapping[str, Vehicle]
+    trips: TripSettings = field(default_factory=TripSettings)
+    pictures: Path | None = None
+    models: Sequence[TrainedModel] = ()
+
+
+def check_trip(
+    path: Path, settings: CheckSettings, picture: str = "", opened: Opened | None = None
+) -> TripCheck:
+    """Return what is wrong with a trip and what there is to read; it never fails.
+
+    Parameters
+    ----------
+    path : Path
+        The manifest.
+    settings : CheckSettings
+    picture : str
+        Name of the picture in the folder of the settings.
+    opened : dict, optional
+        Filled with the columns that were opened, so that the manifests of a folder open each once.
+    """
+    opened = {} if opened is None else opened
+    result = TripCheck(path)
+    try:
+        content = read_content(path)
+        manifest, _ = all_of(
+            [partial(parse_manifest, path, content), partial(check_columns, path, content, opened)]
+        )
+        result = _described(result, manifest)
+        recording = load_recording(manifest, settings.trips.rate_hz)
+        return _inspected(result, recording, settings, picture)
+    except TripError as error:
+        told = error.problems
+    except Exception as error:  # a fault in one trip must not hide what is wrong with the others
+        log.debug("trip %s failed", path, exc_info=True)
+        told = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
+    return _with_problems(result, told)
+
+
+def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
+    """Return a check with problems, of which the manifest's own path is left out."""
+    told = tuple(
+        "".join(letter if letter.isprintable() else "?" for letter in problem).removeprefix(
+            f"{result.manifest}: "
+        )
+        for problem in problems
+    )
+    return replace(result, state=PROBLEM, problems=result.problems + told)
+
+
+def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
+    """Return a check with what the manifest says."""
+    pairs = [name for name in CHANNELS if isinstance(manifest.channels[name], tuple)]
+    sensors = "single sensors" if not pairs else f"pairs: {', '.join(pairs)}"
+    return replace(
+        result,
+        vehicle=manifest.vehicle,
+        place=manifest.place,
+        mileage_km=manifest.mileage_km,
+        sensors="pairs" if len(pairs) == len(CHANNELS) else sensors,
+        sources=tuple(
+            f"{manifest.file_of(one).resolve()}: {one.column or ''}"
+            for one in manifest.sensors().values()
+        ),
+    )
+
+
+def _inspected(
+    result: TripCheck, recording: Recording, settings: CheckSettings, picture: str
+) -> TripCheck:
+    """Return a check with what the recording holds; draw it if asked."""
+    vehicle, estimate, remarks = _vehicle(recording.manifest, settings.vehicles)
+    assert estimate.low_hz is not None
+    assert estimate.high_hz is not None
+    unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
+    if unknown:
+        remarks.append(f"the speed is unknown for {unknown:.2g} % of the time")
+    if recording.manifest.unplaced:
+        remarks.append(
+            "single sensors are taken as in the middle; if they are on one side, say `side`"
+        )
+    result = replace(
+        result,
+        remarks=(*filter(None, [recording.words]), *map(str, recording.faults), *remarks),
+        duration_s=recording.duration_s,
+        usable_percent=100 * float(recording.usable.mean()),
+        band_hz=(estimate.low_hz, estimate.high_hz),
+    )
+    segments = recording_segments(recording, estimate.welch)
+    any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
+    trips = settings.trips
+    result, checked = _with_parts(result, recording, segments, estimate, trips, any_speed)
+    looked_at = checked[0]
+    if settings.models:
+        result = _read(result, recording, settings)
+    spectra = segments.average(looked_at) if bool(looked_at.any()) else None
+    if settings.pictures is not None and picture:
+        figure = trip_figure(recording, segments.frequencies_hz, spectra, result.band_hz)
+        write_picture(
+            settings.pictures / picture, figure, f"{result.manifest.stem}: {result.words}"
+        )
+        result = replace(result, picture=picture)
+    if vehicle is None or spectra is None or result.state == PROBLEM:
+        return result
+    return _with_plausibility(result, recording, segments, checked, vehicle)
+
+
+def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
+    """Return a check whose state is what the models make of the recording."""
+    manifest = recording.manifest
+    try:
+        models = models_of(settings.models, manifest.place)
+        words = readable_words(models_at(models, manifest.mileage_km))
+    except ValueError as error:
+        return _with_problems(result, [str(error)])
+    found = evaluate_recording(manifest, lambda: recording, models, settings.trips)
+    result = replace(result, read_by=words)
+    if found.status == ERROR:
+        return _with_problems(result, [found.reason])
+    state = READY if found.status == OK else TOO_LITTLE
+    remarks = result.remarks + tuple(filter(None, [found.reason]))
+    return replace(result, state=state, remarks=remarks)
+
+
+def _with_parts(
+    result: TripCheck,
+    recording: Recording,
+    segments: SegmentSpectra,
+    estimate: EstimateSettings,
+    settings: TripSettings,
+    any_speed: bool,
+) -> tuple[TripCheck, list[Tensor]]:
+    """Return a check with the steady parts of a recording, and their segments, the longest first.
+
+    Without any these are all segments, or the longest group.
+    """
+    n_segments = len(segments.values)
+    looked_at = torch.ones(n_segments, dtype=torch.bool)
+    if not n_segments:
+        words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
+        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), [looked_at]
+    speeds = segment_speeds(recording, segments)
+    band = in_band(segments, estimate.frequencies_hz())
+    tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
+    groups = [
+        group_spectra(band, group, settings.min_coherence, estimate)
+        for group in groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    ]
+    found = [(one, _part(band, speeds, one)) for one in groups if one.spectra is not None]
+    kept = [one for one in found if one[0].n_averages >= settings.min_averages]
+    certain = [one for one in kept if one[0].deviation <= settings.max_deviation]
+    uncertain = [part for one, part in kept if one.deviation > settings.max_deviation]
+    words = _too_little([part for _, part in found], settings) if not kept else ""
+    words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
+    result = replace(
+        result,
+        state=READY if certain else TOO_LITTLE,
+        parts=tuple(part for _, part in certain),
+        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
+        remarks=(*result.remarks, *([words] if words else [])),
+    )
+    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
+
+
+def _vehicle(
+    manifest: TripManifest, vehicles: Mapping[str, Vehicle]
+) -> tuple[Vehicle | None, EstimateSettings, list[str]]:
+    """Return a manifest's vehicle, how its trips are read, and why it is not known."""
+    plain = EstimateSettings()
+    unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
+    vehicle = vehicles.get(manifest.vehicle)
+    if vehicle is None:
+        return (
+            None,
+            unknown,
+            [
+                f"units, signs and order of the channels are not checked: vehicle "
+                f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
+            ],
+        )
+    try:
+        return vehicle, plain.bound(vehicle), []
+    except ValueError as error:
+        return None, unknown, [f"vehicle {manifest.vehicle!r}: {error}"]
+
+
+def _part(band: SegmentSpectra, speeds: Tensor, group: GroupSpectra) -> SteadyPart:
+    """Return what a group of segments gives; G_s counts as far as an estimate uses it."""
+    return SteadyPart(
+        speed_m_per_s=speed_of(speeds[group.chosen], band)[0],
+        n_averages=group.n_averages,
+        coherence_p=group.coherences[0],
+        coherence_s=group.coherences[1],
+        deviation_percent=100 * group.deviation,
+    )
+
+
+def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
+    """Return why no part of a trip has enough averages."""
+    most = max(parts, key=lambda part: part.n_averages, default=None)
+    found = f"{most.n_averages:.1f} at {most.speed_m_per_s:.1f} m/s" if most else "none"
+    return (
+        f"too little at a steady speed: {found}, {settings.min_averages:g} averages are needed "
+        f"(about two minutes within {100 * settings.speed_tolerance:g} % of one speed, at "
+        f"{settings.min_speed_m_per_s:g} m/s or faster)"
+    )
+
+
+def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
+    """Return that nothing can be estimated from a part of a trip, because of its noise."""
+    return (
+        f"at {part.speed_m_per_s:.1f} m/s the responses are uncertain by "
+        f"{part.deviation_percent:.0f} %, at most {100 * settings.max_deviation:g} % are accepted: "
+        "the sensors hardly show the same motion"
+    )
+
+
+def _with_plausibility(
+    result: TripCheck,
+    recording: Recording,
+    segments: SegmentSpectra,
+    checked: Sequence[Tensor],
+    vehicle: Vehicle,
+) -> TripCheck:
+    """Return a check with what is implausible of the channels, in each of some groups."""
+    doubts: list[str] = []
+
+    def check_order(chosen: Tensor) -> None:
+        speed = float(segment_speeds(recording, segments)[chosen].mean())
+        generator = best_generator(vehicle, speed_m_per_s=speed)
+        spectra = segments.average(chosen)
+        frequencies_hz, single = segments.frequencies_hz, not all(recording.paired)
+        doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
+
+    def check_sides(chosen: Tensor) -> None:
+        differences = difference_segments(recording, segments.welch)
+        check_pairs(segments, differences, chosen, recording.paired, vehicle)
+
+    parts = [check_order, *([check_sides] if any(recording.paired) else [])]
+    try:
+        all_of(partial(part, chosen) for part in parts for chosen in checked)
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))

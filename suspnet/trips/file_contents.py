@@ -1,0 +1,191 @@
+"""What data files hold, as far as their first samples and what they say of themselves tell."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.clocks import Times, Zero, header_date
+from suspnet.recordings.columns import Column, OpenFile
+from suspnet.recordings.formats import open_file, read_columns
+from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
+from suspnet.recordings.units import size_of, unit_in_name
+from suspnet.trips import column_guess as guess
+
+ACCELERATION, SPEED = "acceleration", "speed"
+MOST_COLUMNS = 500
+"""Largest number of columns of a file that are looked at."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One column of numbers, and what is known of it.
+
+    Attributes
+    ----------
+    file : Path
+    column : Column
+    unit : str
+        As the file or the column's name writes it; empty if neither does.
+    rate_hz : float, [Hz]
+        By the file, or by its times; NaN if unknown.
+    time : str
+        Column of its times; empty if it has none, or the file says the rate.
+    time_unit : str
+        Unit of its times, where only their column's name says it; otherwise empty.
+    mean, deviation : float, [unit]
+        Of the first samples.
+    zero : Zero
+        When its times begin, as far as the file says it.
+    names : tuple of str
+        By which its meaning is guessed: its own, without and with the group that it is in, and that
+        of a file with no more than two columns.
+    """
+
+    file: Path
+    column: Column
+    unit: str
+    rate_hz: float
+    time: str
+    time_unit: str
+    mean: float
+    deviation: float
+    zero: Zero = field(default_factory=Zero)
+    names: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the column."""
+        return self.column.name
+
+    @property
+    def meaning(self) -> str:
+        """What it is: one of the channels or the speed; empty if its names and unit do not say."""
+        found = guess.meaning(*self.names)
+        if size_of(SPEED, self.unit) is not None:
+            return guess.SPEED
+        is_acceleration = size_of(ACCELERATION, self.unit) is not None
+        return "" if found == guess.SPEED and is_acceleration else found
+
+    @property
+    def side(self) -> str:
+        """Side of the vehicle, by names; empty if they do not say it."""
+        return guess.side(*self.names)
+
+
+def look_into(file: Path) -> tuple[list[Signal], str]:
+    """Return the columns of numbers of a file, times left out, and how the file is read.
+
+    Raises
+    ------
+    TripError
+        If the file cannot be read, or holds no column of numbers.
+    """
+    with open_file(file) as opened:
+        columns = opened.columns[:MOST_COLUMNS]
+        times = {
+            column.name: _times(file, opened, column.name) for column in columns if _is_time(column)
+        }
+        times = {name: values for name, values in times.items() if len(values) > 1}
+        found = [
+            _signal(file, opened, column, times)
+            for column in columns
+            if column.name not in times and not column.is_time
+        ]
+    signals = [one for one in found if one is not None]
+    if not signals:
+        raise TripError(f"{file} holds no column of numbers")
+    if len(signals) <= len(SIDES):
+        signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
+    return signals, opened.words
+
+
+def _is_time(column: Column) -> bool:
+    """Return whether a column may hold times."""
+    return column.is_time or guess.is_time(column.name)
+
+
+def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
+    """Return the first block of some columns; nothing if one does not hold numbers."""
+    try:
+        return next(iter(read_columns(file, opened, names)))
+    except TripError:
+        return ()
+
+
+def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
+    """Return the first times of a column, [s] or its own unit; empty if they do not rise."""
+    (block,) = _first(file, opened, [name]) or (np.empty(0),)
+    if block.dtype.kind == "M":
+        return np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
+    rises = len(block) > 1 and bool((np.diff(block) > 0).all())
+    return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
+
+
+def _signal(
+    file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
+) -> Signal | None:
+    """Return what is known of a column; None if it holds no numbers."""
+    blocks = _first(file, opened, [column.name])
+    if not blocks or blocks[0].dtype.kind != "f":
+        return None
+    values = blocks[0][np.isfinite(blocks[0])]
+    time, time_unit, rate_hz = "", "", column.rate_hz
+    if rate_hz is None:
+        time = column.time or next(iter(times), "")
+        rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
+    return Signal(
+        file=file,
+        column=column,
+        unit=column.unit or unit_in_name(column.name) or _unit_word(column.name),
+        rate_hz=rate_hz,
+        time=time,
+        time_unit=time_unit,
+        mean=float(values.mean()) if len(values) else np.nan,
+        deviation=float(values.std()) if len(values) else np.nan,
+        zero=_zero(file, opened, column, time, time_unit),
+        names=(column.name.rpartition("/")[2], column.name),
+    )
+
+
+def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
+    """Return what the times of a column are counted from, as reading will find it."""
+    if not time:
+        return Zero(column.start_ns, is_stated=True, date=header_date(column))
+    times = Times(
+        str(file),
+        Source(str(file), time_unit=time_unit or None),
+        opened.column(time),
+        column.start_ns,
+    )
+    try:
+        for block in _first(file, opened, [time]):
+            times.seconds(block)
+    except TripError:
+        return Zero(date=header_date(column))
+    return replace(times.zero, date=header_date(column))
+
+
+def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
+    """Return the rate by some times [Hz], and their unit where only the column's name says it."""
+    column = opened.column(time)
+    said = "" if column.is_time else column.unit or unit_in_name(time)
+    words = [word for word in guess.words_of(time)[1:] if word in TIME_UNITS]
+    named = words[-1] if words and not said and not column.is_time else ""
+    step = float(np.median(np.diff(times))) * (size_of("time", said or named) or 1.0)
+    return 1 / step, named
+
+
+def _unit_word(name: str) -> str:
+    """Return the unit that is a word of a column's name of its own; empty if there is none."""
+    units = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"}
+    units |= {"kmh": "km/h", "kph": "km/h"}
+    found = [units[word] for word in guess.words_of(name)[1:] if word in units]
+    written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
+    return (written or found or [""])[-1]

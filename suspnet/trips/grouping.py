@@ -1,0 +1,124 @@
+"""Grouping of the trips of a folder by suspension."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from suspnet.ground.ledger import LEDGER
+from suspnet.recordings.manifest import Place
+from suspnet.recordings.manifest_files import find_manifests, read_place
+
+log = logging.getLogger(__name__)
+TAKEN = (
+    *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
+    *("fleet.json", "error.txt", LEDGER),
+)
+"""Names of files in the output that no suspension's folder may have."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """The trips of one suspension.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the manifests lie.
+    place : Place
+    manifests : tuple of Path
+    name : str
+        Unlike that of any other group, and fit for a folder.
+    error : str
+        Why there are no manifests; empty if there are some.
+    """
+
+    folder: Path
+    place: Place
+    manifests: tuple[Path, ...] = ()
+    name: str = ""
+    error: str = ""
+
+
+def find_groups(folder: Path) -> list[Group]:
+    """Return a folder's trips by suspension, or those of its subfolders if it holds no manifest.
+
+    A manifest that does not say which suspension it is of belongs to the only one of its folder,
+    or to none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no manifest in it or its subfolders.
+    """
+    if not folder.is_dir() or _holds_manifests(folder):
+        groups = _split(folder, find_manifests(folder))
+        _tell_of_unread(folder)
+        return _named(groups, [str(group.place) for group in groups])
+    groups, names = [], []
+    for part in sorted(path for path in folder.iterdir() if path.is_dir()):
+        if part.name.startswith("."):
+            continue
+        try:
+            manifests = find_manifests(part)
+        except OSError as error:
+            found = [Group(part, Place(part.name), error=_words(error))]
+        else:
+            found = _split(part, manifests)
+            if all(group.place == Place() for group in found):
+                words = f"none of its *.yaml files ({len(manifests)}) names a suspension"
+                found = [Group(part, Place(part.name), error=words)]
+        groups += found
+        names += [part.name if len(found) == 1 else f"{part.name}_{g.place}" for g in found]
+    if not any(group.manifests for group in groups):
+        find_manifests(folder)  # says what is missing
+    return _named(groups, names)
+
+
+def _holds_manifests(folder: Path) -> bool:
+    """Return whether a folder has a manifest directly in it."""
+    return any(path.is_file() for path in folder.glob("*.yaml"))
+
+
+def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
+    """Return the manifests of one folder by suspension."""
+    places = {path: read_place(path) for path in manifests}
+    known = sorted({place for place in places.values() if place is not None})
+    rest = known[0] if len(known) == 1 else Place()
+    by_place: dict[Place, list[Path]] = {}
+    for path, place in places.items():
+        by_place.setdefault(place or rest, []).append(path)
+    return [Group(folder, place, tuple(by_place[place])) for place in sorted(by_place)]
+
+
+def _tell_of_unread(folder: Path) -> None:
+    """Warn of manifests in the subfolders of a folder that has some of its own."""
+    unread = sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p))
+    if unread:
+        log.warning(
+            "%s holds manifests of its own, so that its subfolders are not read: %s",
+            folder,
+            ", ".join(unread),
+        )
+
+
+def _named(groups: list[Group], names: list[str]) -> list[Group]:
+    """Return groups with names that are fit for folders, and different in small letters."""
+    taken, named = set(TAKEN), []
+    for group, wanted in zip(groups, names, strict=True):
+        base = re.sub(r"[^\w.-]+", "_", wanted).strip("._")[:100] or "unknown"
+        name, number = base, 1
+        while name.lower() in taken:  # ends: there are fewer names taken than numbers
+            number += 1
+            name = f"{base}_{number}"
+        taken.add(name.lower())
+        named.append(Group(group.folder, group.place, group.manifests, name, group.error))
+    return named
+
+
+def _words(error: OSError) -> str:
+    """Return an error of the file system in words."""
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)

@@ -1,0 +1,229 @@
+"""A manifest written from data files, with blanks and guesses marked for the user."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from suspnet.recordings.clocks import first_moment
+from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
+from suspnet.recordings.units import size_of
+from suspnet.trips import column_guess as guess
+from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal
+
+BLANK = "FILL_IN"
+"""Stands where a value is missing; suspnet-check names each that is left."""
+LISTED = 60
+"""Largest number of columns that are offered for one channel."""
+GRAVITY = {"g": 1.0, "m/s2": 9.80665}
+"""Size of gravity in each unit, by which the mean of a sensor that measures it tells its unit."""
+HEAD = f"""\
+# Manifest of one trip: a template written by suspnet-init. What is marked {BLANK} is not known,
+# what is marked "guess" is taken from names: check both. Then run: suspnet-check """
+
+
+@dataclass(frozen=True)
+class Template:
+    """A manifest to be completed.
+
+    Attributes
+    ----------
+    text : str
+        YAML with comments.
+    blanks : tuple of str
+        Keys that are to be filled in.
+    guesses : tuple of str
+        Keys that were guessed by names.
+    """
+
+    text: str
+    blanks: tuple[str, ...]
+    guesses: tuple[str, ...]
+
+
+def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ()) -> Template:
+    """Return a manifest of what some data files hold.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+    path : Path
+        Where the manifest will be; data files are named relative to its folder.
+    read_as : sequence of str
+        How files are read where that had to be found out, for the first lines.
+    """
+    writer = _Writer(path.parent)
+    by_meaning: dict[str, list[Signal]] = {}
+    for one in signals:
+        by_meaning.setdefault(one.meaning, []).append(one)
+    lines = [
+        HEAD + path.name,
+        *(f"# {_on_one_line(words)}" for words in read_as),
+        f"format: {FORMAT}",
+        f"vehicle:          # {BLANK}: as the model's, e.g. am96",
+        f"suspension:       # {BLANK}: in your words; trips of one suspension say the same",
+        "# bogie: leading  # or trailing, in the direction of travel",
+        *writer.side(by_meaning),
+        "# train: '12'     # where several trains or cars are watched",
+        "# car: '7'",
+        f"mileage_km:       # {BLANK}: of the vehicle at this trip",
+        _start(signals),
+        "# temperature_c: 20.0  # of the air outside",
+        "",
+    ]
+    writer.blanks = ["vehicle", "suspension", *writer.blanks, "mileage_km"]
+    rest = by_meaning.get("", [])
+    lines += writer.speed(by_meaning.get(guess.SPEED, []), rest)
+    lines += ["", "channels:"]
+    for name in CHANNELS:
+        lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
+    if rest:
+        more = f" and {len(rest) - LISTED} more" if len(rest) > LISTED else ""
+        names = ", ".join(_yaml(one.name) for one in rest[:LISTED])
+        lines += ["", f"# columns whose names say nothing: {names}{more}"]
+    blanks = tuple(dict.fromkeys(writer.blanks))
+    return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
+
+
+def _start(signals: Sequence[Signal]) -> str:
+    """Return the line of the start: by the files, or as a comment where they do not say it."""
+    zeros = [one.zero for one in signals]
+    moment, doubt = first_moment(zeros)
+    if moment is None:
+        return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip began'}"
+    if len({zero.ns is None for zero in zeros}) > 1:  # start is then also when the others begin
+        return f"# start: {moment.isoformat()}  # by a part of the files; when do the others begin?"
+    zone = "" if moment.tzinfo is not None else ", in the logger's zone"
+    return f"start: {moment.isoformat()}  # by the files{zone}"
+
+
+class _Writer:
+    """Writes the entries of a manifest and keeps count of blanks and guesses."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.blanks: list[str] = []
+        self.guesses: list[str] = []
+
+    def side(self, by_meaning: Mapping[str, Sequence[Signal]]) -> list[str]:
+        """Return the line of the side, which single sensors without one of their own need."""
+        found = [by_meaning.get(name, []) for name in CHANNELS]
+        if not any(len(signals) == 1 and not signals[0].side for signals in found):
+            return ["# side: left      # or right: of the suspension"]
+        self.blanks.append("side")
+        where = "left or right, where single sensors are; delete the line if in the middle"
+        return [f"side:             # {BLANK}: {where}"]
+
+    def speed(self, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
+        """Return the lines of the speed, of which `found` are by their names."""
+        if len(found) == 1:
+            entry, blanks, words = self._entry(found[0], SPEED)
+            self.blanks += [f"speed.{key}" for key in blanks]
+            self.guesses.append("speed")
+            return [f"speed: {entry}  # guess by the name; {words}"]
+        self.blanks.append("speed")
+        offers = self._offers(found or rest, SPEED, "  # ")
+        other = "one of these without the #" if offers else "a source like that of a channel"
+        return [
+            f"speed:            # {BLANK}: one number with its unit (252 km/h), or {other}",
+            *offers,
+        ]
+
+    def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
+        """Return the lines of a channel, of which `found` are by their names."""
+        vertical = [one for one in found if not guess.is_of_another_direction(one.name)] or found
+        sides = [one.side for one in vertical]
+        if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
+            self.guesses.append(f"channels.{name}")
+            lines = [f"  {name}:  # guess by the name"]
+            for one, side in zip(vertical, sides, strict=True):
+                entry, blanks, words = self._entry(one, ACCELERATION, side)
+                self.blanks += [f"channels.{name}.{key}" for key in blanks]
+                lines.append(f"    - {entry}  # {words}")
+            others = [one for one in found if one not in vertical]
+            return lines + self._offers(others, ACCELERATION, "    # - ")
+        self.blanks.append(f"channels.{name}")
+        offers = found or rest
+        words = "take one of these, or a left and a right one, without the #"
+        return [
+            f"  {name}:  # {BLANK}: {words if offers else 'no column of these files is left'}",
+            *self._offers(offers, ACCELERATION, "    # - "),
+        ]
+
+    def _offers(self, signals: Sequence[Signal], kind: str, mark: str) -> list[str]:
+        """Return a comment for each column that the user may choose."""
+        lines = []
+        for one in signals[:LISTED]:
+            entry, _, words = self._entry(one, kind, one.side)
+            lines.append(f"{mark}{entry}  # {words}")
+        more = len(signals) - LISTED
+        return lines + ([f"    # and {more} more columns"] if more > 0 else [])
+
+    def _entry(self, one: Signal, kind: str, side: str = "") -> tuple[str, list[str], str]:
+        """Return a source in YAML, its keys that are blank, and what is known of it in words."""
+        allowed = ACCELERATION_UNITS if kind == ACCELERATION else SPEED_UNITS
+        content: dict[str, object] = {"file": self._relative(one.file), "column": one.name}
+        if side and kind == ACCELERATION:
+            content["side"] = side
+        words = []
+        size = size_of(kind, one.unit)
+        if size is None:
+            content["unit"] = BLANK
+            says = f", the file says {one.unit!r}" if one.unit else ""
+            words.append(f"unit {' or '.join(allowed)}?{says}{_gravity(one, kind)}")
+        else:
+            names = [name for name, known in allowed.items() if math.isclose(known, size)]
+            by_file = one.column.unit is not None
+            if names:
+                content["unit"] = names[0]
+            words.append(f"unit {one.unit} by the {'file' if by_file else 'name'}")
+            if not names and not by_file:
+                content["unit"] = BLANK
+        if one.time:
+            content["time"] = one.time
+            words.append(f"{one.rate_hz:.6g} Hz by its times")
+            if one.time_unit:
+                content["time_unit"] = one.time_unit
+        elif math.isfinite(one.rate_hz):
+            content["rate_hz"] = float(one.rate_hz)
+            words.append("rate by the file")
+        else:
+            content["rate_hz"] = BLANK
+            words.append("rate in Hz?")
+        words.append(f"mean {one.mean:.3g}, rms about it {one.deviation:.3g}")
+        if kind == ACCELERATION and guess.is_of_another_direction(one.name):
+            words.append("vertical?")
+        blanks = [key for key, value in content.items() if value is BLANK]
+        inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in content.items())
+        return f"{{{inside}}}", blanks, _on_one_line("; ".join(words))
+
+    def _relative(self, file: Path) -> str:
+        """Return a file's path from the folder of the manifest."""
+        try:
+            return Path(os.path.relpath(file, self.folder)).as_posix()
+        except ValueError:  # another drive
+            return str(file.resolve())
+
+
+def _yaml(value: object) -> str:
+    """Return a value in YAML's flow style; text always in quotes, but for blanks."""
+    if value is BLANK:
+        return BLANK
+    return json.dumps(value, ensure_ascii=not str(value).isprintable())
+
+
+def _on_one_line(words: str) -> str:
+    """Return words that end no comment."""
+    return "".join(letter if letter.isprintable() else " " for letter in words)
+
+
+def _gravity(one: Signal, kind: str) -> str:
+    """Return which unit a sensor has that measures gravity too; empty if it does not."""
+    for unit, size in GRAVITY.items():
+        if kind == ACCELERATION and abs(abs(one.mean) / size - 1) < 0.1 > one.deviation / size / 10:
+            return f", a mean of {one.mean:.2f} is gravity if it is {unit}"
+    return ""

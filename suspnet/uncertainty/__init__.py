@@ -1,1 +1,0 @@
-"""Trust in estimates: refinement, prediction intervals, out-of-distribution detection."""

@@ -1,0 +1,149 @@
+"""A cache that is damaged in any way is not used; one that cannot be written costs time only."""
+
+import logging
+import shutil
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
+
+from suspnet.ground import cache, storage
+from suspnet.ground.cache import Cache
+
+ARRAYS = {"inputs": np.arange(12.0).reshape(4, 3), "outputs": np.arange(8.0).reshape(4, 2) + 1}
+MADE_FROM = {"seed": 3, "settings": ["curves", {"snr_db": 34.0}]}
+NOTES = {"trip": "trip_001", "k_p": [1.5, None]}
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """Return a cache that holds arrays made from one description and others from another."""
+    found = Cache(tmp_path / "cache", "features")
+    found.write(MADE_FROM, ARRAYS, NOTES)
+    found.write(MADE_FROM | {"seed": 4}, {name: -array for name, array in ARRAYS.items()})
+    return found
+
+
+def header(path):
+    with safe_open(path, "numpy") as file:
+        return file.metadata()
+
+
+def changed(path, change, **metadata):
+    """Write a valid file with other arrays and the header as it was."""
+    arrays = load_file(path)
+    change(arrays)
+    save_file(arrays, path, header(path) | metadata)
+
+
+def flip(path, position):
+    content = bytearray(path.read_bytes())
+    content[position] ^= 16
+    path.write_bytes(content)
+
+
+def swap(arrays):
+    arrays["inputs"], arrays["outputs"] = arrays["outputs"], arrays["inputs"]
+
+
+def as_folder(path):
+    path.unlink()
+    path.mkdir()
+
+
+DAMAGE = {
+    "outputs reversed": lambda p, _: changed(p, lambda a: a.update(outputs=a["outputs"][::-1] + 0)),
+    "rows reversed": lambda p, _: changed(
+        p, lambda a: a.update({k: v[::-1] + 0 for k, v in a.items()})
+    ),
+    "arrays swapped": lambda p, _: changed(p, swap),
+    "array missing": lambda p, _: changed(p, lambda a: a.pop("outputs")),
+    "array added": lambda p, _: changed(p, lambda a: a.update(more=np.ones(2))),
+    "row missing": lambda p, _: changed(p, lambda a: a.update({k: v[1:] for k, v in a.items()})),
+    "other shape": lambda p, _: changed(p, lambda a: a.update(inputs=a["inputs"].reshape(3, 4))),
+    "other type": lambda p, _: changed(p, lambda a: a.update(inputs=a["inputs"].view(np.int64))),
+    "not a number": lambda p, _: changed(p, lambda a: a["inputs"].fill(np.nan)),
+    "no header": lambda p, _: save_file(load_file(p), p),
+    "header of text": lambda p, _: changed(p, lambda _: None, suspnet="text"),
+    "header of a list": lambda p, _: changed(p, lambda _: None, suspnet="[1]"),
+    "header too deep": lambda p, _: changed(p, lambda _: None, suspnet="[" * 100_000),
+    "header of another": lambda p, o: save_file(load_file(p), p, header(o)),
+    "file of another": lambda p, o: shutil.copy(o, p),
+    "bit of a value": lambda p, _: flip(p, -1),
+    "bit of the header": lambda p, _: flip(p, 60),
+    "bit of the length": lambda p, _: flip(p, 5),
+    "truncated": lambda p, _: p.write_bytes(p.read_bytes()[:-8]),
+    "empty": lambda p, _: p.write_bytes(b""),
+    "longer": lambda p, _: p.write_bytes(p.read_bytes() + bytes(8)),
+    "zeros": lambda p, _: p.write_bytes(bytes(p.stat().st_size)),
+    "foreign": lambda p, _: p.write_bytes(b"PK\x03\x04" * 50),
+    "folder": lambda p, _: as_folder(p),
+}
+"""What may become of a file, given that file and another of the same cache."""
+
+
+def test_arrays_and_notes_come_back_as_written(kept):
+    arrays, notes = kept.read(MADE_FROM)
+    assert notes == NOTES
+    assert arrays.keys() == ARRAYS.keys()
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(arrays[name], array)
+
+
+def test_what_was_made_from_something_else_is_not_there(kept, caplog):
+    assert kept.read(MADE_FROM | {"seed": 5}) is None
+    assert Cache(kept.folder, "trips").read(MADE_FROM) is None
+    assert caplog.text == ""
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_no_damaged_file_is_used_and_one_line_says_so(kept, caplog, kind):
+    path, other = kept.path(MADE_FROM), kept.path(MADE_FROM | {"seed": 4})
+    DAMAGE[kind](path, other)
+    with caplog.at_level(logging.WARNING):
+        assert kept.read(MADE_FROM) is None
+    assert len(caplog.messages) == 1
+    assert "\n" not in caplog.messages[0]
+    if kind != "folder":
+        assert "ignoring a damaged cache file" in caplog.text
+        kept.write(MADE_FROM, ARRAYS, NOTES)
+        assert kept.read(MADE_FROM) is not None
+
+
+@pytest.mark.parametrize("number", [28, 30, 13])  # full, read-only, not permitted
+def test_folder_that_cannot_be_written_costs_one_warning(tmp_path, monkeypatch, caplog, number):
+    def fail(*args, **options):
+        raise OSError(number, "no way")
+
+    kept = Cache(tmp_path / "cache", "features")
+    monkeypatch.setattr(storage.os, "open", fail)
+    for seed in range(3):
+        kept.write(MADE_FROM | {"seed": seed}, ARRAYS)
+    assert len(caplog.messages) == 1
+    assert "cannot be written, which costs time only: no way" in caplog.text
+
+
+def test_folder_that_is_a_file_costs_one_warning_for_each_direction(tmp_path, caplog):
+    (tmp_path / "cache").write_text("")
+    kept = Cache(tmp_path / "cache", "features")
+    for _ in range(2):
+        assert kept.read(MADE_FROM) is None
+        kept.write(MADE_FROM, ARRAYS)
+    assert len(caplog.messages) == 2
+
+
+def test_no_folder_keeps_nothing():
+    Cache(None, "features").write(MADE_FROM, ARRAYS)
+    assert Cache(None, "features").read(MADE_FROM) is None
+
+
+def test_hash_of_the_code_is_that_of_its_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
+    found = []
+    for text in ("a = 1", "a = 2"):
+        cache.code_hash.cache_clear()
+        (tmp_path / "cache.py").write_text(text)
+        found.append((cache.code_hash(), cache.code_hash("cache.py")))
+    cache.code_hash.cache_clear()
+    assert found[0][0] == found[0][1] != found[1][0]

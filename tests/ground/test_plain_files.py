@@ -1,0 +1,164 @@
+"""What is no plain file, or far too large, is refused at once wherever a path is read."""
+
+import json
+import os
+import socket
+import struct
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.ground import plain_files
+from suspnet.ground.cache import Cache
+from suspnet.ground.plain_files import NotPlainError, open_plain, read_plain, stored_bytes
+from suspnet.ground.storage import DamagedFileError, content_hash, read_arrays, read_json
+from suspnet.recordings.core_yaml import parse_yaml
+from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_files import read_manifest
+
+SECONDS = 5.0
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def endless(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def folder(path: Path) -> None:
+    path.mkdir()
+
+
+def connection(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+
+
+def hole(path: Path) -> None:
+    path.write_bytes(b"")
+    os.truncate(path, 2**40)
+
+
+OTHERS = [pipe, endless, folder, connection, hole]
+
+
+@pytest.fixture(autouse=True)
+def quick():
+    """Fail if a test takes long, even if it waits where no exception gets through."""
+    start = time.monotonic()
+    yield
+    assert time.monotonic() - start < SECONDS
+
+
+@pytest.mark.parametrize("make", OTHERS)
+@pytest.mark.parametrize("read", [read_json, read_arrays, read_plain])
+def test_what_is_no_plain_file_is_refused_at_once(tmp_path, make, read):
+    make(tmp_path / "file")
+    with pytest.raises((DamagedFileError, NotPlainError), match=r"file is (a|of) .*") as caught:
+        read(tmp_path / "file")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("make", OTHERS)
+def test_manifest_that_is_no_plain_file_is_refused_at_once(tmp_path, make):
+    make(tmp_path / "trip.yaml")
+    with pytest.raises(TripError, match=r"trip\.yaml is (a|of) .*"):
+        read_manifest(tmp_path / "trip.yaml")
+
+
+@pytest.mark.parametrize("make", [pipe, endless, folder, hole])
+def test_cache_file_that_is_no_plain_file_is_not_used(tmp_path, make, caplog):
+    cache = Cache(tmp_path, "features")
+    make(cache.path({"seed": 1}))
+    assert cache.read({"seed": 1}) is None
+    assert "ignoring a damaged cache file" in caplog.text
+
+
+@pytest.mark.parametrize("make", OTHERS)
+def test_model_whose_arrays_are_no_plain_file_is_refused_at_once(tmp_path, make):
+    content = {"schema_version": 7, "model": "msvr", "arrays_sha256": "0"}
+    content["description_sha256"] = content_hash(content)
+    (tmp_path / "model.json").write_text(json.dumps(content))
+    make(tmp_path / "model.safetensors")
+    with pytest.raises(ModelFileError, match=r"model\.safetensors is (a|of) .*train again"):
+        load_model(tmp_path)
+
+
+def test_pipe_that_takes_the_place_of_a_checked_file_is_refused(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "file")
+    check, looks = plain_files._check, iter([None])
+    monkeypatch.setattr(plain_files, "_check", lambda *it: next(looks, it) and check(*it))
+    with pytest.raises(NotPlainError, match="a named pipe"):
+        open_plain(tmp_path / "file")
+
+
+def test_pipe_with_a_writer_is_refused_too(tmp_path):
+    os.mkfifo(tmp_path / "file")
+    writer = threading.Thread(target=lambda: os.close(os.open(tmp_path / "file", os.O_RDWR)))
+    writer.start()
+    with pytest.raises(NotPlainError, match="a named pipe"):
+        read_plain(tmp_path / "file")
+    writer.join()
+
+
+@pytest.mark.parametrize("n_nested", [10**5, 10**6])
+def test_json_nested_deeply_or_with_a_huge_number_is_damaged(tmp_path, n_nested):
+    (tmp_path / "file").write_text("[" * n_nested)
+    with pytest.raises(DamagedFileError, match="nested too deeply"):
+        read_json(tmp_path / "file")
+    (tmp_path / "file").write_text("9" * n_nested)
+    with pytest.raises(DamagedFileError, match="file is damaged or not JSON"):
+        read_json(tmp_path / "file")
+
+
+@pytest.mark.parametrize("size", [0, 2**20, 2**40, 2**63, 2**64 - 1])
+def test_header_of_arrays_longer_than_the_file_is_damaged(tmp_path, size):
+    (tmp_path / "file").write_bytes(struct.pack("<Q", size) + b"{}")
+    with pytest.raises(DamagedFileError, match="file is damaged or not a safetensors file"):
+        read_arrays(tmp_path / "file")
+
+
+@pytest.mark.parametrize("shape", [[10**12], [2**31, 2**31], [0, 10**18], [2**64]])
+def test_arrays_that_the_file_does_not_hold_are_damaged(tmp_path, shape):
+    header = json.dumps({"a": {"dtype": "F64", "shape": shape, "data_offsets": [0, 0]}}).encode()
+    (tmp_path / "file").write_bytes(struct.pack("<Q", len(header)) + header)
+    try:
+        assert sum(array.size for array in read_arrays(tmp_path / "file").values()) == 0
+    except DamagedFileError as error:
+        assert "is damaged or not a safetensors file" in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize("key", ["mileage_km", "vehicle", "channels", "speed", "<<", "extra"])
+def test_aliases_of_aliases_are_refused_before_they_are_written_out(tmp_path, key):
+    laughs = ["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
+    (tmp_path / "trip.yaml").write_text("\n".join([*laughs, f"{key}: *a14"]))
+    with pytest.raises(TripError, match="has more than 262144 values") as caught:
+        read_manifest(tmp_path / "trip.yaml")
+    assert len(str(caught.value)) < 500
+
+
+def test_merged_mappings_count(tmp_path):
+    many = "\n".join(f"  k{i}: 1" for i in range(9000))
+    with pytest.raises(ValueError, match="has more than 262144 values"):
+        parse_yaml(f"a: &a\n{many}\nb:\n  <<: [{'*a, ' * 100}]")
+
+
+def test_bytes_of_holes_are_not_stored(tmp_path):
+    for name, before in (("start", 0), ("middle", 2**20)):
+        path = tmp_path / name
+        path.write_bytes(b"")
+        os.truncate(path, before)
+        with path.open("ab") as stream:
+            stream.write(np.random.default_rng(0).bytes(2**16))
+        os.truncate(path, 2**30)
+        with open_plain(path) as stream:
+            stream.read(10)
+            assert 2**16 <= stored_bytes(stream) < 2**19
+            assert stream.tell() == 10

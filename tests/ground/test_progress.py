@@ -1,0 +1,141 @@
+"""Lines that say how far a program is, where standard error is no terminal."""
+
+import io
+import logging
+import re
+import sys
+import time
+
+import pytest
+from cli_runner import SMALL, typed
+
+from suspnet.cli import simulate, train
+from suspnet.ground import progress
+
+
+@pytest.fixture
+def lines(caplog, monkeypatch):
+    """Let lines come 20 times a second, and return those so far."""
+    monkeypatch.setattr(progress, "INTERVAL_S", 0.05)
+    monkeypatch.setattr(progress._Lines, "monitor_interval", 0.01)
+    monkeypatch.setattr(progress._Lines, "monitor", None)
+    caplog.set_level(logging.INFO, progress.log.name)
+    yield lambda: caplog.messages
+    if progress._Lines.monitor is not None:
+        progress._Lines.monitor.exit()
+
+
+def wait_for(lines, n):
+    """Wait until there are so many lines, at most 10 s."""
+    for _ in range(1000):
+        if len(lines()) >= n:
+            return
+        time.sleep(0.01)
+
+
+def test_line_at_the_start_and_at_each_interval_though_nothing_is_counted(lines):
+    with progress.bar("search of the vehicle"):
+        assert lines() == ["search of the vehicle"]
+        wait_for(lines, 4)
+    assert set(lines()) == {"search of the vehicle"}
+    n_lines = len(lines())
+    assert n_lines >= 4
+    time.sleep(0.2)
+    assert len(lines()) == n_lines
+
+
+def test_what_is_done_and_what_remains(lines, monkeypatch):
+    with progress.bar("training curves", 28_000, unit="curve") as bar:
+        assert lines() == ["training curves: 0 of 28,000"]
+        bar.start_t -= 90
+        bar.update(12_000)
+        wait_for(lines, 2)
+    assert lines()[1] == "training curves: 12,000 of 28,000, 90 s, about 2 min left"
+    bar = progress.bar("fit msvr", unit="step")
+    bar.start_t -= 31
+    bar.update(3)
+    assert bar.words() == "fit msvr: step 3, 31 s"
+    bar.close()
+
+
+def test_everything_is_counted_while_it_is_iterated(lines):
+    bar = progress.bar("trips", items=[3, 1, 2], unit="trip")
+    assert list(bar) == [3, 1, 2]
+    assert bar.n == bar.total == 3
+    assert lines()[0] == "trips: 0 of 3"
+
+
+def test_one_line_a_step_without_progress(lines):
+    with progress.bar("trips", 5, unit="trip", shown=False) as bar:
+        bar.update()
+        time.sleep(0.2)
+    progress.bar("nothing to do", 0).close()
+    assert lines() == ["trips: 0 of 5"]
+
+
+def test_terminal_has_a_bar_and_no_lines(lines, monkeypatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with progress.bar("trips", 5, unit="trip") as bar:
+        bar.update(5)
+        time.sleep(0.2)
+    with progress.bar("search of the vehicle"):
+        pass
+    assert lines() == []
+    assert "trips: 100%" in terminal.getvalue()
+    assert "5/5" in terminal.getvalue()
+    assert "search of the vehicle: 00:00" in terminal.getvalue()
+
+
+def test_lines_go_to_standard_error_and_results_to_standard_output(monkeypatch):
+    out, err, file = io.StringIO(), io.StringIO(), io.StringIO()
+    monkeypatch.setattr(sys, "stdout", out)
+    monkeypatch.setattr(sys, "stderr", err)
+    root = logging.Logger("root", logging.INFO)
+    monkeypatch.setattr(logging, "getLogger", lambda *_: root)
+    monkeypatch.setattr(progress.log, "parent", root)
+    root.handlers = [logging.StreamHandler(out), logging.StreamHandler(file)]
+    before = root.handlers[:]
+    with progress.on_stderr("3: "):
+        progress.stage("test")
+        root.info("rms error 1 %")
+    assert root.handlers == before
+    assert out.getvalue() == "rms error 1 %\n"
+    assert err.getvalue() == "3: test\n"
+    assert file.getvalue() == "test\nrms error 1 %\n"
+
+
+STAGES = [
+    r"\S+ training curves: 0 of 300",
+    r"search of settings for msvr: 0 of \d+",
+    r"fit msvr",
+    r"calibration of intervals and flags",
+    r"\S+ calibration curves: 0 of 100",
+    r"fits of calibration curves: 0 of 100",
+    r"test",
+    r"\S+ test curves: 0 of 100",
+    r"figures and tables of the run",
+]
+
+
+def test_redirected_training_prints_its_steps_in_order(tmp_path):
+    search = ["search=table5", "search.grids.msvr.C=[1e3,1e4]", "search.grids.msvr.sigma=[4]"]
+    done = typed(train, *SMALL, *search, "search.widen=0", "threads=1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    printed = done.stderr.splitlines()
+    at = [next(i for i, line in enumerate(printed) if re.fullmatch(one, line)) for one in STAGES]
+    assert at == sorted(at)
+    for one in STAGES:
+        assert not re.search(f"^{one}$", done.stdout, re.MULTILINE)
+    assert "Mean absolute error" in done.stdout or "mape" in done.stdout.lower()
+    (log,) = tmp_path.glob("outputs/train/*/train.log")
+    assert set(printed) <= set(log.read_text().splitlines())
+
+
+def test_redirected_simulation_counts_its_trips(tmp_path):
+    few = ["fleet.n_trips=2", "fleet.minutes=1", "workers=1", "out=trips"]
+    rates = [f"fleet.sensors.{name}.rate_hz=200" for name in ("axle_box", "bogie", "body")]
+    done = typed(simulate, *few, *rates, "progress=false", cwd=tmp_path)
+    assert done.stderr.splitlines() == ["trips: 0 of 2"]
+    assert done.stdout.startswith("2 trips of scenario")

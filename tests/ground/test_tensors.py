@@ -1,0 +1,76 @@
+"""Arrays give what tensors give; a device that is not there is one clear error."""
+
+import numpy as np
+import pytest
+import torch
+from vehicles import AM96
+
+from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.ground.tensors import complex_log, squared_size
+from suspnet.learning import MSVR, MVGPR
+from suspnet.spectra.peaks import findpeaks
+from suspnet.spectra.transfer_estimate import tfestimate
+
+RATIOS = np.random.default_rng(0).uniform(0.5, 2.0, (3, 5))
+BINS_HZ = np.arange(1, 200) * 0.1
+
+
+def layouts(values):
+    """Return the same values as lists, reversed views and arrays that cannot be written to."""
+    fixed = values.copy()
+    fixed.flags.writeable = False
+    return values.tolist(), values[::-1].copy()[::-1], fixed
+
+
+@pytest.mark.parametrize("generator", [QuarterCar(AM96), VerticalVehicle(AM96)])
+def test_generators_take_arrays(generator):
+    tensors = torch.tensor(RATIOS), torch.tensor(BINS_HZ)
+    expected = generator.responses(*tensors)
+    magnitudes = generator.magnitudes(*tensors)
+    for ratios, bins in zip(layouts(RATIOS), layouts(BINS_HZ), strict=True):
+        for found, response in zip(generator.responses(ratios, bins), expected, strict=True):
+            assert isinstance(found, torch.Tensor)
+            assert torch.equal(found, response)
+        assert torch.equal(generator.magnitudes(ratios, bins), magnitudes)
+    system, same = (generator.motion_system(row) for row in (RATIOS[0], tensors[0][0]))
+    np.testing.assert_array_equal(system.stiffness, same.stiffness)
+
+
+def test_vertical_vehicle_samples_and_sees_further_from_arrays():
+    vehicle = VerticalVehicle(AM96, distribution={"speed": 0.1})
+    sampled = vehicle.sample_unmeasured(RATIOS, 1)
+    assert torch.equal(sampled, vehicle.sample_unmeasured(torch.tensor(RATIOS), 1))
+    expected = vehicle.further_channels(sampled, torch.tensor(BINS_HZ))
+    assert torch.equal(vehicle.further_channels(sampled.numpy(), BINS_HZ), expected)
+
+
+def test_findpeaks_takes_arrays():
+    curves = QuarterCar(AM96).magnitudes(RATIOS, BINS_HZ)[:, 1]
+    expected = findpeaks(curves, torch.tensor(BINS_HZ), low_hz=torch.full((3,), 0.3))
+    found = findpeaks(curves.numpy(), BINS_HZ, low_hz=np.full(3, 0.3, np.float32))
+    torch.testing.assert_close(found.position_hz, expected.position_hz, rtol=0, atol=0)
+
+
+def test_tfestimate_takes_lists_and_tensors():
+    x, y = np.random.default_rng(1).normal(size=(2, 4000))
+    expected = tfestimate(x, y, 100.0).response
+    for kind in (np.ndarray.tolist, torch.tensor):
+        np.testing.assert_array_equal(tfestimate(kind(x), kind(y), 100.0).response, expected)
+
+
+@pytest.mark.parametrize("estimator", [MSVR(device="cuda:99"), MVGPR(device="cuda:99")])
+def test_device_that_is_not_there_is_named_at_fit(estimator):
+    with pytest.raises(ValueError, match=r"`device`='cuda:99' cannot be used here"):
+        estimator.fit(np.zeros((4, 2)), np.zeros((4, 2)))
+
+
+def test_complex_log_and_squared_size_are_those_of_numpy():
+    rng = np.random.default_rng(1)
+    sizes = 10.0 ** rng.uniform(-12, 12, 2000)
+    values = sizes * np.exp(1j * rng.uniform(-np.pi, np.pi, 2000))
+    values[:4] = 1.0, -1.0, 1j, -1j
+    found = complex_log(torch.tensor(values)).numpy()
+    np.testing.assert_allclose(found.real, np.log(np.abs(values)), rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(found.imag, np.angle(values), rtol=1e-14, atol=1e-15)
+    squares = squared_size(torch.tensor(values)).numpy()
+    np.testing.assert_allclose(squares, np.abs(values) ** 2, rtol=1e-14)

@@ -1,0 +1,161 @@
+"""A worker that is killed costs what it worked on, and no worker outlives its parent."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from joblib import Parallel, delayed
+
+from suspnet.ground import workers
+from suspnet.ground.workers import LostWorkerError, each, guard_joblib
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+ORPHANS_S = 10.0
+"""Time after which no worker may be left [s]."""
+
+
+def work(item):
+    """Do what the item says, and return where."""
+    if item == "fail":
+        raise KeyError("a fault of the function")
+    if item == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if isinstance(item, Path) and not item.exists():
+        item.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
+
+
+def nap(file):
+    """Say who sleeps, and sleep longer than any test."""
+    Path(f"{file}.{os.getpid()}").touch()
+    time.sleep(600)
+
+
+@pytest.fixture
+def joblib_as_before():
+    yield
+    workers.register_parallel_backend("loky", workers.LokyBackend)
+
+
+# one that is killed
+
+
+def test_death_of_a_worker_costs_what_it_worked_on_alone(tmp_path):
+    once = tmp_path / "once"  # as if the memory had been short for a moment
+    found = dict(each(work, ["a", "die", "b", once, "c"], 2))
+    assert found.keys() == {"a", "die", "b", once, "c"}
+    lost = found.pop("die")
+    assert isinstance(lost, LostWorkerError)
+    assert "was killed (SIGKILL(-9)), and so was that of a second attempt" in str(lost)
+    assert os.getpid() not in found.values()
+    assert not any(isinstance(one, LostWorkerError) for one in found.values())
+
+
+def test_bar_in_a_worker_leaves_no_semaphore_behind():
+    """Workers are killed at the end, and the system then warned of what they had left."""
+    code = (
+        "from tqdm import tqdm; from suspnet.ground.workers import each; "
+        "print(len(list(each(lambda item: len(list(tqdm(item, disable=True))), ['a', 'b'], 2))))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (ended.stdout, ended.stderr) == ("2\n", "")
+
+
+def test_one_worker_is_this_process():
+    assert list(each(work, ["a", "b"], 1)) == [("a", os.getpid()), ("b", os.getpid())]
+
+
+@pytest.mark.parametrize("n_workers", [1, 2])
+def test_fault_of_the_function_is_raised_and_no_worker_is_left(n_workers):
+    before = set(children(os.getpid()))  # those of other tests
+    with pytest.raises(KeyError, match="a fault"):
+        list(each(work, ["a", "fail"], n_workers))
+    assert set(children(os.getpid())) <= before
+
+
+def test_nothing_to_do_starts_nothing():
+    assert list(each(work, [], 2)) == []
+
+
+def test_workers_are_gone_when_nobody_asks_for_more():
+    before = set(children(os.getpid()))
+    found = each(work, ["a", "b", "c"], 2)
+    next(found)
+    assert set(children(os.getpid())) > before
+    found.close()
+    assert set(children(os.getpid())) <= before
+
+
+def test_joblib_is_guarded_and_works_as_before(joblib_as_before):
+    guard_joblib()
+    assert os.getpid() not in Parallel(2)(delayed(work)(item) for item in "abcd")
+
+
+# parents that are killed
+
+
+def children(pid):
+    """Return the processes that a process started, but not those that track resources."""
+    found = []
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # a thread may have ended
+            found += [int(one) for one in file.read_text().split()]
+    return [one for one in found if is_alive(one) and "resource_tracker" not in command_of(one)]
+
+
+def command_of(pid):
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def is_alive(pid):
+    """Return whether a process runs; one that has ended and waits for its parent does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def until(condition, seconds):
+    """Wait until something is true, at most so long; return whether it became so."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+PARENTS = {
+    "each": "list(each(nap, [folder / 'a', folder / 'b', folder / 'c'], 2))",
+    "joblib": "guard_joblib(); Parallel(2)(delayed(nap)(folder / one) for one in 'abc')",
+    "idle": "guard_joblib(); Parallel(3, pre_dispatch=1)(delayed(nap)(folder / o) for o in 'ab')",
+}
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
+@pytest.mark.parametrize("kind", PARENTS)
+def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
+    code = (
+        "from pathlib import Path; from test_workers import *; "
+        f"folder = Path({str(tmp_path)!r}); {PARENTS[kind]}"
+    )
+    path = os.pathsep.join(sys.path)
+    parent = subprocess.Popen([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": path})
+    try:
+        n_sleeping = 1 if kind == "idle" else 2
+        assert until(lambda: len(list(tmp_path.iterdir())) >= n_sleeping, 60)
+        started = children(parent.pid)
+        assert len(started) >= n_sleeping
+    finally:
+        parent.kill()
+        parent.wait()
+    assert until(lambda: not any(map(is_alive, started)), ORPHANS_S)

@@ -1,0 +1,328 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stream_signals import (
+    RATES_HZ,
+    STARTS_S,
+    WINDOW,
+    ZERO_NS,
+    batch,
+    disturbed,
+    encoded,
+    frames_of,
+    gone_on,
+    interleaved,
+    manifest_in,
+    signals,
+    taken,
+    with_gaps,
+)
+
+from suspnet.live.sections import MOST_OPEN, Sections
+from suspnet.recordings import cleaning
+from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.frames import Frame, FrameError, encode
+from suspnet.recordings.joining import followed
+
+ORDER = OrderSettings(window=WINDOW)
+SECTION_S = 200
+
+
+@pytest.fixture(autouse=True)
+def _small_windows(monkeypatch):
+    monkeypatch.setattr(cleaning, "CORE_SAMPLES", 3000)
+
+
+def sections(folder, **changes):
+    return Sections(manifest_in(folder), **({"section_s": SECTION_S, "order": ORDER} | changes))
+
+
+def batch_of_section(folder, columns, number):
+    """Return what the batch makes of the samples within one section."""
+    manifest, cut = manifest_in(folder), {}
+    sources = {**manifest.channels, "speed": manifest.speed}
+    for name, rate_hz in RATES_HZ.items():
+        at_s = STARTS_S[name] + np.arange(len(columns[name])) / rate_hz
+        inside = np.floor(at_s / SECTION_S + 1e-9) == number
+        known = np.flatnonzero(inside & np.isfinite(columns[name]))
+        inside[: known[0]] = inside[known[-1] + 1 :] = False  # a file begins with a sample
+        cut[name] = columns[name][inside]
+        start_s = round(at_s[inside][0] - number * SECTION_S, 9)
+        sources[name] = replace(sources[name], start_s=start_s)
+    return batch(replace(manifest, speed=sources.pop("speed"), channels=sources), cut)
+
+
+# reference
+
+
+def streamed(folder, seed, seconds, begin_s=0.0):
+    """Return samples of a stream with gaps, its sections, and how many were over before its end."""
+    rng, columns, parts = np.random.default_rng(seed), signals(seed, seconds), []
+    for name, samples in columns.items():
+        most = 8 if name == "speed" else 400
+        frames = frames_of(name, samples, rng, RATES_HZ[name], n_lost=2, most=most)
+        columns[name] = with_gaps(samples, frames, name, RATES_HZ[name])
+        later = [replace(f, time_ns=f.time_ns + round(begin_s * 1e9)) for f in frames]
+        parts.append(disturbed(later, rng))
+    stream, found = sections(folder, late_s=40.0), []
+    frames = encoded(interleaved(parts, rng))
+    saved = set(rng.integers(len(frames), size=4).tolist())
+    for k, data in enumerate(frames):
+        assert taken(stream, data) in ("", "late")
+        found += stream.over()
+        if k in saved:
+            stream = gone_on(stream, sections(folder, late_s=40.0))
+    n_over = len(found)
+    return columns, found + stream.close(), n_over
+
+
+def assert_same(one, expected, rtol=1e-11, atol=1e-10):
+    np.testing.assert_allclose(one.signals, expected.signals, rtol=rtol, atol=atol)
+    np.testing.assert_array_equal(one.usable, expected.usable)
+    np.testing.assert_allclose(one.speed_m_per_s, expected.speed_m_per_s, rtol=1e-12)
+    assert one.start_s == expected.start_s
+    assert one.duration_s == expected.duration_s
+    assert [str(fault) for fault in one.faults] == [str(fault) for fault in expected.faults]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sections_of_the_stream_are_those_of_the_batch(tmp_path, seed):
+    columns, found, n_over = streamed(tmp_path, seed, 530.0)
+    assert n_over == 2
+    assert [one.begin_ns // 10**9 for one in found] == [
+        ZERO_NS // 10**9 + k * SECTION_S for k in range(3)
+    ]
+    for number, running in enumerate(found):
+        assert running.rest is None
+        assert_same(running.recording(), batch_of_section(tmp_path, columns, number))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_short_rest_of_a_trip_joins_the_section_before(tmp_path, seed):
+    columns, found, _ = streamed(tmp_path, seed, 480.0)
+    assert len(found) == 2
+    last = found[-1].recording()
+    whole, rest = (batch_of_section(tmp_path, columns, k) for k in (1, 2))
+    assert_same(last, followed(whole, rest, float(SECTION_S)))
+    assert last.duration_s == pytest.approx(279.0, abs=1.5)
+    n_unusable = np.count_nonzero(~last.usable) - sum(
+        np.count_nonzero(~one.usable) for one in (whole, rest)
+    )
+    assert 0 <= n_unusable < 60  # of 28,000: where the section was cut
+
+
+@pytest.mark.parametrize("begin_s", [0.0, 33.0, 77.5, 99.9])
+def test_trip_shorter_than_a_section_is_one_wherever_it_begins(tmp_path, begin_s):
+    columns, (one,), _ = streamed(tmp_path, 7, 95.0, begin_s)
+    assert one.begin_ns // 10**9 == int(ZERO_NS / 1e9 + STARTS_S["axle_box"] + begin_s)
+    cut_s = begin_s - (one.begin_ns // 10**9 - ZERO_NS // 10**9)
+    manifest = manifest_in(tmp_path)
+    sources = {
+        name: replace(source, start_s=round(source.start_s + cut_s, 9))
+        for name, source in {**manifest.channels, "speed": manifest.speed}.items()
+    }
+    expected = batch(
+        replace(manifest, speed=sources.pop("speed"), channels=sources),
+        {name: samples[: _n_known(samples)] for name, samples in columns.items()},
+    )
+    # a rounding of the time of a first sample may choose the neighbour of a tabulated filter
+    in_first_second = max(STARTS_S.values()) + begin_s % 1 < 1
+    assert_same(one.recording(), expected, *(() if in_first_second else (1e-5, 1e-3)))
+
+
+def _n_known(samples):
+    return int(np.flatnonzero(np.isfinite(samples))[-1]) + 1
+
+
+# property
+
+
+def frame(seconds, sequence, n=10, sensor="bogie"):
+    time_ns = ZERO_NS + round(seconds * 1e9)
+    return Frame("front left", sensor, sequence, time_ns, 250.0, "m/s2", np.ones(n, "f4"))
+
+
+def test_frame_is_divided_at_the_border(tmp_path):
+    stream = sections(tmp_path)
+    stream.add(frame(0.0, 0))
+    stream.add(frame(160.0, 1))
+    stream.add(frame(199.98, 2))
+    one, other = (stream._open[k].section for k in stream._keys)
+    assert one.rest is other
+    assert one._orders["bogie"].n_frames == 3
+    assert (one.end_ns, other.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
+    early = replace(frame(400.0, 3), time_ns=ZERO_NS + 400 * 10**9 - 1)
+    stream.add(early)
+    assert stream._open[stream._keys[-1]].section.begin_ns == ZERO_NS + 400 * 10**9
+
+
+def test_section_is_over_when_enough_frames_have_passed_it_and_its_rest_is_long(tmp_path):
+    stream = sections(tmp_path)
+    for k in range(4):
+        stream.add(frame(65.0 * k, k))
+    stream.add(frame(201.0, 4))
+    for k in range(WINDOW + 1):
+        assert stream.over() == []
+        stream.add(frame(321.0 + k, 5 + k))
+    (one,) = stream.over()
+    assert (one.begin_ns, one.rest) == (ZERO_NS, None)
+    assert stream.over() == []
+    assert taken(stream, encode(frame(199.0, 100))) == "late"
+
+
+def test_trip_is_over_when_frames_come_after_a_pause(tmp_path):
+    stream = sections(tmp_path, section_s=600)
+    for k in range(4):
+        stream.add(frame(33.0 * k, k))
+    for k in range(9 + WINDOW + 1):  # at first a lagging sensor may not be through
+        assert stream.over() == []
+        stream.add(frame(99.04 + 301.0 + k, 4 + k))
+    (one,) = stream.over()
+    assert (one.begin_ns, one.rest, one.n_frames) == (ZERO_NS, None, 4)
+    assert taken(stream, encode(frame(390.0, 100))) == "late"
+    (other,) = stream.close()
+    assert other.begin_ns == ZERO_NS + 400_040_000_000
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0), (1, 0, 2)])
+def test_begin_does_not_depend_on_the_order_of_frames(tmp_path, order):
+    stream = sections(tmp_path)
+    for k in order:
+        stream.add(frame(0.7 * k, k))
+    stream.add(frame(150.0, 3))
+    stream.add(frame(200.5, 4))
+    one, other = (stream._open[k].section for k in stream._keys)
+    assert (one.begin_ns, other.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
+
+
+def speed_frame(seconds, m_per_s):
+    time_ns = ZERO_NS + round(seconds * 1e9)
+    samples = np.full(40, m_per_s, "f4")
+    return Frame("front left", "speed", round(seconds), time_ns, 4.0, "m/s", samples)
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "lag_s"),
+    [
+        pytest.param(begin_s, lag_s, marks=[pytest.mark.slow] * (begin_s != 1100 or lag_s < 0))
+        for begin_s in (430, 750, 1100, 1430, 1999)
+        for lag_s in (0, 5, -5)
+    ],
+)
+def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag_s):
+    """A logger sends all day long; `lag_s` is how much later the speed comes than the others."""
+    stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
+    coming = [(at, frame(at, k)) for k, at in enumerate(range(0, 4000, 2))]
+    for at in range(0, 4000, 10):
+        speed = 70.0 if begin_s <= at < begin_s + 600 else 0.0
+        coming.append((at + lag_s, speed_frame(at, speed)))
+    for k, (_, one) in enumerate(sorted(coming, key=lambda one: one[0])):
+        assert taken(stream, encode(one)) == ""
+        found += stream.over()
+        if k % 500 == 499:
+            stream = gone_on(stream, sections(tmp_path, section_s=1200, late_s=10.0))
+    found += stream.close()
+    begins = [(one.begin_ns - ZERO_NS) // 10**9 for one in found]
+    assert begins[0] == 0
+    assert len(found) >= 4
+    (holds,) = {max(b for b in begins if b <= at) for at in (begin_s + 15, begin_s + 599)}
+    assert all(one.end_ns - one.begin_ns <= 1500 * 10**9 for one in found)
+    again = [b for b in begins if b < holds]
+    assert again == [400 * k for k in range(len(again))]  # while it stands, from a third on
+
+
+def test_train_that_stops_for_less_than_a_pause_or_of_unknown_speed_is_not_cut(tmp_path):
+    for speeds in ({}, {at: 0.0 if at % 1000 < 290 else 70.0 for at in range(0, 3600, 10)}):
+        stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
+        for k, at in enumerate(range(0, 3600, 2)):
+            if at in speeds:
+                stream.add(speed_frame(at, speeds[at]))
+            stream.add(frame(at, k))
+            found += stream.over()
+        begins = [(one.begin_ns - ZERO_NS) // 10**9 for one in found + stream.close()]
+        assert begins == [0, 1200, 2400]
+
+
+def test_joined_rest_survives_a_restart(tmp_path):
+    stream = sections(tmp_path)
+    for k in range(30):
+        stream.add(frame(10.0 * k, k))
+    stream = gone_on(stream, sections(tmp_path))
+    (one,) = stream.open
+    assert one.rest is not None
+    assert stream.growing == []
+    stream.add(frame(320.0, 30))
+    assert len(stream.open) == 2
+    assert [o.begin_ns for o in stream.growing] == [ZERO_NS + 200 * 10**9]
+    assert one.rest is None
+
+
+def test_clock_that_was_far_ahead_and_is_right_again_is_believed(tmp_path):
+    stream, ahead_s = sections(tmp_path), 1e8
+    for k in range(400):
+        stream.add(frame(ahead_s + k, k))
+        stream.over()
+    for k in range(WINDOW):
+        assert taken(stream, encode(frame(0.04 * k, 400 + k))) == "late"
+    assert taken(stream, encode(frame(0.04 * WINDOW, 400 + WINDOW))) == ""
+    again = sections(tmp_path)
+    again._next_ns = ZERO_NS + round(ahead_s * 1e9)
+    again.add(frame(0.04 * WINDOW, 200 + WINDOW), is_known=True)
+
+
+def test_sections_of_wrong_times_keep_out_no_right_one(tmp_path):
+    stream = sections(tmp_path)
+    for k in range(2 * MOST_OPEN):
+        for n in range(2):
+            stream.add(frame(1e6 * (k + 1) + n, 2 * k + n))
+    for k in range(300):
+        assert taken(stream, encode(frame(k, 1000 + k))) == ""
+        stream.over()
+        assert len(stream._open) <= MOST_OPEN
+    assert sum(one.n_frames for one in stream.close() if one.begin_ns < ZERO_NS + 10**12) >= 100
+
+
+def test_frames_of_wrong_times_close_nothing_and_are_bounded(tmp_path):
+    stream = sections(tmp_path)
+    for k in range(200):
+        assert taken(stream, encode(frame(0.04 * k, k))) == ""
+        if k % 20 == 10:
+            wrong = frame(1e6 * k, 1000 + k)
+            assert taken(stream, encode(wrong)) == ""
+        assert stream.over() == []
+        assert len(stream._open) <= MOST_OPEN
+    (first, *_) = stream.close()
+    assert first.begin_ns == ZERO_NS
+    assert first.n_frames == 200
+    assert stream.counts["dropped"] == 10 + 1 - MOST_OPEN
+
+
+def test_stream_that_has_ended_gives_all_and_then_nothing(tmp_path):
+    stream = sections(tmp_path)
+    stream.add(frame(50.0, 0))
+    assert len(stream.close()) == 1
+    assert stream.close() == []
+
+
+# failure
+
+
+def test_frame_longer_than_a_section_is_refused(tmp_path):
+    with pytest.raises(FrameError, match="longer than a section of 200 s"):
+        sections(tmp_path).add(frame(0.0, 0, n=50001))
+
+
+def test_refused_frames_open_no_section(tmp_path):
+    stream = sections(tmp_path)
+    assert taken(stream, encode(frame(0.0, 0, sensor="cabin"))) == "sensor"
+    assert stream.close() == []
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"section_s": 10}, {"late_s": -1.0}, {"pause_s": 1.0}, {"pause_s": 60.0, "late_s": 61.0}],
+)
+def test_settings_out_of_range_are_refused(tmp_path, changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        sections(tmp_path, **changes)

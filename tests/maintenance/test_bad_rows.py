@@ -1,0 +1,146 @@
+"""A row that cannot be read costs that row: it is named, and all else is shown."""
+
+import logging
+import sqlite3
+import warnings
+
+import numpy as np
+import pytest
+from depot_trips import place, trips
+
+from suspnet.history import Event, History
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.limits import Severity
+from suspnet.report.board import Board, BoardSettings
+
+SETTINGS = BoardSettings(today="2026-03-01")
+SIDES = [place("left"), place("right")]
+FIRST = "UPDATE {} SET {} = {} WHERE rowid = (SELECT MIN(rowid) FROM {})"
+N_TRIPS = 12
+TODAY = "2026-03-01T08:00:00+00:00"
+BAD = [
+    ("trips", "start", "'yesterday'"),
+    ("trips", "start", "'0001-01-01T00:00:00+23:00'"),
+    ("trips", "start", "7"),
+    ("trips", "mileage_km", "'far'"),
+    ("trips", "mileage_km", "-1"),
+    ("trips", "mileage_km", "9e999"),
+    ("trips", "mileage_km", "x'00ff'"),
+    ("trips", "k_p", "'soft'"),
+    ("trips", "k_p", "9e999"),
+    ("trips", "c_s_half_width", "-9e999"),
+    ("trips", "trip", "x'00ff'"),
+    ("events", "kind", "'repaired'"),
+    ("events", "mileage_km", "'far'"),
+    ("events", "words", "x'ff'"),
+    ("alarms", "cause", "'magic'"),
+    ("alarms", "severity", "99"),
+    ("alarms", "begin_km", "9e999"),
+    ("acknowledgements", "at", "'noon'"),
+    ("acknowledgements", "by", "' '"),
+    ("suspensions", "vehicle", "x'00ff'"),
+    ("suspensions", "revision", "'new'"),
+]
+
+
+@pytest.fixture
+def path(tmp_path):
+    found = tmp_path / "fleet.db"
+    with History(found) as store:
+        for i, one in enumerate(SIDES):
+            store.write(trips(one, i, n_trips=N_TRIPS))
+            store.add_event("am96", one, Event(2_000.0, "exchanged"))
+            store.keep_alarms("am96", one, [Alarm("k_p", Cause.LIMIT, Severity.ACT, 3_000.0)])
+            seen = Acknowledgement("k_p", Cause.LIMIT, Severity.ACT, 3_000.0, "Kim", TODAY)
+            store.acknowledge("am96", one, [seen])
+    return found
+
+
+def change(path, table, column, value):
+    """Change a value of a table's first row by hand, as SQLite lets anybody do."""
+    with sqlite3.connect(path) as connection:
+        connection.execute(FIRST.format(table, column, value, table))
+        raised = "UPDATE suspensions SET revision = revision + 1 WHERE typeof(revision) != 'text'"
+        connection.execute(raised)
+    connection.close()
+
+
+@pytest.mark.parametrize(("table", "column", "value"), BAD)
+def test_bad_row_is_named_and_the_others_are_shown(path, table, column, value, caplog):
+    board = Board(str(path), SETTINGS)
+    change(path, table, column, value)
+    with caplog.at_level(logging.WARNING):
+        assert board.refresh()
+        assert not board.refresh()
+    view = board.view
+    assert view.is_complete
+    assert view.trouble == ""
+    assert len(view.states) == (1 if table == "suspensions" else 2)
+    assert sum(len(one.series.trip) for one in view.states) == {
+        "trips": 2 * N_TRIPS - 1,
+        "suspensions": N_TRIPS,
+    }.get(table, 2 * N_TRIPS)
+    (words,) = {str(one) for one in view.bad_rows}
+    assert words.startswith(f"{table}, row ")
+    assert column in words or value.strip("'") in words
+    logged = [one.getMessage() for one in caplog.records if words in one.getMessage()]
+    assert len(logged) == 1  # once, not at each look
+    assert "correct or delete" in logged[0]
+
+
+def test_row_that_is_mended_is_shown_again(path):
+    board = Board(str(path), SETTINGS)
+    change(path, "trips", "start", "'yesterday'")
+    board.refresh()
+    assert board.view.bad_rows
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE trips SET start = '2025-01-01' WHERE start = 'yesterday'")
+    connection.close()
+    assert board.refresh()
+    assert not board.view.bad_rows
+    assert sum(len(one.series.trip) for one in board.view.states) == 2 * N_TRIPS
+
+
+def test_suspension_whose_rows_are_all_bad_is_not_shown_as_before(path):
+    board = Board(str(path), SETTINGS)
+    board.refresh()
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE trips SET mileage_km = 'far' WHERE suspension_id = 1")
+        connection.execute("UPDATE suspensions SET revision = revision + 1")
+    connection.close()
+    board.refresh()
+    assert [one.key[1] for one in board.view.states] == [SIDES[1]]
+    assert len(board.view.bad_rows) == N_TRIPS
+
+
+def test_other_programs_read_past_a_bad_row(path, caplog):
+    for column, value in (("start", "x'00ff'"), ("coherence_p", "'good'"), ("status", "7e0")):
+        change(path, "trips", column, value)
+    with History(path) as store, caplog.at_level(logging.WARNING):
+        assert len(store.read("am96", SIDES[0])) == N_TRIPS - 1
+        assert [one.table for one in store.bad_rows] == ["trips"]
+        assert len(store.series()) == 2
+    assert any("trips, row id=1" in one.getMessage() for one in caplog.records)
+
+
+def test_text_that_is_no_utf8_is_shown_with_a_sign_in_its_place(path):
+    change(path, "trips", "trip", "CAST(x'61ff62' AS TEXT)")
+    with History(path) as store:
+        assert "a\N{REPLACEMENT CHARACTER}b" in [one.trip for one in store.read("am96", SIDES[0])]
+        assert store.bad_rows == []
+
+
+@pytest.mark.parametrize("value", ["1e300", "-1e300", "1e-300", "0", "-5"])
+@pytest.mark.parametrize("column", ["k_p", "c_s_half_width", "healthy_since_km", "temperature_c"])
+def test_absurd_numbers_of_one_suspension_leave_the_others(path, column, value):
+    board = Board(str(path), SETTINGS)
+    with sqlite3.connect(path) as connection:
+        connection.execute(f"UPDATE trips SET {column} = {value} WHERE suspension_id = 1")
+    connection.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of such numbers
+        assert board.refresh()
+    assert board.view.is_complete
+    other = next(one for one in board.view.states if one.key[1] == SIDES[1])
+    assert len(other.series.trip) == N_TRIPS
+    assert np.isfinite(other.last_km)

@@ -1,0 +1,151 @@
+"""Report, overview, plan and the pages of the fleet give the same numbers of the same trips."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from depot_trips import trips
+from trip_fixtures import model_at
+
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.history import History
+from suspnet.recordings.manifest import Place
+from suspnet.report import report
+from suspnet.report.board import Board, BoardSettings
+from suspnet.report.tensorboard import RunLog
+from suspnet.trips import fleet
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet
+
+K_AND_C = ("k_p", "c_p", "k_s", "c_s")
+SEED = 3
+
+
+def made_up(where, vehicle):
+    """Return trips: a worn damper, one that failed on flagged trips, a flagged spring, few."""
+    worn, last = 1 - 0.006 * np.arange(24), np.arange(24) > 20
+    given = {
+        "worn": trips(where, 0, {"c_s": worn}, n_trips=24),
+        "failed": [
+            replace(one, flags="odd" if is_last else "")
+            for one, is_last in zip(
+                trips(where, 1, {"c_s": np.where(last, 0.55, 1)}, n_trips=24), last, strict=True
+            )
+        ],
+        "flagged": [
+            replace(one, flags="odd") for one in trips(where, 2, {"k_s": worn}, n_trips=12)
+        ],
+        "few": trips(where, 4, {"k_p": 1 - 0.02 * np.arange(7)}, n_trips=7),
+    }
+    return [replace(one, vehicle=vehicle) for one in given[where.suspension]]
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory):
+    """Return the folder of four suspensions' reports, and the view that is served of them."""
+    folder = tmp_path_factory.mktemp("same")
+    model = model_at()
+    settings = FleetSettings(TripSettings())
+    of_place = {}
+    for name in ("worn", "failed", "flagged", "few"):
+        where = Place(name, train="12", car=name)
+        (folder / "trips" / name).mkdir(parents=True)
+        for one in made_up(where, model.vehicle.name):
+            path = folder / "trips" / name / f"{name}_{one.trip}.yaml"
+            path.write_text(f"suspension: {name}\ntrain: '12'\ncar: {name}\n")
+            of_place[path.name] = one
+
+    def read(path, *_, **__):
+        one = of_place[path.name]
+        return replace(one, trip=path.stem, manifest=str(path), healthy_si=healthy(model))
+
+    store = folder / "fleet.db"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fleet, "evaluate_trip", read)
+        patch.setattr(RunLog, "figure", lambda *_: None)
+        patch.setattr(report, "data_uri", lambda _: "")
+        with History(store) as history:
+            given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
+            evaluate_fleet(*given)
+    vehicles = {model.vehicle.name: model.vehicle}
+    board = Board(str(store), BoardSettings(vehicles, today="2026-03-01", seed=SEED))
+    board.refresh()
+    return folder, board.view
+
+
+def healthy(model):
+    return dict(zip(model.healthy.names, model.healthy.values.tolist(), strict=True))
+
+
+def reported(folder):
+    """Return the numbers of each parameter of each suspension, as metrics.json has them."""
+    found = {}
+    for path in sorted((folder / "out").glob("*/metrics.json")):
+        trends = json.loads(path.read_text())["trends"]
+        found |= {(path.parent.name, one["parameter"]): one for one in trends}
+    return found
+
+
+def rows_of(path):
+    with path.open() as stream:
+        return {row["suspension"]: row for row in csv.DictReader(stream)}
+
+
+def test_report_overview_and_fleet_page_give_the_same_present_values(outcomes):
+    folder, view = outcomes
+    reports = reported(folder)
+    table = rows_of(folder / "out" / "overview.csv")
+    for row in view.rows:
+        for name in K_AND_C:
+            now = reports[row["suspension"], name]["now"]
+            assert row[f"{name}_last"] == pytest.approx(now, rel=1e-12)
+            assert float(table[row["suspension"]][f"{name}_last"]) == pytest.approx(now)
+    assert reports["failed", "c_s"]["now"] == pytest.approx(0.55, abs=0.01)
+
+
+def test_report_and_fleet_page_give_the_same_remaining_lives(outcomes):
+    folder, view = outcomes
+    reports = reported(folder)
+    known = 0
+    for state in view.states:
+        for name in K_AND_C:
+            one, life = reports[state.series.place.suspension, name], state.lives.get(name)
+            assert one["unknown_life"] == state.unknown.get(name, "")
+            if life is None:
+                assert one["life"] is None
+                continue
+            known += 1
+            median = life.quantile_km(0.5)
+            assert one["life"]["median_km"] == (median if np.isfinite(median) else None)
+    assert known > 10
+    text = (folder / "out" / "worn" / "report.html").read_text()
+    assert "predicted with the rates of wear of 4 suspensions of the history" in text
+    assert reports["flagged", "k_s"]["unknown_life"] == "all of the last 5 trips are flagged"
+
+
+def test_unknown_lives_are_the_same_in_the_plan(outcomes):
+    folder, view = outcomes
+    reports = reported(folder)
+    assert view.plan is not None
+    told = {(row["suspension"], row["parameter"]): row["unknown"] for row in view.plan.rows()}
+    for key, one in reports.items():
+        if one["unknown_life"]:
+            assert told[key] == one["unknown_life"]
+
+
+def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):
+    model = model_at()
+    only = made_up(Place("worn"), model.vehicle.name)
+    (tmp_path / "trips").mkdir()
+    for one in only:
+        (tmp_path / "trips" / f"{one.trip}.yaml").write_text("suspension: worn\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fleet, "evaluate_trip", lambda path, *_, **__: only[int(path.stem[-3:])])
+        patch.setattr(RunLog, "figure", lambda *_: None)
+        patch.setattr(report, "data_uri", lambda _: "")
+        settings = FleetSettings(TripSettings())
+        evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "predicted by this suspension alone, as no other of its vehicle shows how fast" in text
+    assert "(store=) the plan of a fleet may give other ones" in text

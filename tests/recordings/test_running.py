@@ -1,0 +1,254 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from stream_signals import (
+    RATES_HZ,
+    STARTS_S,
+    WINDOW,
+    ZERO_NS,
+    batch,
+    disturbed,
+    encoded,
+    frames_of,
+    gone_on,
+    interleaved,
+    manifest_in,
+    signals,
+    taken,
+    with_gaps,
+)
+
+from suspnet.live.stream_state import StateError, dump_state, load_state
+from suspnet.recordings import TripError, cleaning
+from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.frames import Frame, FrameError, decode, encode
+from suspnet.recordings.running import Running
+from suspnet.spectra.segments import recording_segments
+from suspnet.spectra.welch import Welch
+
+ORDER = OrderSettings(window=WINDOW)
+FAST, SLOW = range(12), range(12, 230)
+
+
+@pytest.fixture(autouse=True)
+def _small_windows(monkeypatch):
+    """Let windows of cleaning be as many in these short signals as in long ones."""
+    monkeypatch.setattr(cleaning, "CORE_SAMPLES", 3000)
+
+
+def running(folder, **changes):
+    return Running(manifest_in(folder), ZERO_NS, order=ORDER, **changes)
+
+
+def case(folder, seed):
+    """Return the batch's recording and the encoded frames of the same samples."""
+    rng = np.random.default_rng(seed)
+    columns, parts = signals(seed), []
+    for name, samples in columns.items():
+        most = int(rng.choice([8, 60, 400, 3000]) if name != "speed" else 20)
+        n_lost = int(rng.integers(0, 3)) if len(samples) > 4 * most else 0
+        frames = frames_of(name, samples, rng, RATES_HZ[name], n_lost, most=most)
+        columns[name] = with_gaps(samples, frames, name, RATES_HZ[name])
+        parts.append(disturbed(frames, rng))
+    return batch(manifest_in(folder), columns), encoded(interleaved(parts, rng)), rng
+
+
+def assert_same(found, expected):
+    np.testing.assert_allclose(found.signals, expected.signals, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(found.usable, expected.usable)
+    np.testing.assert_array_equal(found.speed_m_per_s, expected.speed_m_per_s)
+    assert found.start_s == expected.start_s
+    assert found.duration_s == expected.duration_s
+    # sums over blocks are those of the batch, as the windows are: words agree to the last digit
+    assert found.faults == expected.faults
+
+
+def check_case(folder, seed):
+    expected, frames, rng = case(folder, seed)
+    stream = running(folder)
+    saved = set(rng.integers(len(frames), size=3).tolist())
+    for k, data in enumerate(frames):
+        assert taken(stream, data) == ""
+        if k in saved:
+            stream = gone_on(stream, running(folder))
+    stream.flush()
+    assert_same(stream.recording(), expected)
+    return stream, expected
+
+
+# reference
+
+
+@pytest.mark.parametrize("seed", FAST)
+def test_stream_equals_batch_under_any_chunking(tmp_path, seed):
+    stream, expected = check_case(tmp_path, seed)
+    assert 0 < expected.usable.mean() < 1
+    for name, counts in stream.sensors.items():
+        assert counts["taken"] > 0
+        assert counts["clock"] == counts["far"] == counts["restart"] == counts["late"] == 0
+        assert counts["gap"] <= counts["missing"], name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SLOW)
+def test_stream_equals_batch_under_many_more_chunkings(tmp_path, seed):
+    check_case(tmp_path, seed)
+
+
+def test_cross_spectra_of_stream_and_batch_agree(tmp_path):
+    stream, expected = check_case(tmp_path, 0)
+    welch = Welch(segment_s=10.0)
+    found, wanted = (recording_segments(r, welch) for r in (stream.recording(), expected))
+    assert len(wanted.values) >= 3
+    assert torch.equal(found.first, wanted.first)
+    every = torch.ones(len(wanted.values), dtype=torch.bool)
+    for one, other in zip(
+        (found.average(every).auto, found.average(every).cross),
+        (wanted.average(every).auto, wanted.average(every).cross),
+        strict=True,
+    ):
+        assert float((one - other).abs().amax()) <= 1e-10 * float(other.abs().amax())
+
+
+def test_recording_so_far_is_that_of_the_samples_so_far_and_changes_nothing(tmp_path):
+    rng, columns = np.random.default_rng(5), signals(5)
+    parts = {n: frames_of(n, s, rng, RATES_HZ[n], most=20) for n, s in columns.items()}
+    stream = running(tmp_path)
+    cut_s = 80.0
+    later = []
+    for name, frames in parts.items():
+        end_ns = ZERO_NS + cut_s * 1e9
+        early = [f for f in frames if f.time_ns < end_ns]
+        later += frames[len(early) :]
+        columns[name] = columns[name][: sum(len(f.samples) for f in early)]
+        for frame in early:
+            stream.add(frame)
+    assert_same(stream.recording(), batch(manifest_in(tmp_path), columns))
+    for frame in later:
+        stream.add(frame)
+    assert_same(stream.recording(), batch(manifest_in(tmp_path), signals(5)))
+
+
+def test_what_the_manifest_leaves_to_the_file_is_that_of_the_frames(tmp_path):
+    expected, frames, _ = case(tmp_path, 4)
+    manifest = manifest_in(tmp_path)
+    unsaid = {"unit": None, "rate_hz": None, "time": "t"}
+    channels = {
+        name: replace(one, **(unsaid | ({"unit": "m/s2"} if one.range else {})))
+        for name, one in manifest.channels.items()
+    }
+    manifest = replace(manifest, channels=channels, speed=replace(manifest.speed, **unsaid))
+    stream = Running(manifest, ZERO_NS, order=ORDER)
+    for k, one in enumerate(map(decode, frames)):
+        if one.sensor == "axle_box":
+            samples = one.samples.astype("f8") / 9.80665
+            one = replace(one, unit="g", samples=samples)
+        assert taken(stream, encode(one)) == ""
+        if k == len(frames) // 2:
+            stream = gone_on(stream, Running(manifest, ZERO_NS, order=ORDER))
+    assert taken(stream, encode(replace(GOOD, rate_hz=251.0, sequence=10**6))) == "rate"
+    stream.flush()
+    assert_same(stream.recording(), expected)
+
+
+def test_rate_of_a_column_of_times_is_near_the_stated_one(tmp_path):
+    manifest = manifest_in(tmp_path)
+    bogie = replace(manifest.channels["bogie"], time="t")
+    stream = Running(replace(manifest, channels={**manifest.channels, "bogie": bogie}), ZERO_NS)
+    assert taken(stream, encode(replace(GOOD, rate_hz=260.0))) == "rate"
+    assert taken(stream, encode(replace(GOOD, rate_hz=249.5))) == ""
+    assert taken(stream, encode(replace(GOOD, rate_hz=250.0, sequence=1))) == "rate"
+
+
+# property
+
+
+def test_memory_of_pending_samples_is_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(cleaning, "CORE_SAMPLES", 2000)
+    stream = running(tmp_path)
+    for frame in frames_of("axle_box", signals()["axle_box"], np.random.default_rng(0), 400.0):
+        stream.add(frame)
+        pending = stream._sensors["axle_box"]._cleaner._windows.pending
+        assert sum(map(len, pending)) <= 2000 + 4 * 400 + 300  # a core, its context and a frame
+        assert all(one.base is None or one.base.nbytes <= 2 * one.nbytes for one in pending)
+
+
+def test_saved_state_of_an_empty_recording_is_restored(tmp_path):
+    assert gone_on(running(tmp_path), running(tmp_path)).n_frames == 0
+
+
+# failure
+
+GOOD = Frame("front left", "bogie", 0, ZERO_NS + 10**9, 250.0, "m/s2", np.ones(10, "f4"))
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        ("sensor", {"sensor": "cabin"}),
+        ("sensor", {"suspension": "rear left"}),
+        ("unit", {"unit": "g"}),
+        ("unit", {"unit": "furlong"}),
+        ("rate", {"rate_hz": 251.0}),
+        ("time", {"time_ns": ZERO_NS - 1}),
+        ("time", {"time_ns": ZERO_NS + 10**13}),
+    ],
+)
+def test_bad_frames_have_a_reason_and_the_stream_goes_on(tmp_path, reason, change):
+    stream = running(tmp_path)
+    assert taken(stream, encode(replace(GOOD, **change))) == reason
+    assert taken(stream, encode(GOOD)) == ""
+
+
+def test_bad_frames_in_between_do_not_change_the_result(tmp_path):
+    expected, frames, rng = case(tmp_path, 3)
+    stream = running(tmp_path)
+    bad = [encode(replace(GOOD, sensor="cabin")), b"", b"ARROW1", frames[0][:-30]]
+    for data in frames:
+        taken(stream, data)
+        if rng.random() < 0.3:
+            assert taken(stream, bad[rng.integers(len(bad))])
+    stream.flush()
+    assert_same(stream.recording(), expected)
+
+
+def test_recording_without_a_sensor_is_refused(tmp_path):
+    stream = running(tmp_path)
+    stream.add(GOOD)
+    stream.flush()
+    with pytest.raises(TripError, match="nothing has come from axle_box, body, speed"):
+        stream.recording()
+
+
+def test_manifest_with_a_range_of_unknown_unit_is_refused(tmp_path):
+    manifest = manifest_in(tmp_path)
+    body = replace(manifest.channels["body"], unit=None)
+    without = replace(manifest, channels={**manifest.channels, "body": body})
+    with pytest.raises(TripError, match="'body' has a `range`; write its `unit`"):
+        Running(without, ZERO_NS)
+
+
+def test_speed_that_comes_too_fast_is_refused(tmp_path):
+    with pytest.raises(TripError, match="'speed' needs"):
+        Running(manifest_in(tmp_path, RATES_HZ | {"speed": 100.0}), ZERO_NS)
+
+
+def test_wrong_frame_raises_its_reason(tmp_path):
+    with pytest.raises(FrameError, match="is in m/s2, its frame in 'g'"):
+        running(tmp_path).add(replace(GOOD, unit="g"))
+
+
+def test_state_of_other_settings_or_damaged_is_refused(tmp_path):
+    stream = running(tmp_path)
+    saved = dump_state(stream.identity, stream.state())
+    other = Running(manifest_in(tmp_path), ZERO_NS + 10**9, order=ORDER)
+    with pytest.raises(StateError, match="another stream"):
+        load_state(saved, other.identity)
+    with pytest.raises(StateError, match="is no state of a stream"):
+        load_state(saved[:50], stream.identity)
+
+
+def test_starts_of_the_signals_differ():
+    assert len(set(STARTS_S.values())) == len(STARTS_S)

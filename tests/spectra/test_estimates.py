@@ -1,0 +1,459 @@
+"""Draws of estimated transfer functions against estimates from simulated stationary records."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+import reference
+import torch
+import trips_reference
+from scipy.signal import get_window
+from vehicles import AM96
+
+from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
+from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.transfer_estimate import segment_spectra
+from suspnet.spectra.welch import Welch
+from suspnet.spectra.wishart import moving_average_with, sample_spectra
+
+METHODS = ["H1", "H2", "Hv", "IV"]
+RATE_HZ, N_RECORDS, N_DRAWS = 32.0, 400, 3000
+SETTINGS = EstimateSettings(
+    segment_s=20.0,
+    minutes=5.0,
+    rates_hz=(RATE_HZ,) * 3,
+    snr_db=20.0,
+    high_hz=9.9,  # well below the Nyquist frequency; G_s is used on all bins
+    cache_dir=None,
+).bound(AM96)
+DEGRADED = (0.8, 1.6, 1.2, 0.8, 1.1)
+RATIOS = torch.tensor([DEGRADED], dtype=torch.float64)
+
+
+def observer(method="IV", generator=None, **changes):
+    settings = dataclasses.replace(SETTINGS, method=method, **changes)
+    return settings.observer(generator or QuarterCar(AM96))
+
+
+def track_acceleration(frequencies_hz, speed=70.0):
+    """Return the axle box's density on the German track of low unevenness, from rad/m."""
+    f = np.asarray(frequencies_hz)
+    w = 2 * math.pi * f / speed
+    elevation = 4.032e-7 * 0.8246**2 / ((w**2 + 0.0206**2) * (w**2 + 0.8246**2))
+    return (2 * math.pi * f) ** 4 * elevation * 2 * math.pi / speed
+
+
+def gains(ratios, frequencies_hz):
+    """Return the gain from the axle box to each of the three sensors."""
+    g_p, g_s = reference.transfer(AM96, ratios, np.asarray(frequencies_hz))
+    return [np.ones_like(g_p), g_p, g_p * g_s]
+
+
+def noise_densities(snr_db, rate_hz=RATE_HZ):
+    """Return each sensor's noise density: the healthy signal's power spread over its band."""
+    grid = np.linspace(0.1, rate_hz / 2, 40_001)
+    densities = []
+    for gain in gains((1.0,) * 5, grid):
+        power = np.trapezoid(abs(gain) ** 2 * track_acceleration(grid), grid)
+        densities.append(power * 10 ** (-snr_db / 10) / (rate_hz / 2))
+    return np.array(densities)
+
+
+def expected_spectra(ratios, frequencies_hz, snr_db=20.0, segment_s=20.0, speed=70.0):
+    """Return auto and cross spectra, smeared by Hann's 1/6, 2/3, 1/6, auto with noise."""
+    step = 1 / segment_s
+    bins = np.concatenate([[frequencies_hz[0] - step], frequencies_hz, [frequencies_hz[-1] + step]])
+    chain, track = gains(ratios, bins), track_acceleration(bins, speed)
+    taps = [1 / 6, 2 / 3, 1 / 6]
+    noise = noise_densities(snr_db) if math.isfinite(snr_db) else np.zeros(3)
+    auto = [trips_reference.smeared(abs(g) ** 2 * track, taps) for g in chain]
+    auto = [density + n for density, n in zip(auto, noise, strict=True)]
+    cross = [trips_reference.smeared(chain[x].conj() * chain[y] * track, taps) for x, y in PAIRS]
+    return auto, cross
+
+
+def by_method(auto, cross, method):
+    """Return G_p and G_s from spectra of axle box, bogie, body; `cross` is 01, 02, 12."""
+    axle, bogie, body = auto
+    axle_bogie, axle_body, bogie_body = cross
+    return {
+        "H1": [axle_bogie / axle, bogie_body / bogie],
+        "H2": [bogie / axle_bogie.conj(), body / bogie_body.conj()],
+        "Hv": [
+            np.sqrt(bogie / axle) * axle_bogie / abs(axle_bogie),
+            np.sqrt(body / bogie) * bogie_body / abs(bogie_body),
+        ],
+        # the body is the instrument of G_p, the axle box that of G_s
+        "IV": [bogie_body.conj() / axle_body.conj(), axle_body / axle_bogie],
+    }[method]
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Spectra of many records made by inverse FFT, estimated as any recording is."""
+    rng = np.random.default_rng(20)
+    n, n_period = round(300 * RATE_HZ), 10_240
+    frequencies = np.arange(n_period // 2 + 1) * RATE_HZ / n_period
+    frequencies[0] = frequencies[1]
+    size = np.sqrt(track_acceleration(frequencies) * RATE_HZ * n_period / 4)
+    size[[0, -1]] = 0.0
+    source = rng.standard_normal((N_RECORDS, len(size), 2)) @ [1, 1j] * size
+    deviation = np.sqrt(noise_densities(20.0) * RATE_HZ / 2)
+    records = np.empty((N_RECORDS, 3, n))
+    for channel, gain in enumerate(gains(DEGRADED, frequencies)):
+        records[:, channel] = np.fft.irfft(source * gain, n_period)[:, :n]
+        records[:, channel] += deviation[channel] * rng.standard_normal((N_RECORDS, n))
+    bins = SETTINGS.frequencies_hz()
+    segments = segment_spectra(
+        torch.as_tensor(records.reshape(-1, n)),
+        RATE_HZ,
+        SETTINGS.welch,
+        float(bins[0]),
+        float(bins[-1]),
+    )
+    torch.testing.assert_close(segments.frequencies_hz, bins)
+    values = segments.values.reshape(len(segments.values), N_RECORDS, 3, -1)
+    auto = values.abs().square().mean(dim=0)
+    cross = torch.stack([(values[:, :, x].conj() * values[:, :, y]).mean(0) for x, y in PAIRS], 1)
+    return CrossSpectra(auto, cross, SETTINGS.welch.n_averages(len(values)))
+
+
+def relative_logs(recorded, method):
+    """Return log-magnitude and phase of recorded and drawn estimates, relative to noise-free."""
+    source = observer(method)
+    free = source.noise_free(RATIOS)
+    drawn = source.observe(RATIOS.expand(N_DRAWS, 5), seed=9)
+    return (recorded.responses(method) / free).log(), (drawn / free).log()
+
+
+# reference
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("ratios", [(1.0,) * 5, DEGRADED])
+def test_noise_free_curves_are_those_of_the_naive_spectra(method, ratios):
+    found = observer(method).noise_free(torch.tensor([ratios], dtype=torch.float64))[0].numpy()
+    bins = SETTINGS.frequencies_hz().numpy()
+    expected = by_method(*expected_spectra(ratios, bins), method)
+    # the power of a channel is integrated on 4000 points
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    exact = gains(ratios, bins)
+    bias = np.abs(found[0] / exact[1]) - 1
+    # noise biases all but IV, where only the leakage near the dip of G_p is left
+    assert (np.median(np.abs(bias)) > 2e-3) == (method != "IV")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_mean_of_draws_is_that_of_recorded_estimates(recorded, method):
+    simulated, drawn = relative_logs(recorded, method)
+    for part in (lambda z: z.real, lambda z: z.imag):
+        a, b = part(simulated), part(drawn)
+        error = torch.sqrt(a.var(dim=0) / len(a) + b.var(dim=0) / len(b))
+        z = (a.mean(dim=0) - b.mean(dim=0)) / error
+        assert z.abs().max() < 5
+        # some 180 bins, neighbours correlated: the mean square is known to about 15 %
+        assert 0.5 < z.square().mean() < 1.7
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_scatter_of_draws_is_that_of_recorded_estimates(recorded, method):
+    simulated, drawn = relative_logs(recorded, method)
+    for part in (lambda z: z.real, lambda z: z.imag):
+        a, b = part(simulated).std(dim=0), part(drawn).std(dim=0)
+        assert b.min() > 0.003
+        # 400 records give a standard deviation to 3.5 %, more in the heavy tails
+        assert float((a / b).mean()) == pytest.approx(1.0, abs=0.03)
+        np.testing.assert_allclose(a / b, 1.0, atol=0.2)
+
+
+@pytest.mark.parametrize("method", ["H1", "IV"])
+def test_correlations_of_draws_are_those_of_recorded_estimates(recorded, method):
+    simulated, drawn = (logs.real for logs in relative_logs(recorded, method))
+    for response in (0, 1):
+        matrices = [np.corrcoef(x[:, response].numpy().T) for x in (simulated, drawn)]
+        for lag, least in ((1, 0.3), (2, -0.1), (3, -0.1)):
+            a, b = (np.diagonal(matrix, lag).mean() for matrix in matrices)
+            assert a == pytest.approx(b, abs=0.05)
+            assert b > least
+    both = [
+        torch.stack([torch.corrcoef(x[:, :, k].T)[0, 1] for k in range(x.shape[2])])
+        for x in (simulated, drawn)
+    ]
+    # the noise of the bogie's sensor raises one and lowers the other
+    assert both[1].abs().max() > 0.2
+    assert float((both[0] - both[1]).mean()) == pytest.approx(0.0, abs=0.02)
+    assert (both[0] - both[1]).abs().max() < 0.2  # 0.05 each
+
+
+@pytest.mark.parametrize("method", ["H1", "IV"])
+def test_stated_covariance_is_that_of_the_draws(method):
+    longer = {"minutes": 60.0, "snr_db": 30.0}  # small noise: the formula is of first order
+    source = observer(method, **longer)
+    stated = source.covariance(RATIOS)[0]
+    errors = (source.observe(RATIOS.expand(N_DRAWS, 5), seed=1) / source.noise_free(RATIOS)).log()
+    errors = errors - errors.mean(dim=0)
+    found = (errors[:, :, None] * errors[:, None].conj()).mean(dim=0)
+    deviation = torch.stack([stated[0, 0].real, stated[1, 1].real]).sqrt()
+    size = deviation[:, None] * deviation
+    # 3000 draws: 1.8 % each
+    assert ((found - stated) / size).abs().max() < 0.09
+    assert ((found - stated) / size).abs().mean() < 0.02
+
+
+def test_mean_and_variance_of_drawn_spectra_are_wisharts():
+    source = observer(low_hz=2.0, high_hz=2.9)
+    n = 20_000
+    mean = source.expected(RATIOS)
+    many = CrossSpectra(mean.auto.expand(n, -1, -1), mean.cross.expand(n, -1, -1), mean.n_averages)
+    drawn = sample_spectra(many, source._correlating, torch.Generator().manual_seed(0))
+    averages = mean.n_averages
+    assert averages == pytest.approx(29 * 18 / 19, abs=0.1)
+    for x, y in itertools.combinations_with_replacement(range(3), 2):
+        true, found = mean.between(x, y)[0], drawn.between(x, y)
+        power = mean.auto[0, x] * mean.auto[0, y]
+        # standard error of the mean 1 / sqrt(n averages) = 0.13 %, of the variance about 1.1 %
+        error = (found.mean(dim=0) - true).abs() / power.sqrt()
+        assert error.max() < 0.006
+        spread = (found - true).abs().square().mean(dim=0) / (power / averages)
+        np.testing.assert_allclose(spread, 1.0, atol=0.06)
+    # a covariance of two different entries, E[dS_01 conj(dS_02)] = S_21 S_00 / n
+    changes = [drawn.between(0, k) - mean.between(0, k)[0] for k in (1, 2)]
+    found = (changes[0] * changes[1].conj()).mean(dim=0) * averages
+    size = mean.auto[0, 0] * torch.sqrt(mean.auto[0, 1] * mean.auto[0, 2])
+    expected = mean.between(2, 1)[0] * mean.auto[0, 0]
+    assert (expected / size).abs().min() > 0.5
+    assert ((found - expected) / size).abs().max() < 0.06
+    # one draw is a covariance matrix: no coherence above 1
+    for x, y in PAIRS:
+        assert drawn.coherence(x, y).max() <= 1 + 1e-12
+
+
+@pytest.mark.parametrize("window", ["hann", "hamming", "blackman", "flattop", "cosine"])
+def test_moving_average_has_the_correlation_asked_for(window):
+    correlation = Welch(window=window).correlation().numpy()
+    taps = moving_average_with(correlation)
+    assert len(taps) == len(correlation) > 1
+    for lag, expected in enumerate(correlation):
+        found = sum(taps[i] * taps[i + lag] for i in range(len(taps) - lag))
+        assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_moving_average_of_a_known_process():
+    # h = 1, 0.5 has the correlation 1.25, 0.5
+    taps = moving_average_with(np.array([1.25, 0.5]))
+    np.testing.assert_allclose(np.abs(taps), [1.0, 0.5], rtol=1e-12)
+    assert taps[0] * taps[1] > 0
+
+
+# limit
+
+
+def test_without_noise_and_with_many_averages_a_draw_is_the_response():
+    source = observer(snr_db=150.0, minutes=9e4, segment_s=100.0)
+    found = source.observe(RATIOS, seed=0)
+    bins = source.frequencies_hz.numpy()
+    expected = gains(DEGRADED, bins)
+    # 100,000 averages; some leakage is left near the dip of G_p
+    assert np.abs(found[0, 0].numpy() / expected[1] - 1).max() < 0.01
+    assert np.abs(found[0, 1].numpy() * expected[1] / expected[2] - 1).max() < 0.01
+    torch.testing.assert_close(found, source.noise_free(RATIOS), rtol=1e-3, atol=0)
+
+
+# property
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_draws_are_those_of_their_seed(method):
+    source = observer(method)
+    ratios = RATIOS.expand(3, 5)
+    first = source.observe(ratios, seed=4)
+    assert first.shape == (3, 2, len(source.frequencies_hz))
+    assert first.dtype == torch.complex128
+    assert torch.equal(first, observer(method).observe(ratios, seed=4))
+    assert not torch.equal(first, source.observe(ratios, seed=5))
+    assert not torch.equal(first[0], first[1])
+
+
+def test_noise_of_the_sensors_follows_its_level():
+    exact = gains(DEGRADED, SETTINGS.frequencies_hz().numpy())[1]
+    clean = observer("H1", snr_db=190.0).noise_free(RATIOS)[0, 0]
+    # leakage is largest in the dip of G_p
+    assert np.median(np.abs(clean.numpy() / exact - 1)) < 1e-3
+    # H1 = S_xy / (S_xx + noise): what is missing is the noise
+    bias = [
+        (clean / observer("H1", snr_db=snr).noise_free(RATIOS)[0, 0]).real - 1
+        for snr in (10.0, 20.0, 30.0)
+    ]
+    assert bias[0].min() > 0.01
+    for louder, quieter in itertools.pairwise(bias):
+        torch.testing.assert_close(
+            louder / quieter, torch.full_like(louder, 10.0), rtol=1e-6, atol=0
+        )
+    # IV hardly sees it
+    iv = [observer("IV", snr_db=snr).noise_free(RATIOS) for snr in (20.0, 190.0)]
+    torch.testing.assert_close(iv[0], iv[1], rtol=1e-9, atol=0)
+
+
+def test_noise_does_not_depend_on_the_damage_but_on_each_sensors_rate():
+    bins = SETTINGS.frequencies_hz().numpy()
+    heavy = torch.tensor([[1.0, 1.0, 1.0, 1.0, 2.0]]).double()
+    for rate_hz in (32.0, 64.0):
+        source = observer("H1", rates_hz=(rate_hz, RATE_HZ, RATE_HZ))
+        clean = observer("H1", snr_db=190.0).noise_free(heavy)[0, 0]
+        noise = ((clean / source.noise_free(heavy)[0, 0]).real - 1).numpy()
+        taps = [1 / 6, 2 / 3, 1 / 6]
+        wide = np.concatenate([[bins[0] - 0.05], bins, [bins[-1] + 0.05]])
+        power = trips_reference.smeared(track_acceleration(wide), taps)
+        np.testing.assert_allclose(noise * power, noise_densities(20.0, rate_hz)[0], rtol=1e-3)
+
+
+def test_longer_trips_scatter_less():
+    scatter = [
+        observer(minutes=minutes).observe(RATIOS.expand(1000, 5), seed=0).abs().log().std(dim=0)
+        for minutes in (20.0, 80.0)
+    ]
+    # four times the averages: half the scatter, to some 5 % for 1000 draws
+    assert float((scatter[0] / scatter[1]).mean()) == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("minutes", "segment_s", "overlap"), [(20.0, 20.0, 0.5), (3.0, 10.0, 0.0), (2.0, 5.0, 0.75)]
+)
+def test_number_of_averages_is_that_of_the_segments_in_a_trip(minutes, segment_s, overlap):
+    settings = EstimateSettings(minutes=minutes, segment_s=segment_s, overlap=overlap)
+    n = round((60 * minutes - segment_s) / (segment_s * (1 - overlap))) + 1
+    window, step = get_window("hann", 256), round(256 * (1 - overlap))
+    assert settings.n_averages == pytest.approx(trips_reference.n_averages(window, step, n))
+    assert settings.welch == Welch(segment_s, overlap, "hann")
+
+
+@pytest.mark.parametrize(("ratio", "high_hz"), [(0.6, None), (1.0, None), (1.5, 25.0)])
+def test_band_follows_from_the_vehicle(ratio, high_hz):
+    vehicle = AM96.degraded(k_p=ratio**2, k_s=ratio**2, c_p=ratio, c_s=ratio)
+    bound = EstimateSettings().bound(vehicle)
+    modes, _ = QuarterCar(vehicle).natural_modes()
+    assert bound.low_hz == pytest.approx(0.45 * modes[0])
+    assert (3.8 * modes[1] > 25) == (high_hz is not None)
+    assert bound.high_hz == pytest.approx(high_hz or 3.8 * modes[1])
+    assert bound.body_high_hz == pytest.approx(2.4 * modes[1])
+    bins = bound.frequencies_hz().numpy()
+    np.testing.assert_allclose(bins * 20, np.rint(bins * 20), atol=1e-9)
+    assert bound.low_hz <= bins[0] < bound.low_hz + 0.05
+    assert bound.high_hz - 0.05 < bins[-1] <= bound.high_hz
+    np.testing.assert_allclose(np.diff(bins), 0.05, rtol=1e-9)
+    ends = dict.fromkeys(("low_hz", "high_hz", "body_high_hz"))
+    assert dataclasses.replace(bound, **ends) == EstimateSettings()
+
+
+def test_given_band_is_kept_and_bins_near_zero_are_left_out():
+    bound = EstimateSettings(low_hz=0.01, high_hz=5.0).bound(AM96)
+    assert (bound.low_hz, bound.high_hz, bound.body_high_hz) == (0.01, 5.0, 5.0)
+    bins = bound.frequencies_hz()
+    # the first neighbour of the first bin still has to be above zero
+    assert bins[0] == pytest.approx(0.1)
+    assert bins[-1] == pytest.approx(5.0)
+    assert EstimateObserver(bound, QuarterCar(AM96)).frequencies_hz.tolist() == bins.tolist()
+    exact = EstimateSettings(low_hz=1.3, high_hz=2.7).bound(AM96).frequencies_hz()
+    assert (exact[0], exact[-1]) == (pytest.approx(1.3), pytest.approx(2.7))
+    assert len(exact) == 29
+
+
+def test_what_is_uncertain_is_drawn_with_every_curve():
+    certain = VerticalVehicle(AM96)
+    uncertain = VerticalVehicle(AM96, distribution={"body_gyration": 0.3, "other_c_s": 0.5})
+    many = RATIOS.expand(300, 5)
+    quiet = {"snr_db": 100.0, "minutes": 9e4}
+    spread = [
+        observer(generator=generator, **quiet).observe(many, seed=2).abs().log().std(dim=0).max()
+        for generator in (certain, uncertain)
+    ]
+    assert spread[0] < 0.01
+    assert spread[1] > 0.05
+    for generator in (certain, uncertain):
+        source = observer(generator=generator, **quiet)
+        free = source.noise_free(RATIOS)
+        torch.testing.assert_close(free, observer(generator=certain, **quiet).noise_free(RATIOS))
+
+
+def test_speed_and_track_move_the_densities():
+    slow = observer("H1", speed_m_per_s=30.0).noise_free(RATIOS)
+    other = observer("H1", track="chinese_ballastless").noise_free(RATIOS)
+    before = observer("H1").noise_free(RATIOS)
+    for changed in (slow, other):
+        assert (changed / before - 1).abs().max() > 0.01
+    quiet = {"snr_db": 150.0, "segment_s": 60.0}
+    free = [observer("H1", speed_m_per_s=v, **quiet).noise_free(RATIOS) for v in (30.0, 70.0)]
+    torch.testing.assert_close(free[0], free[1], rtol=2e-3, atol=0)
+
+
+# failure
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n_train": 0}, r"`data\.n_train` must be a whole number >= 1, got 0"),
+        ({"n_test": -1}, r"`data\.n_test` must be a whole number >= 1, got -1"),
+        ({"n_calibrate": 99}, r"`data\.n_calibrate` must be a whole number >= 100 or null, got 99"),
+        (
+            {"speed_m_per_s": 0.1},
+            r"`data\.speed_m_per_s` must be a finite number > 0.1 and < 200, got 0\.1",
+        ),
+        (
+            {"speed_m_per_s": 250.0},
+            r"`data\.speed_m_per_s` must be a finite number > 0.1 and < 200, got 250",
+        ),
+        ({"snr_db": -20.0}, r"`data\.snr_db` must be a finite number > -20 and < 200"),
+        ({"snr_db": 200.0}, r"`data\.snr_db` must be a finite number > -20 and < 200"),
+        ({"snr_db": math.nan}, r"`data\.snr_db` must be a finite number > -20 and < 200"),
+        ({"minutes": 0.0}, r"`data\.minutes` must be a finite number > 0 and <"),
+        ({"minutes": math.inf}, r"`data\.minutes` must be a finite number > 0 and <"),
+        ({"low_hz": 0.0}, r"`data\.low_hz` must be a finite number > 0 and <"),
+        ({"high_hz": 2e4}, r"`data\.high_hz` must be a finite number > 0 and <"),
+        ({"body_high_hz": 0.0}, r"`data\.body_high_hz` must be a finite number > 0 and <"),
+        ({"method": "H3"}, r"`data\.method` must be one of .*'H3'"),
+        ({"rates_hz": (5000.0, 2000.0)}, r"`data\.rates_hz` must be three rates > 0"),
+        ({"rates_hz": (5000.0, 2000.0, 0.0)}, r"`data\.rates_hz\[2\]` must be .* > 0, got 0.0"),
+        ({"track": "moon"}, r"`track` must be one of .*'moon'"),
+        ({"track": "iso8608_a", "short_waves": True}, "`short_waves` are those of a rail head"),
+        (
+            {"minutes": 0.8},
+            r"`data\.minutes`=0\.8 is too short: \d\.\d averages of 20 s; at least 4",
+        ),
+        ({"minutes": 0.2}, r"`data\.minutes`=0\.2 is too short: 0\.0 averages"),
+    ],
+)
+def test_settings_out_of_range_are_rejected(changes, message):
+    with pytest.raises(ValueError, match=message):
+        EstimateSettings(**changes)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("n_train", "n_test", "n_calibrate"),
+        *("speed_m_per_s", "snr_db", "minutes", "low_hz", "high_hz", "body_high_hz"),
+    ],
+)
+@pytest.mark.parametrize("value", [True, "7"])
+def test_settings_that_are_no_numbers_are_rejected(name, value):
+    with pytest.raises(TypeError, match=rf"`data\.{name}` must be a"):
+        EstimateSettings(**{name: value})
+
+
+def test_band_must_be_bound_and_hold_bins():
+    with pytest.raises(ValueError, match="call `bound` first"):
+        EstimateSettings().frequencies_hz()
+    with pytest.raises(ValueError, match="call `bound` first"):
+        EstimateSettings(low_hz=1.0).observer(QuarterCar(AM96))
+    with pytest.raises(ValueError, match=r"data\.high_hz=1\.3 Hz lie 7 bins; at least 8"):
+        EstimateSettings(low_hz=1.0, high_hz=1.3).bound(AM96)
+    assert len(EstimateSettings(low_hz=1.0, high_hz=1.35).bound(AM96).frequencies_hz()) == 8
+    with pytest.raises(ValueError, match=r"data\.body_high_hz=1\.3 Hz lie 7 bins; at least 8"):
+        EstimateSettings(low_hz=1.0, body_high_hz=1.3).bound(AM96)
+    bound = EstimateSettings(low_hz=1.0, body_high_hz=1.35).bound(AM96)
+    assert int((~bound.observer(QuarterCar(AM96)).beyond[1]).sum()) == 8
