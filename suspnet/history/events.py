@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from suspnet.ground.wording import kilometres
+
 KINDS = ("exchanged", "reprofiled", "other")
 """Kinds of maintenance: a part exchanged, wheels reprofiled, or what the words say."""
 
@@ -35,5 +37,4 @@ class Event:
 
     def __str__(self) -> str:
         """Return the event in words."""
-        km = f"{self.mileage_km:,.0f}".replace(",", " ")
-        return f"{self.kind if not self.words else self.words} at {km} km"
+        return f"{self.words or self.kind} at {kilometres(self.mileage_km)}"

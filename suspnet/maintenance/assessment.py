@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.fleet_lives import ONE_FLAGGED
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
 from suspnet.maintenance.trend import PAYLOAD, Shape, Step, Trend
-from suspnet.maintenance.watch import beside, km_words
+from suspnet.maintenance.watch import beside
 
 LARGE_PERCENT = 10.0
 """Size of a change, in % of healthy, from which words give the level that it leads to."""
@@ -136,7 +137,7 @@ def assess(
     if worst <= found.severity:
         return replace(found, alarms=tuple(alarms))
     why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
-    since = f"alarm since {km_words(why.begin_km)}"
+    since = f"alarm since {kilometres(why.begin_km)}"
     told = why.cause == Cause.CHANGE and trend.changed
     words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
     return replace(found, severity=worst, words=words, alarms=tuple(alarms))
@@ -357,4 +358,4 @@ def _percent(value: float) -> str:
 def _km(step: Step) -> str:
     """Return the mileage, rounded to the power of ten below the distance between the trips."""
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return km_words(round(step.mileage_km, -digits))
+    return kilometres(round(step.mileage_km, -digits))

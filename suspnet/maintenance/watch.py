@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from tabulate import tabulate
 
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.limits import N_LAST, Limits, Severity, judge
@@ -129,7 +130,14 @@ def _watch(
 def alarm_table(alarms: list[Alarm]) -> str:
     """Return alarms as a table for a terminal."""
     rows = [
-        [str(one.severity), one.parameter, one.cause, km_words(one.begin_km), _end(one), one.words]
+        [
+            str(one.severity),
+            one.parameter,
+            one.cause,
+            kilometres(one.begin_km),
+            _end(one),
+            one.words,
+        ]
         for one in alarms
     ]
     return tabulate(rows, ["severity", "of", "cause", "since", "until", "why"], tablefmt="github")
@@ -143,7 +151,7 @@ def detector_words(changes: Changes, settings: ChangeSettings) -> str:
     unlike = f"; {changes.n_unlike} trips too unlike the first to be judged"
     return (
         f"armed by {changes.n_needed} trips, at most one false alarm in "
-        f"{km_words(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
+        f"{kilometres(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
     )
 
 
@@ -180,7 +188,9 @@ def _beyond(
         words = f"the last trip is {beside(centre[newest], limit)} of healthy, {beyond}"
         if end is not None or not is_out[newest]:  # it is elsewhere now
             out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
-            words = f"was {beside(centre[out], limit)} of healthy, {beyond}, at {km_words(km[out])}"
+            words = (
+                f"was {beside(centre[out], limit)} of healthy, {beyond}, at {kilometres(km[out])}"
+            )
             if end is None:
                 words += f"; the last trip is {beside(centre[newest], limit)}"
         until = np.nan if end is None else float(km[end])
@@ -202,7 +212,7 @@ def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> A
     """Return the alarm of a change, with the level it has led to if it goes on."""
     about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
     verb = "fell" if change.percent < 0 else "rose"
-    words = f"{verb} by {abs(change.percent):.2g} % at about {km_words(about)}"
+    words = f"{verb} by {abs(change.percent):.2g} % at about {kilometres(about)}"
     before = float(np.nanmedian(values[: max(change.onset, 1)]))
     now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
     if change.end is None and abs(now) > GOES_ON * abs(change.percent):
@@ -241,9 +251,4 @@ def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
 
 def _end(alarm: Alarm) -> str:
     """Return the mileage at which an alarm ended, in words."""
-    return "now" if alarm.is_open else km_words(alarm.end_km)
-
-
-def km_words(value: float) -> str:
-    """Return a mileage in words."""
-    return f"{value:,.0f} km".replace(",", " ")
+    return "now" if alarm.is_open else kilometres(alarm.end_km)

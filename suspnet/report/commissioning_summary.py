@@ -14,7 +14,7 @@ from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
-from suspnet.maintenance.schedule import count
+from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
 LEAST_AGREEING = 2

@@ -16,13 +16,13 @@ import pyarrow.parquet as pq
 from tabulate import tabulate
 
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.wording import count
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import Assessment, overall, spoken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.schedule import count
 from suspnet.report import figures
 from suspnet.report.health_figure import health_trend
 from suspnet.report.report import write_report

@@ -12,10 +12,10 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.ground.storage import write_atomically
+from suspnet.ground.wording import count
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.schedule import count
 from suspnet.recordings.manifest import Place
 from suspnet.report.output import write_table
 from suspnet.report.templates import render

@@ -15,12 +15,12 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from suspnet.ground.storage import write_atomically
+from suspnet.ground.wording import count
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.schedule import count
 from suspnet.report.sides_summary import sides_finding
 from suspnet.report.templates import KILO, SEVERITIES, render, thousands, with_unit
 from suspnet.report.trip_table import trip_table

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.wording import kilometres
 from suspnet.history.records import TripResult, relative_truth
 from suspnet.maintenance.trend import PAYLOAD
 
@@ -47,8 +48,7 @@ class Commissioning:
             for name, ratio in self.relative.items()
             if name != PAYLOAD
         )
-        km = f"{self.since_km:,.0f}".replace(",", " ")
-        return f"from {km} km on healthy is {told} of the first commissioning"
+        return f"from {kilometres(self.since_km)} on healthy is {told} of the first commissioning"
 
 
 def since_km(model: TrainedModel) -> float:

@@ -12,9 +12,9 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import limits_words
 from suspnet.ground.storage import printable
+from suspnet.ground.wording import count, kilometres
 from suspnet.history.records import TripResult, first_trips
 from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.schedule import count
 from suspnet.trips.commissionings import eras
 from suspnet.trips.models import speed_words
 
@@ -107,8 +107,8 @@ def healthy_words(model: TrainedModel) -> str:
     found = model.training.get("commissioned")
     if not found:
         return "the vehicle file's drawing"
-    first, last = (f"{km:,.0f}".replace(",", " ") for km in found["mileage_km"])
-    span = f"at {first} km" if first == last else f"from {first} to {last} km"
+    first, last = map(kilometres, found["mileage_km"])
+    span = f"at {first}" if first == last else f"from {first.removesuffix(' km')} to {last}"
     return f"what {count(found['n_trips'], 'trip')} {span} showed"
 
 
