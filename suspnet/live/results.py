@@ -10,13 +10,13 @@ from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.storage import json_bytes
+from suspnet.ground.wording import kilometres
 from suspnet.history import History, HistoryError
 from suspnet.history.records import ERROR, OK, TripResult
 from suspnet.live.source import Kind
 from suspnet.live.suspension import LiveSuspension, Told
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.watch import km_words
 from suspnet.maintenance.watching import keep_trips
 from suspnet.report.tensorboard import RunLog
 from suspnet.trips.fleet import FleetSettings
@@ -110,7 +110,7 @@ def summary(told: Told) -> str:
     """Return an estimate on one line."""
     result = told.result
     values = ", ".join(f"{name} {value:.4g}" for name, value in result.estimates.items())
-    where = f"{result.trip}, {km_words(result.mileage_km)}{'' if told.is_final else ' (so far)'}"
+    where = f"{result.trip}, {kilometres(result.mileage_km)}{'' if told.is_final else ' (so far)'}"
     return f"{where}: {values or 'no estimate'}"
 
 
