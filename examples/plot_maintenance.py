@@ -22,12 +22,12 @@ from suspnet.maintenance import (
     alarm_table,
     cusum,
     make_plan,
-    plan_calendar,
     remaining_lives,
     residuals,
     threshold,
     watch,
 )
+from suspnet.report.calendar_figure import plan_calendar
 
 plt.style.use("tableau-colorblind10")
 

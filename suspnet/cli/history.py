@@ -16,6 +16,7 @@ from tabulate import tabulate
 from suspnet.cli import program
 from suspnet.dynamics import PARAMETERS
 from suspnet.ground import ledger
+from suspnet.ground.tables import write_table
 from suspnet.ground.wording import kilometres, thousands
 from suspnet.history import Event, History, HistoryError
 from suspnet.history.acknowledging import acknowledge_alarms
@@ -23,7 +24,6 @@ from suspnet.history.events import KINDS
 from suspnet.history.schema import PLACE
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
 from suspnet.recordings.manifest import Place
-from suspnet.report.output import write_table
 
 DESCRIPTION = """\
 The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance

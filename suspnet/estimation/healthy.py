@@ -10,8 +10,8 @@ import numpy as np
 from scipy import stats
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.dynamics.vehicle import UNITS
 from suspnet.ground.checks import check_number
+from suspnet.ground.parameters import UNITS
 from suspnet.ground.types import FloatArray
 
 HEALTHY = "healthy_"

@@ -12,6 +12,15 @@ from suspnet.ground.checks import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
+NAMES = {
+    "k_p": "stiffness of the primary spring",
+    "c_p": "damping of the primary damper",
+    "k_s": "stiffness of the secondary spring",
+    "c_s": "damping of the secondary damper",
+    "M_s": "mass of the car body",
+}
+UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+"""SI unit of each parameter."""
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.cusum import cusum, residuals, threshold
@@ -16,9 +14,6 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
 from suspnet.maintenance.visit_costs import Costs
 from suspnet.maintenance.watch import Watched, alarm_table, watch
-
-if TYPE_CHECKING:
-    from suspnet.maintenance.calendar_figure import plan_calendar
 
 __all__ = [
     "DEFAULT_LIMITS",
@@ -44,7 +39,6 @@ __all__ = [
     "find_changes",
     "learn_fleet",
     "make_plan",
-    "plan_calendar",
     "predict_life",
     "remaining_lives",
     "residuals",
@@ -52,12 +46,3 @@ __all__ = [
     "threshold",
     "watch",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the calendar when it is first used: it needs matplotlib."""
-    if name != "plan_calendar":
-        raise AttributeError(f"module 'suspnet.maintenance' has no attribute {name!r}")
-    from suspnet.maintenance.calendar_figure import plan_calendar
-
-    return plan_calendar

@@ -8,13 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from tabulate import tabulate
+from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.recordings.overview import overview
+from suspnet.recordings.recording import Recording
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
+from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
 from suspnet.report.templates import render
+from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.speeds import covering, setting_words
 
@@ -184,3 +191,56 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         tones=TONES,
     )
     return write_atomically(output / "check.html", page.encode("utf-8", errors="replace"))
+
+
+LINKS = ("axle box to bogie frame", "bogie frame to car body")
+DPI = 110
+
+
+def trip_figure(
+    recording: Recording,
+    frequencies_hz: Tensor,
+    spectra: CrossSpectra | None,
+    band_hz: tuple[float, float],
+) -> Figure:
+    """Signals and speed of a recording in windows; spectra and coherence with the vehicle's band.
+
+    Parameters
+    ----------
+    recording : Recording
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    spectra : CrossSpectra, optional
+        Of shape (3, n_freq); None if no stretch is free of faults.
+    band_hz : pair of float, [Hz]
+    """
+    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    columns: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
+    left, right = columns
+    axes: list[Axes] = list(left.subplots(4, 1, sharex=True))
+    draw_signals(axes, overview(recording))
+    left.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    left.align_ylabels(axes)
+    upper, lower = right.subplots(2, 1, sharex=True)
+    upper.set(ylabel="power density [(m/s²)²/Hz]", title="spectra")
+    lower.set(ylabel="coherence", title="coherence", xlabel="frequency [Hz]", ylim=(0, 1.05))
+    if spectra is None:
+        for axis in (upper, lower):
+            say(axis, "no stretch is long enough and free of faults")
+        return figure
+    hertz = frequencies_hz.numpy()
+    for title, density in zip(CHANNEL_TITLES, spectra.auto.numpy(), strict=True):
+        upper.semilogy(hertz[1:], np.where(density > 0, density, np.nan)[1:], label=title, lw=1)
+    for title, coherence in zip(LINKS, spectra.coherences().numpy(), strict=True):
+        lower.plot(hertz[1:], coherence[1:], label=title, lw=1)
+    for axis, place in ((upper, "lower left"), (lower, "lower right")):
+        axis.axvspan(*band_hz, color="tab:green", alpha=0.08, lw=0, label="vehicle's band")
+        axis.margins(x=0)
+        axis.grid(True, which="major", alpha=0.3)
+        axis.legend(loc=place, fontsize="small")
+    return figure
+
+
+def write_picture(path: Path, figure: Figure, title: str) -> None:
+    """Write a figure as PNG, whole or not at all; OSError if the folder cannot be written."""
+    figure.suptitle(title, fontsize="medium")
+    write_atomically(path, as_png(figure, DPI))

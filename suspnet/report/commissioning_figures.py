@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from suspnet.estimation.commissioning import Commissioned
+from suspnet.estimation.commissioning_summary import Number
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.report.commissioning_summary import Number
 from suspnet.report.figures import BAND, LARGEST_BAND, say
-from suspnet.report.plots import SUSPENSIONS
+from suspnet.runs.plots import SUSPENSIONS
 
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -15,15 +14,15 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from suspnet._version import __version__
+from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
 from suspnet.ground.storage import printable, write_atomically, write_json
+from suspnet.ground.tables import write_table
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import commissioning_figures as figures
-from suspnet.report import commissioning_summary as words
-from suspnet.report.output import write_table
-from suspnet.report.report import PNG_DPI, data_uri
+from suspnet.report.figures import as_png, data_uri
 from suspnet.report.templates import render
 
 log = logging.getLogger(__name__)
@@ -69,9 +68,7 @@ def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> N
         "numbers": figures.number_ranges(words.numbers(outcome)),
     }
     for name, figure in drawn.items():
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=PNG_DPI)
-        write_atomically(folder / "figures" / f"{NAME}_{name}.png", stream.getvalue())
+        write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
     write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
     write_json(folder / f"{NAME}.json", as_json(found, outcome))
     page = _page(found, outcome, drawn)

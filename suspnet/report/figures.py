@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -15,12 +18,15 @@ from matplotlib.figure import Figure
 from suspnet.ground.types import FloatArray
 from suspnet.history.records import OK, TripCurves, TripResult
 from suspnet.recordings.overview import Overview
-from suspnet.report.plots import SUSPENSIONS
+from suspnet.runs.plots import SUSPENSIONS
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
 BAND = 1.96
 """Standard deviations on each side that hold 95 % of normally distributed values."""
+SVG_LIMIT = 400_000
+"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
+PNG_DPI = 130
 LARGEST_BAND = 3.0
 """Largest half width of a band in log-magnitude; wider ones would flatten the rest of the axis."""
 
@@ -199,3 +205,26 @@ def say(axis: Axes, text: str, keep_x: bool = False) -> None:
     axis.set_yticks([])
     if not keep_x:
         axis.set_xticks([])
+
+
+def as_png(figure: Figure, dpi: float = PNG_DPI) -> bytes:
+    """Return a figure as PNG."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi)
+    return stream.getvalue()
+
+
+def as_svg(figure: Figure) -> bytes:
+    """Return a figure as SVG; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "suspnet"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
+
+
+def data_uri(figure: Figure) -> str:
+    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
+    kind, image = "svg+xml", as_svg(figure)
+    if len(image) > SVG_LIMIT:
+        kind, image = "png", as_png(figure)
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode()}"

@@ -18,8 +18,8 @@ from suspnet.maintenance.schedule import Plan, joined
 from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import PAYLOAD
 from suspnet.recordings.manifest import Place
+from suspnet.report.figures import data_uri
 from suspnet.report.overview import finding
-from suspnet.report.report import data_uri
 from suspnet.report.templates import render
 
 N_SHOWN = 30

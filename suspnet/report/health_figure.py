@@ -18,7 +18,7 @@ from suspnet.maintenance.limits import Limits
 from suspnet.maintenance.trend import PAYLOAD
 from suspnet.maintenance.watch import ABSURD
 from suspnet.report.figures import MILEAGE_LABEL, by_mileage, say
-from suspnet.report.plots import SYMBOLS
+from suspnet.runs.plots import SYMBOLS
 from suspnet.trips.commissionings import Commissioning
 
 ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"

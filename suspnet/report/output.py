@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from tabulate import tabulate
 
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.tables import write_table
 from suspnet.ground.wording import count
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
@@ -111,14 +111,6 @@ def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> d
         )
         for name in outputs
     }
-
-
-def write_table(table: pa.Table, path: Path) -> None:
-    """Write a table as `path` with the suffixes .parquet and .csv."""
-    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
-        stream = io.BytesIO()
-        write(table, stream)
-        write_atomically(path.with_name(path.name + suffix), stream.getvalue())
 
 
 def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:

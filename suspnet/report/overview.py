@@ -12,12 +12,12 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.ground.storage import write_atomically
+from suspnet.ground.tables import write_table
 from suspnet.ground.wording import count
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.limits import Severity
 from suspnet.recordings.manifest import Place
-from suspnet.report.output import write_table
 from suspnet.report.templates import render
 
 REPORT = "report.html"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,9 +9,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from suspnet.ground.parameters import NAMES
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count
 from suspnet.history import Event
@@ -21,18 +19,11 @@ from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.limits import Limits
-from suspnet.report.sides_summary import sides_finding
+from suspnet.report.figures import data_uri
 from suspnet.report.templates import KILO, SEVERITIES, render, thousands, with_unit
-from suspnet.report.trip_table import trip_table
+from suspnet.report.trip_table import sides_finding, trip_table
 from suspnet.trips.commissionings import Commissioning
 
-NAMES = {
-    "k_p": "stiffness of the primary spring",
-    "c_p": "damping of the primary damper",
-    "k_s": "stiffness of the secondary spring",
-    "c_s": "damping of the secondary damper",
-    "M_s": "mass of the car body",
-}
 ROLES = {
     "k_p": ", between axle box and bogie frame.",
     "c_p": ", between axle box and bogie frame.",
@@ -78,9 +69,6 @@ ANEW = (
     "percentages are of its own healthy values, those of the figure of the first ones."
 )
 MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
-SVG_LIMIT = 400_000
-"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
-PNG_DPI = 130
 
 
 def write_report(
@@ -239,18 +227,6 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
         "explanation": explanation,
         "image": data_uri(figure),
     }
-
-
-def data_uri(figure: Figure) -> str:
-    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
-    stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "suspnet"}):  # the same figure gives the same bytes
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    kind = "svg+xml"
-    if stream.tell() > SVG_LIMIT:
-        kind, stream = "png", io.BytesIO()
-        figure.savefig(stream, format="png", dpi=PNG_DPI)
-    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from suspnet.dynamics.vehicle import UNITS
+from suspnet.ground.parameters import UNITS
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.watch import ABSURD

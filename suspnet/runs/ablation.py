@@ -27,8 +27,6 @@ from suspnet.ground.storage import (
     write_atomically,
     write_json,
 )
-from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import records_csv
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.ablation_tables import (
     BASELINE,
@@ -37,6 +35,8 @@ from suspnet.runs.ablation_tables import (
     ablation_markdown,
     ablation_records,
 )
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.table6 import records_csv
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256

@@ -8,7 +8,7 @@ from typing import Any
 
 from tabulate import tabulate
 
-from suspnet.report.table6 import in_digits, mean_known
+from suspnet.runs.table6 import in_digits, mean_known
 
 BASELINE = "baseline"
 """Name of the ablation that changes nothing."""

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning.search import SearchResult
-from suspnet.report import plots
 from suspnet.report.tensorboard import RunLog
+from suspnet.runs import plots
 from suspnet.runs.predict import Outcome
 
 

@@ -15,10 +15,10 @@ from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.checks import check_number
 from suspnet.ground.storage import write_atomically, write_json
-from suspnet.report.table6 import records_csv
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.findings import Findings, group_markdown, plain, records
 from suspnet.runs.identifiability_figure import identifiability_figure
+from suspnet.runs.table6 import records_csv
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 

@@ -12,8 +12,8 @@ import pyarrow as pa
 
 from suspnet.dynamics import Vehicle
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.tables import write_table
 from suspnet.history import History
-from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.plan_inputs import PlanSettings
@@ -21,9 +21,9 @@ from suspnet.maintenance.planner import Planner
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
+from suspnet.report.calendar_figure import plan_calendar
 from suspnet.report.fleet_overview import overview_table, write_page
 from suspnet.report.fleet_view import fleet_view
-from suspnet.report.output import write_table
 
 log = logging.getLogger(__name__)
 

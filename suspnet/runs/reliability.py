@@ -30,13 +30,13 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.metrics import covers, interval_scores
-from suspnet.report.table6 import MODEL_TITLES, records_csv
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.evaluate import find_runs
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.reliability_figure import reliability_figure
 from suspnet.runs.reliability_findings import Reliability, markdown, records
 from suspnet.runs.scores import LEVEL, label
+from suspnet.runs.table6 import MODEL_TITLES, records_csv
 from suspnet.spectra.observation import MOST_CURVES
 
 log = logging.getLogger(__name__)

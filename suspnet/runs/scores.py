@@ -22,9 +22,9 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import METRICS, interval_scores, score
-from suspnet.report.table6 import REFINED, scores_table
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import Outcome
+from suspnet.runs.table6 import REFINED, scores_table
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres
 from suspnet.history.records import TripResult, first_trips
 from suspnet.maintenance.limits import Limits
+from suspnet.report.trip_table import files_read_as
 from suspnet.trips.commissionings import eras
 from suspnet.trips.models import speed_words
 
@@ -70,21 +70,6 @@ def report_details(
         "intervals": _interval_words(first, level),
         "limits": limits_words(limits),
     } | files_read_as(results)
-
-
-def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
-    """Return how the files of trips were read, as a detail; empty where all was known.
-
-    Trips that were read alike are one remark, with their number if others were not.
-    """
-    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
-    if not counts:
-        return {}
-    remarks = [
-        words if n == len(results) else f"{words} ({count(n, 'trip')})"
-        for words, n in counts.most_common()
-    ]
-    return {"files read as": " · ".join(remarks)}
 
 
 def missing_reference(results: list[TripResult], n_reference: int | None) -> str:

@@ -14,10 +14,10 @@ from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.templates import FILTERS, LABELS, packaged
 from suspnet.web.assets import assets, file_digest
-from suspnet.web.fleet_page import MARKS
+from suspnet.web.page_values import MARKS
 from suspnet.web.pages import REFRESHER, pages
 from suspnet.web.refresher import Refresher, clock
-from suspnet.web.security import protect
+from suspnet.web.server import protect
 
 PACKAGES = ("suspnet.web",)
 """Packages whose templates the pages use, besides those of the trips."""

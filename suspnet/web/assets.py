@@ -12,8 +12,8 @@ from importlib.metadata import version
 
 from flask import Blueprint, Response, abort, request
 
-from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.schedule import Plan
+from suspnet.report.calendar_figure import plan_calendar
 
 FILES = {
     "style.css": ("text/css", ("suspnet.report:style.css", "suspnet.web:page.css")),

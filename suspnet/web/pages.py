@@ -19,21 +19,25 @@ from flask import (
     url_for,
 )
 from flask.typing import ResponseReturnValue
+from flask_wtf import FlaskForm
+from wtforms import HiddenField, StringField
+from wtforms.validators import DataRequired, Length
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.history import History, HistoryError
 from suspnet.history.acknowledging import acknowledge_alarms
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import PAYLOAD
 from suspnet.report.fleet_view import FleetView
 from suspnet.report.overview import finding
-from suspnet.web import assets, fleet_page
-from suspnet.web.fleet_page import Choice
+from suspnet.web import assets
+from suspnet.web import page_values as fleet_page
+from suspnet.web.page_values import Choice, suspension_values
 from suspnet.web.refresher import Refresher
 from suspnet.web.response_figure import response_figure
-from suspnet.web.security import WITH_PLOTS
-from suspnet.web.seen_form import Seen
-from suspnet.web.suspension_page import suspension_values
+from suspnet.web.server import WITH_PLOTS
 from suspnet.web.trend_figure import trend_figure
 
 MOST_ROWS = 50
@@ -248,3 +252,17 @@ def _suspension_version(view: FleetView, name: str) -> str:
 
 def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+class Seen(FlaskForm):  # type: ignore[misc]
+    """Name and words of a person, and the alarm as the page showed it."""
+
+    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
+    words = StringField("What is done about it", [Length(max=500)])
+    parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
+
+    def means(self, alarm: Alarm) -> bool:
+        """Return whether an alarm is the one of this form, and no worse than it was shown."""
+        same = (alarm.parameter, str(alarm.cause)) == (self.parameter.data, self.cause.data)
+        names = {str(one): one for one in Severity}
+        return same and alarm.severity <= names.get(self.severity.data or "", -1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.parameters import NAMES
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.fleet_lives import present
 from suspnet.maintenance.life import Life
@@ -15,7 +16,6 @@ from suspnet.maintenance.limits import Limits, Severity
 from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import PAYLOAD
 from suspnet.report.health_figure import on_axis
-from suspnet.report.report import NAMES
 from suspnet.report.templates import thousands
 from suspnet.web.plotly_figure import MARGINS, PLAIN, axis_title, finite, html, symbol
 

@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 
+from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
 from suspnet.report import commissioning_figures as figures
-from suspnet.report import commissioning_summary as words
 from suspnet.report.commissioning_page import training_notes, write_outcome
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"

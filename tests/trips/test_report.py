@@ -17,7 +17,7 @@ from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.maintenance.trend import flagged_trend
 from suspnet.recordings.manifest import Place
 from suspnet.report import figures, health_figure, report
-from suspnet.trips.details import files_read_as
+from suspnet.report.trip_table import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}

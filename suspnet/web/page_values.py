@@ -7,12 +7,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.ground.parameters import NAMES
+from suspnet.history.curves import TripResponses
+from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.plan_parts import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.fleet_view import FleetView
+from suspnet.report.trip_table import files_read_as, trip_table
+from suspnet.web.response_figure import response_table
+from suspnet.web.trend_figure import ranges
 
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Sign of each severity, so that colour is not needed."""
@@ -158,3 +167,56 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
     words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
     why = f"{row['parameter']} {row['reason']}".strip()
     return Tile(name, str(state.severity), words or state.series.vehicle, why)
+
+
+N_TRIPS = 20
+"""Number of the newest trips in the table."""
+LEVEL = 0.9
+"""Probability of the intervals of trips, as evaluate.py and the monitor have it by default."""
+
+
+def suspension_values(
+    view: FleetView,
+    place: int,
+    results: Sequence[TripResult],
+    kept: Sequence[TripResponses],
+    seen: Sequence[Acknowledgement],
+) -> dict[str, Any]:
+    """Return what the template of a suspension takes.
+
+    Parameters
+    ----------
+    view : FleetView
+    place : int
+        Of the suspension in the view.
+    results : sequence of TripResult
+        By mileage; empty if the store cannot be read.
+    kept : sequence of TripResponses
+        By mileage.
+    seen : sequence of Acknowledgement
+    """
+    state = view.states[place]
+    over = [one for one in state.watched.alarms if not one.is_open]
+    newest = list(reversed(results[-N_TRIPS:]))
+    return {
+        "state": state,
+        "row": view.rows[place],
+        "limits": view.limits.get(state.series.vehicle, {}),
+        "names": NAMES,
+        "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
+        "over": [(one, newest_of(one, seen)) for one in reversed(over)],
+        "ranges": ranges(state),
+        "trips": trip_table(newest, PARAMETERS, LEVEL),
+        "read_as": files_read_as(newest),
+        "n_trips": len(state.series.trip),
+        "first_km": _end(state.series.mileage_km, np.min),
+        "newest_km": _end(state.series.mileage_km, np.max),
+        "kept": kept,
+        "gains": response_table(kept) if kept else [],
+    }
+
+
+def _end(mileage_km: Any, of: Any) -> float:
+    """Return the least or largest of the mileages that are known, [km]; NaN if none is."""
+    known = mileage_km[np.isfinite(mileage_km)]
+    return float(of(known)) if len(known) else np.nan
