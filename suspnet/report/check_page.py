@@ -16,6 +16,7 @@ from torch import Tensor
 from suspnet._version import __version__
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.wording import span
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
@@ -69,8 +70,8 @@ class Suspension:
             setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
             kilometres = [check.mileage_km for check in ready]
             words[0] += (
-                f", {_span(min(kilometres), max(kilometres), '{:.0f}')} km, at "
-                f"{_span(min(speeds), max(speeds), '{:.1f}')} m/s: "
+                f", {_ends(kilometres, 0)} km, at "
+                f"{_ends(speeds, 1)} m/s: "
                 f"{ready[0].read_by or f'train with {setting}'}"
             )
         if len(ready) < LEAST_TRIPS:
@@ -93,9 +94,9 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
     return [Suspension(title, by_title[title]) for title in sorted(by_title)]
 
 
-def _span(low: float, high: float, form: str) -> str:
-    """Return a range in words, one number if both ends read the same."""
-    return " to ".join(dict.fromkeys((form.format(low), form.format(high))))
+def _ends(values: Sequence[float], digits: int) -> str:
+    """Return the least and the largest of numbers."""
+    return span(*(f"{of(values):.{digits}f}" for of in (min, max)))
 
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
@@ -141,7 +142,7 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
 def _cells(check: TripCheck) -> list[str]:
     """Return the cells of a trip that could be read."""
     parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
-    speeds = _span(min(each), max(each), "{:.1f}") if each else ""
+    speeds = _ends(each, 1) if each else ""
     coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
     numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", speeds
     averages = f"{check.n_averages:.0f}"

@@ -14,8 +14,9 @@ from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.commissioning_summary import Number
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.report.figures import BAND, LARGEST_BAND, say
-from suspnet.runs.plots import SUSPENSIONS
+from suspnet.ground.wording import kilometres
+from suspnet.report.figures import SUSPENSIONS, say
+from suspnet.report.responses import band
 
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21
@@ -48,8 +49,8 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    km = f"{found.manifests[shown.trip].mileage_km:,.0f}".replace(",", " ")
-    where = f"{km} km, {3.6 * shown.speed_m_per_s:.0f} km/h"
+    km = kilometres(found.manifests[shown.trip].mileage_km)
+    where = f"{km}, {3.6 * shown.speed_m_per_s:.0f} km/h"
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
         (outcome.observed, f"measured at {where}", {"color": MEASURED, "lw": 2.8}),
         (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
@@ -58,7 +59,9 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     for link, (title, column) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
         magnitude, phase, below = column
         magnitude.set(title=title)
-        _band(magnitude, frequencies_hz, outcome.observed[group, link], outcome, group, link)
+        ends = band(np.abs(outcome.observed[group, link]), outcome.deviations[group, link])
+        style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
+        magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
             one = values[group, link]
             magnitude.semilogy(frequencies_hz, np.abs(one), label=label, **style)
@@ -102,22 +105,6 @@ def number_ranges(found: Sequence[Number]) -> Figure:
     axis.grid(True, axis="x", alpha=0.3)
     figure.legend(loc="outside upper center", ncols=2)
     return figure
-
-
-def _band(
-    axis: Axes,
-    frequencies_hz: FloatArray,
-    response: ComplexArray,
-    outcome: Commissioned,
-    group: int,
-    link: int,
-) -> None:
-    """Shade 95 % around a measured magnitude."""
-    deviation = outcome.deviations[group, link]  # infinite where a bin is not used: no band there
-    half = np.where(np.isfinite(deviation), np.minimum(BAND * deviation, LARGEST_BAND), np.nan)
-    magnitude = np.abs(response)
-    low, high = magnitude * np.exp(-half), magnitude * np.exp(half)
-    axis.fill_between(frequencies_hz, low, high, color=MEASURED, alpha=0.4, lw=0, label="95 % band")
 
 
 def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -16,19 +16,19 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from suspnet.ground.types import FloatArray
-from suspnet.history.records import OK, TripCurves, TripResult
+from suspnet.ground.wording import kilometres
+from suspnet.history.records import OK, TripResult
 from suspnet.recordings.overview import Overview
-from suspnet.runs.plots import SUSPENSIONS
+from suspnet.report.responses import response
+from suspnet.report.trend import by_mileage
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
-BAND = 1.96
-"""Standard deviations on each side that hold 95 % of normally distributed values."""
+SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
+SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
 SVG_LIMIT = 400_000
 """Size of an SVG [bytes] above which a figure is embedded as PNG."""
 PNG_DPI = 130
-LARGEST_BAND = 3.0
-"""Largest half width of a band in log-magnitude; wider ones would flatten the rest of the axis."""
 
 
 def trip_signals(result: TripResult) -> Figure:
@@ -51,9 +51,7 @@ def trip_signals(result: TripResult) -> Figure:
     draw_signals(axes, Overview(curves.overview_s, *parts, curves.overview_speed))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     if np.isfinite(result.mileage_km):
-        axes[0].set_title(
-            f"trip at {result.mileage_km:,.0f} km".replace(",", " "), fontsize="medium"
-        )
+        axes[0].set_title(f"trip at {kilometres(result.mileage_km)}", fontsize="medium")
     figure.align_ylabels(axes)
     return figure
 
@@ -105,20 +103,26 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
-    shown = [(r.mileage_km / 1000, r.curves) for r in by_mileage(results) if r.curves is not None]
-    mileage = np.array([km for km, _ in shown])
+    shown = [
+        response(r.trip, r.mileage_km, r.curves)
+        for r in by_mileage(results)
+        if r.curves is not None
+    ]
+    mileage = np.array([one.mileage_km / 1000 for one in shown])
     distinct = len(np.unique(mileage[np.isfinite(mileage)]))
     scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if distinct > 1 else None
     for i, (title, (upper, lower)) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
         upper.set(title=title)
         lower.set(xlabel="frequency [Hz]", ylim=(0, 1.05))
-        for km, curves in shown:
+        for km, one in zip(mileage, shown, strict=True):
             colour = colormaps["viridis"](scale(km)) if scale and np.isfinite(km) else "0.4"
-            magnitude = np.abs(curves.responses[i])
-            upper.semilogy(curves.frequencies_hz, magnitude, color=colour, lw=0.8)
-            lower.plot(curves.frequencies_hz, curves.coherences[i], color=colour, lw=0.8)
-        if shown:
-            _band(upper, shown[-1][1], i)
+            upper.semilogy(one.frequencies_hz, one.magnitudes[i], color=colour, lw=0.8)
+            lower.plot(one.frequencies_hz, one.coherences[i], color=colour, lw=0.8)
+        for one in shown[-1:]:
+            if np.isfinite(one.low[i]).any():
+                label = "95 % band of the last trip"
+                style = {"color": "tab:red", "alpha": 0.25, "lw": 0, "label": label}
+                upper.fill_between(one.frequencies_hz, one.low[i], one.high[i], **style)
         for axis in (upper, lower):
             axis.margins(x=0)
             axis.grid(True, which="both", alpha=0.3)
@@ -170,28 +174,6 @@ def quality(results: Sequence[TripResult]) -> Figure:
         figure.suptitle("hollow: trips without an estimate", fontsize="small")
     figure.align_ylabels(axes)
     return figure
-
-
-def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
-    """Return trips in ascending order; those without a mileage first."""
-    return sorted(results, key=lambda r: r.mileage_km if np.isfinite(r.mileage_km) else -np.inf)
-
-
-def _band(axis: Axes, curves: TripCurves, link: int) -> None:
-    """Shade 95 % around a magnitude."""
-    magnitude, deviation = np.abs(curves.responses[link]), curves.deviations[link]
-    known = np.isfinite(deviation) & np.isfinite(magnitude)
-    factor = np.exp(np.minimum(BAND * np.where(known, deviation, 0.0), LARGEST_BAND))
-    if known.any():
-        axis.fill_between(
-            curves.frequencies_hz,
-            np.where(known, magnitude / factor, np.nan),
-            np.where(known, magnitude * factor, np.nan),
-            color="tab:red",
-            alpha=0.25,
-            lw=0,
-            label="95 % band of the last trip",
-        )
 
 
 def _lone_point(time: FloatArray) -> dict[str, Any]:

@@ -24,9 +24,10 @@ from suspnet.maintenance.assessment import Assessment, overall, spoken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Limits
 from suspnet.report import figures
-from suspnet.report.health_figure import health_trend
 from suspnet.report.report import write_report
 from suspnet.report.tensorboard import RunLog
+from suspnet.report.trend import trend_of_trips
+from suspnet.report.trend_figure import health_trend
 from suspnet.trips.commissionings import Commissioning, relative_to_first_healthy
 
 KNOWN_ERROR_PERCENT = "rms error %"
@@ -166,14 +167,16 @@ def write_pages(
     if draw:
         drawn = {
             "trend": health_trend(
-                relative_to_first_healthy(results, states),
-                outputs,
-                level,
-                limits,
-                states,
-                events,
-                alarms,
-                {one.parameter: one.life for one in assessments if one.life},
+                trend_of_trips(
+                    relative_to_first_healthy(results, states),
+                    outputs,
+                    level,
+                    limits,
+                    states,
+                    events,
+                    alarms,
+                    {one.parameter: one.life for one in assessments if one.life},
+                )
             ),
             "responses": figures.trip_responses(results),
             "signals": figures.trip_signals(done[-1] if done else results[-1]),

@@ -13,14 +13,14 @@ from matplotlib.figure import Figure
 
 from suspnet.ground.parameters import NAMES
 from suspnet.ground.storage import write_atomically
-from suspnet.ground.wording import count
+from suspnet.ground.wording import count, span, thousands, unbroken
 from suspnet.history import Event
 from suspnet.history.records import OK, TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.limits import Limits
 from suspnet.report.figures import data_uri
-from suspnet.report.templates import KILO, SEVERITIES, render, thousands, with_unit
+from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 from suspnet.report.trip_table import sides_finding, trip_table
 from suspnet.trips.commissionings import Commissioning
 
@@ -177,10 +177,9 @@ def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     """Return what the page is about: label and text."""
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
-    span = "unknown"
+    between = "unknown"
     if mileage:
-        span = " to ".join(dict.fromkeys(thousands(km) for km in (min(mileage), max(mileage))))
-        span += " km"
+        between = unbroken(f"{span(thousands(min(mileage)), thousands(max(mileage)))} km")
     starts = sorted(r.start for r in trips if r.start)
     dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
     done = sum(r.status == OK for r in trips)
@@ -188,7 +187,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     texts = {
         "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
         "Suspension": "; ".join(dict.fromkeys(str(r.place) for r in trips if r.place.suspension)),
-        "Mileage": span,
+        "Mileage": between,
         "Dates": dates,
         "Trips": f"{len(trips)}, of which {done} with an estimate"
         + (f", {flagged} of these flagged" if flagged else ""),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from importlib import resources
 from typing import Any
 
@@ -11,6 +10,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from suspnet.ground.parameters import UNITS
+from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.watch import ABSURD
@@ -27,7 +27,6 @@ LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
 KILO = 1e3
 KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
 """Unit of a thousand of each SI unit."""
-NO_NUMBER = "\N{EN DASH}"
 PACKAGE = "suspnet.report"
 """Package whose templates those of all others may use."""
 
@@ -68,14 +67,6 @@ def packaged(name: str, *packages: str) -> str | None:
     return None
 
 
-def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
-    """Return a number with a true minus sign, or a dash if there is none."""
-    if value is None or not math.isfinite(value):
-        return NO_NUMBER
-    text = f"{value * scale:.{digits}f}"
-    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
-
-
 def level(ratio: float | None, digits: int) -> str:
     """Return a level over healthy in %, without the number where no suspension has such a one."""
     if ratio is not None and ratio > ABSURD:
@@ -103,11 +94,8 @@ def with_unit(number: str, name: str) -> str:
     return f"{number}\N{NO-BREAK SPACE}{unit}"
 
 
-def thousands(value: float) -> str:
-    """Return a whole number with no-break spaces between thousands, or a dash."""
-    if not math.isfinite(value):
-        return NO_NUMBER
-    return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+def _thousands(value: float) -> str:
+    return unbroken(thousands(value))
 
 
 def _to_go(life: Life | None, unknown: str = "") -> Markup:
@@ -130,7 +118,7 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
 
 def _rounded(km: float) -> str:
     """Return a mileage in words, with two digits that count."""
-    return thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
+    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 
 def _symbol(name: str) -> Markup:
@@ -144,20 +132,15 @@ def _range(pair: tuple[float, float]) -> str:
     return " to ".join(f"{100 * one:g}" for one in pair)
 
 
-def _unbroken(words: str) -> str:
-    """Return words in which no line ends between a number and its unit, or within a number."""
-    return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)
-
-
 FILTERS = {
     "level": level,
     "number": number,
     "plus_minus": _plus_minus,
-    "thousands": thousands,
+    "thousands": _thousands,
     "symbol": _symbol,
     "range": _range,
     "si": _si,
-    "unbroken": _unbroken,
+    "unbroken": unbroken,
     "to_go": _to_go,
     "rounded": _rounded,
 }

@@ -27,6 +27,7 @@ from suspnet.ground.storage import (
     write_atomically,
     write_json,
 )
+from suspnet.report.figures import SYMBOLS
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.ablation_tables import (
     BASELINE,
@@ -35,7 +36,7 @@ from suspnet.runs.ablation_tables import (
     ablation_markdown,
     ablation_records,
 )
-from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.table6 import records_csv
 
 log = logging.getLogger(__name__)

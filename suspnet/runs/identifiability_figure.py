@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.bounds import UNIDENTIFIED, VERDICTS, Bound
 from suspnet.estimation.options import Option
+from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings
-from suspnet.runs.plots import OUR_COLOUR, SYMBOLS
+from suspnet.runs.plots import OUR_COLOUR
 
 
 def identifiability_figure(groups: Sequence[Findings]) -> Figure:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
+from suspnet.report.figures import SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.reliability_findings import Reliability
 
 NOMINAL, TOLERANCE = 90.0, 1.5

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import gzip
+import hashlib
 from collections.abc import Sequence
+from importlib import resources
+from importlib.metadata import version
 from typing import Any
 
-from flask import Flask, current_app, render_template, request
+from flask import Blueprint, Flask, Response, abort, current_app, render_template, request
 from flask_wtf.csrf import CSRFError
 from jinja2 import FunctionLoader, StrictUndefined
 from werkzeug.exceptions import HTTPException, SecurityError
@@ -13,7 +18,6 @@ from werkzeug.exceptions import HTTPException, SecurityError
 from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.templates import FILTERS, LABELS, packaged
-from suspnet.web.assets import assets, file_digest
 from suspnet.web.page_values import MARKS
 from suspnet.web.pages import REFRESHER, pages
 from suspnet.web.refresher import Refresher, clock
@@ -27,6 +31,20 @@ IN_WORDS = {
     405: "This page cannot be asked for in this way.",
     413: "What was sent is too long.",
 }
+
+FILES = {
+    "style.css": ("text/css", ("suspnet.report:style.css", "suspnet.web:page.css")),
+    "live.js": ("text/javascript", ("suspnet.web:live.js",)),
+    "plots.js": ("text/javascript", ("suspnet.web:plots.js",)),
+    "icon.svg": ("image/svg+xml", ("suspnet.web:icon.svg",)),
+    "plotly.js": ("text/javascript", ("plotly:package_data/plotly.min.js",)),
+}
+"""Type and parts of each file."""
+FOR_EVER = "public, max-age=31536000, immutable"
+"""For files whose address changes with what they hold."""
+
+
+assets = Blueprint("assets", __name__, url_prefix="/files")
 
 
 def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: float = 3.0) -> Flask:
@@ -92,3 +110,40 @@ def _message(title: str, words: str) -> str:
     refresher = current_app.extensions[REFRESHER]
     where = {"version": "", "of": "", "view": refresher.board.view, "refresher": refresher}
     return render_template("message_page.html", title=title, words=words, **where)
+
+
+@assets.get("/<digest>/<name>")
+def file(digest: str, name: str) -> Response:
+    """Return a file, packed if the browser takes that."""
+    if name not in FILES or digest != file_digest(name):
+        abort(404)
+    packed = request.accept_encodings.quality("gzip") > 0
+    found = Response(_packed(name) if packed else _content(name), mimetype=FILES[name][0])
+    found.headers["Cache-Control"] = FOR_EVER
+    found.headers["Vary"] = "Accept-Encoding"
+    if packed:
+        found.headers["Content-Encoding"] = "gzip"
+    return found
+
+
+@functools.cache
+def file_digest(name: str) -> str:
+    """Return what stands for the content of a file in its address."""
+    if name == "plotly.js":  # five megabytes, which need not be read for each start
+        return version("plotly")
+    return hashlib.sha256(_content(name)).hexdigest()[:12]
+
+
+@functools.cache
+def _content(name: str) -> bytes:
+    """Return the parts of a file one after the other."""
+    parts = (part.split(":") for part in FILES[name][1])
+    return b"\n".join(
+        resources.files(package).joinpath(path).read_bytes() for package, path in parts
+    )
+
+
+@functools.cache
+def _packed(name: str) -> bytes:
+    """Return a file as gzip."""
+    return gzip.compress(_content(name), 6, mtime=0)

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import NAMES
+from suspnet.ground.parameters import NAMES, PARAMETERS
 from suspnet.history.curves import TripResponses
 from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -19,9 +18,9 @@ from suspnet.maintenance.plan_parts import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.fleet_view import FleetView
+from suspnet.report.responses import response, response_table
+from suspnet.report.trend import ranges, trend_of_state
 from suspnet.report.trip_table import files_read_as, trip_table
-from suspnet.web.response_figure import response_table
-from suspnet.web.trend_figure import ranges
 
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Sign of each severity, so that colour is not needed."""
@@ -198,21 +197,23 @@ def suspension_values(
     state = view.states[place]
     over = [one for one in state.watched.alarms if not one.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
+    limits = view.limits.get(state.series.vehicle, {})
+    responses = [response(one.trip, one.mileage_km, one) for one in kept]
     return {
         "state": state,
         "row": view.rows[place],
-        "limits": view.limits.get(state.series.vehicle, {}),
+        "limits": limits,
         "names": NAMES,
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
         "over": [(one, newest_of(one, seen)) for one in reversed(over)],
-        "ranges": ranges(state),
+        "ranges": ranges(trend_of_state(state, limits)),
         "trips": trip_table(newest, PARAMETERS, LEVEL),
         "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),
         "first_km": _end(state.series.mileage_km, np.min),
         "newest_km": _end(state.series.mileage_km, np.max),
-        "kept": kept,
-        "gains": response_table(kept) if kept else [],
+        "responses": responses,
+        "gains": response_table(responses[0], responses[-1]) if responses else [],
     }
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import threading
 from typing import Any
 
 import numpy as np
@@ -23,22 +25,23 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.history import History, HistoryError
 from suspnet.history.acknowledging import acknowledge_alarms
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import PAYLOAD
 from suspnet.report.fleet_view import FleetView
 from suspnet.report.overview import finding
-from suspnet.web import assets
+from suspnet.report.responses import response
+from suspnet.report.trend import trend_of_state
 from suspnet.web import page_values as fleet_page
+from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice, suspension_values
 from suspnet.web.refresher import Refresher
-from suspnet.web.response_figure import response_figure
 from suspnet.web.server import WITH_PLOTS
-from suspnet.web.trend_figure import trend_figure
 
 MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are asked for."""
@@ -51,6 +54,7 @@ REFRESHER = "suspnet_refresher"
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
+_drawing = threading.Lock()
 
 
 @pages.get("/")
@@ -101,7 +105,7 @@ def calendar() -> ResponseReturnValue:
     found = _view().plan
     if found is None:
         abort(404)
-    return Response(assets.calendar(found), mimetype="image/svg+xml")
+    return Response(_calendar(found), mimetype="image/svg+xml")
 
 
 @pages.get("/suspension/<name>")
@@ -135,7 +139,8 @@ def acknowledge(name: str) -> ResponseReturnValue:
 def trend(name: str) -> ResponseReturnValue:
     """Return the figure of the parameters along the mileage."""
     state = _state(name)
-    return trend_figure(state, _view().limits.get(state.series.vehicle, {}))
+    limits = _view().limits.get(state.series.vehicle, {})
+    return trend_figure(trend_of_state(state, limits), name)
 
 
 @pages.get("/suspension/<name>/responses.json")
@@ -145,7 +150,7 @@ def responses(name: str) -> ResponseReturnValue:
         kept = store.responses(*_state(name).key)
     if not kept:
         abort(404)
-    return response_figure(kept, name)
+    return response_figure([response(one.trip, one.mileage_km, one) for one in kept], name)
 
 
 @pages.get("/state")
@@ -154,6 +159,16 @@ def state() -> ResponseReturnValue:
     view, name = _view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
     return {"version": version, "words": _refresher().words}
+
+
+@functools.lru_cache(maxsize=2)
+def _calendar(plan: Plan) -> bytes:
+    """Return the calendar of a plan as SVG."""
+    from suspnet.report.calendar_figure import plan_calendar  # matplotlib, for this picture alone
+    from suspnet.report.figures import as_svg
+
+    with _drawing:
+        return as_svg(plan_calendar(plan))
 
 
 def _suspension_page(name: str, form: Seen) -> str:

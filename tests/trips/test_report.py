@@ -16,7 +16,9 @@ from suspnet.maintenance.assessment import assess, last_trips
 from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.maintenance.trend import flagged_trend
 from suspnet.recordings.manifest import Place
-from suspnet.report import figures, health_figure, report
+from suspnet.report import figures, report
+from suspnet.report.trend import trend_of_trips
+from suspnet.report.trend_figure import health_trend
 from suspnet.report.trip_table import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
@@ -86,7 +88,7 @@ def whole(tmp_path_factory):
         "signals": figures.trip_signals(results[-1]),
         "extra_figure": small_figure(),
         "responses": figures.trip_responses(results),
-        "trend": health_figure.health_trend(results, OUTPUTS),
+        "trend": health_trend(trend_of_trips(results, OUTPUTS)),
     }
     path = tmp_path_factory.mktemp("report") / "report.html"
     return *write(path, results[::-1], drawn, {"model": "msvr", "date": "2024-11-03"}), results
