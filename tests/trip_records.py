@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspnet.history.records import NO_ESTIMATE, Quality, TripCurves, TripResult
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import NO_ESTIMATE, Place, Quality, TripCurves, TripResult
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 SPREAD = {"k_p": 0.002, "c_p": 0.02, "k_s": 0.006, "c_s": 0.008, "M_s": 0.03}

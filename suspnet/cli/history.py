@@ -14,14 +14,14 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.cli import program
-from suspnet.dynamics import PARAMETERS
 from suspnet.ground import ledger
-from suspnet.history import Event, History, HistoryError
-from suspnet.history.acknowledging import acknowledge_alarms
-from suspnet.history.events import KINDS
-from suspnet.history.schema import PLACE
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import Place
+from suspnet.history import History, HistoryError
+from suspnet.ground.records import PLACE
+from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
-from suspnet.recordings.manifest import Place
+from suspnet.maintenance.series import KINDS, Event
 from suspnet.report.output import write_table
 
 DESCRIPTION = """\

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from suspnet.ground.checks import LARGEST, check_number
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 
 UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}

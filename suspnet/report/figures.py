@@ -12,8 +12,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.ground.records import OK, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
-from suspnet.history.records import OK, TripCurves, TripResult
 from suspnet.recordings.overview import Overview
 from suspnet.report.plots import SUSPENSIONS
 

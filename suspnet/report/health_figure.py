@@ -9,17 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from suspnet.ground.limits import Limits
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.records import Commissioning, TripResult
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.history import Event
-from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.trend import PAYLOAD
-from suspnet.maintenance.watch import ABSURD
+from suspnet.maintenance.series import Event
 from suspnet.report.figures import MILEAGE_LABEL, by_mileage, say
 from suspnet.report.plots import SYMBOLS
-from suspnet.trips.commissionings import Commissioning
 
 ESTIMATE_COLOUR, TRUTH_COLOUR, MISSING_COLOUR = "tab:blue", "black", "tab:red"
 FLAGGED_COLOUR = "tab:purple"

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from suspnet.history.records import OK, TripResult
+from suspnet.ground.records import OK, TripResult
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from suspnet.ground.limits import Severity
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.plan_parts import suspension_of, train_of
+from suspnet.maintenance.fleet_plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
-from suspnet.report.fleet_view import FleetView
+from suspnet.report.overview import FleetView
 
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Sign of each severity, so that colour is not needed."""

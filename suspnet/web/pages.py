@@ -20,13 +20,11 @@ from flask import (
 )
 from flask.typing import ResponseReturnValue
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD
 from suspnet.history import History, HistoryError
-from suspnet.history.acknowledging import acknowledge_alarms
+from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.state import State
-from suspnet.maintenance.trend import PAYLOAD
-from suspnet.report.fleet_view import FleetView
-from suspnet.report.overview import finding
+from suspnet.report.overview import FleetView, finding
 from suspnet.web import assets, fleet_page
 from suspnet.web.fleet_page import Choice
 from suspnet.web.refresher import Refresher

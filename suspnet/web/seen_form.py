@@ -6,8 +6,8 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length
 
+from suspnet.ground.limits import Severity
 from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.limits import Severity
 
 
 class Seen(FlaskForm):  # type: ignore[misc]

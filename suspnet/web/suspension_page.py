@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import TripResult
 from suspnet.history.curves import TripResponses
-from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
-from suspnet.report.fleet_view import FleetView
+from suspnet.report.overview import FleetView
 from suspnet.report.report import NAMES
 from suspnet.report.trip_table import trip_table
 from suspnet.trips.details import files_read_as

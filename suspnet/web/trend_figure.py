@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.maintenance.fleet_lives import present
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import Limits, Severity
 from suspnet.maintenance.state import State
-from suspnet.maintenance.trend import PAYLOAD
 from suspnet.report.health_figure import on_axis
 from suspnet.report.report import NAMES
 from suspnet.report.templates import thousands
@@ -169,7 +168,7 @@ def _bars(up: FloatArray, down: FloatArray) -> dict[str, Any]:
 
 def _level(state: State, name: str, limits: Limits | None) -> float | None:
     """Return the act limit that a parameter is nearer to, [%]; None if it is not near any."""
-    now = present(state.series, name)
+    now = state.now(name)
     if limits is None or np.isnan(now):
         return None
     limit = limits.act[0] if now < 1 else limits.act[1]

@@ -15,21 +15,20 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS
+from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.records import Commissioning, relative_to_first_healthy
 from suspnet.report.health_figure import ANEW, health_trend
 from suspnet.trips.commissionings import (
-    Commissioning,
+    check_models,
     commissionings,
     eras,
     models_at,
     of_last_era,
-    relative_to_first_healthy,
     since_km,
     with_truth_of_each,
 )
 from suspnet.trips.details import healthy_words
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 
 ANEW_KM = 195_000.0

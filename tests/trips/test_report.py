@@ -11,11 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
+from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.records import Place
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.assessment import assess, last_trips
-from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.maintenance.trend import flagged_trend
-from suspnet.recordings.manifest import Place
 from suspnet.report import figures, health_figure, report
 from suspnet.trips.details import files_read_as
 

@@ -8,8 +8,8 @@ import plotly.graph_objects as go
 import pytest
 from served_fleet import FAILED, NAMED_EVIL, SETTINGS, WORN, trips
 
+from suspnet.ground.limits import DEFAULT_LIMITS
 from suspnet.history import Event, History
-from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.report.board import Board
 from suspnet.web.plotly_figure import finite, html
 from suspnet.web.response_figure import response_figure, response_table
