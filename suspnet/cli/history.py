@@ -14,16 +14,14 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.cli import program
-from suspnet.dynamics import PARAMETERS
 from suspnet.ground import ledger
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import PLACE, Place
 from suspnet.ground.tables import write_table
-from suspnet.ground.wording import kilometres, thousands
-from suspnet.history import Event, History, HistoryError
-from suspnet.history.acknowledging import acknowledge_alarms
-from suspnet.history.events import KINDS
-from suspnet.history.schema import PLACE
+from suspnet.history import History, HistoryError
+from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
-from suspnet.recordings.manifest import Place
+from suspnet.maintenance.series import KINDS, Event
 
 DESCRIPTION = """\
 The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance
@@ -110,7 +108,7 @@ def _listed(store: History, _: Namespace) -> str:
     rows = []
     for one in store.series():
         known = one.mileage_km[np.isfinite(one.mileage_km)]
-        span = f"{thousands(known[0])} to {thousands(known[-1])}" if len(known) else ""
+        span = f"{km(known[0])} to {km(known[-1])}" if len(known) else ""
         done = "; ".join(map(str, one.events))
         rows.append([one.vehicle, one.place, len(one.trip), int(one.done.sum()), span, done])
     header = ["vehicle", "suspension", "trips", "with estimate", "km", "maintenance"]
@@ -142,9 +140,7 @@ def _alarms(store: History, arguments: Namespace) -> str:
             *key,
             alarm.parameter,
             alarm.cause,
-            thousands(alarm.begin_km)
-            if alarm.is_open
-            else f"{thousands(alarm.begin_km)} to {thousands(alarm.end_km)}",
+            km(alarm.begin_km) if alarm.is_open else f"{km(alarm.begin_km)} to {km(alarm.end_km)}",
             alarm.words,
             f"{by.by}, {by.at[:10]}{': ' * bool(by.words)}{by.words}" if by else "",
         ]
@@ -174,7 +170,7 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
     said = arguments.by, arguments.words
     seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *said)
     told = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
-    return f"{place}: {told} acknowledged by {arguments.by} at {kilometres(newest)}"
+    return f"{place}: {told} acknowledged by {arguments.by} at {km(newest)} km"
 
 
 def _export(store: History, arguments: Namespace) -> str:
@@ -206,6 +202,11 @@ def _plain(kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
 def _place(arguments: Namespace) -> Place:
     """Return which suspension is meant."""
     return Place(**{name: getattr(arguments, name) for name in PLACE})
+
+
+def km(mileage: float) -> str:
+    """Return a mileage with spaces between thousands."""
+    return f"{mileage:,.0f}".replace(",", " ")
 
 
 COMMANDS: dict[str, Callable[[History, Namespace], str]] = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from suspnet.ground.checks import LARGEST, check_number
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")

@@ -89,7 +89,7 @@ class Cache:
 @functools.cache
 def code_hash(*parts: str) -> str:
     """Return a hash of some files and folders of this package, so that no cache outlives them."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for part in parts or (".",):
         path = package / part

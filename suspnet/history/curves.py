@@ -7,20 +7,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.records import TripCurves, TripResult, or_nan, to_arrays, to_responses
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
-from suspnet.history.records import TripCurves, TripResult
-from suspnet.history.rows import or_nan
 from suspnet.history.schema import curves, suspensions, trips
 
 N_NEWEST = 3
 """Number of the newest trips of a suspension whose curves are kept, besides those of the first."""
-NAMES = {"frequencies_hz", "real", "imaginary", "coherences", "deviations"}
+NAMES = ("frequencies_hz", "real", "imaginary", "coherences", "deviations")
 """Arrays of a trip as they are kept."""
 
 
@@ -144,15 +142,8 @@ def _same_trip() -> sql.ColumnElement[bool]:
 
 
 def _row(suspension: int, key: bytes, found: TripCurves) -> dict[str, object]:
-    """Return the row of a trip's curves."""
-    arrays = {
-        "frequencies_hz": found.frequencies_hz,
-        "real": np.real(found.responses),
-        "imaginary": np.imag(found.responses),
-        "coherences": found.coherences,
-        "deviations": found.deviations,
-    }
-    content = dump_arrays({name: np.asarray(one, dtype=float) for name, one in arrays.items()})
+    arrays = to_arrays(found)
+    content = dump_arrays({name: arrays[name] for name in NAMES})
     digest = hashlib.sha256(content).hexdigest()
     return {"suspension_id": suspension, "key": key, "arrays": content, "sha256": digest}
 
@@ -176,6 +167,5 @@ def _responses(
     both = (2, *shapes.get("frequencies_hz", ()))
     if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
         raise HistoryError(f"{what} is damaged: it holds {shapes}")
-    responses = np.empty(both, dtype=complex)  # a product with 1j would make NaN of infinity
-    responses.real, responses.imag = arrays.pop("real"), arrays.pop("imaginary")
+    responses = to_responses(arrays.pop("real"), arrays.pop("imaginary"))
     return TripResponses(trip, or_nan(mileage_km), start, responses=responses, **arrays)

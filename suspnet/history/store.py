@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
+from suspnet.ground.records import Key, Place, TripResult
 from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.database import (
     WAIT_S,
@@ -22,29 +24,24 @@ from suspnet.history.database import (
     reading,
     upsert,
 )
-from suspnet.history.events import Event
-from suspnet.history.kept import (
+from suspnet.history.schema import BadRow, log_once, row_of, trips, undated_key
+from suspnet.history.series import read_series
+from suspnet.history.suspensions import (
+    add_suspensions,
     delete_trips,
+    is_of,
+    known_suspensions,
+    numbers_of,
     other_alarms,
+    places_of,
+    raise_revisions,
     read_kept,
     read_trips,
     replace_alarms,
     write_kept,
 )
-from suspnet.history.records import TripResult
-from suspnet.history.rows import BadRow, Key, log_once, row_of, undated_key
-from suspnet.history.schema import trips
-from suspnet.history.series import Series, read_series
-from suspnet.history.suspensions import (
-    add_suspensions,
-    is_of,
-    known_suspensions,
-    numbers_of,
-    places_of,
-    raise_revisions,
-)
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
-from suspnet.recordings.manifest import Place
+from suspnet.maintenance.series import Event, Series
 
 
 class History:
@@ -323,3 +320,42 @@ class History:
                 yield connection
         except (SQLAlchemyError, UnicodeDecodeError) as error:  # of damaged names of tables
             raise error_of(error, str(self)) from None
+
+
+def acknowledge_alarms(
+    store: History,
+    vehicle: str,
+    place: Place,
+    alarms: Sequence[Alarm],
+    at_km: float,
+    by: str,
+    words: str = "",
+) -> list[Acknowledgement]:
+    """Keep that a person has seen alarms of a suspension now, and return what is kept.
+
+    Parameters
+    ----------
+    store : History
+    vehicle : str
+    place : Place
+    alarms : sequence of Alarm
+        As they were seen: one that gets worse asks again.
+    at_km : float, [km]
+        Mileage of the newest trip.
+    by, words : str
+        Name of the person, and what is done about it.
+
+    Raises
+    ------
+    HistoryError
+        If the store knows no trip of the suspension, or cannot be written.
+    ValueError
+        If the name or the mileage is missing.
+    """
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    seen = [
+        Acknowledgement(one.parameter, one.cause, one.severity, at_km, by, now, words)
+        for one in alarms
+    ]
+    store.acknowledge(vehicle, place, seen)
+    return seen

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from suspnet.ground.records import HIGHEST_KM
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError
-from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
+from suspnet.recordings.manifest import TEMPERATURES_C
 
 STEP_NS = 10 * SECOND_NS
 """Time of which the first value is kept, [ns]: in it a train runs less than a kilometre."""

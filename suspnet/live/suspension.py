@@ -13,7 +13,7 @@ import numpy as np
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
-from suspnet.history.records import TripResult
+from suspnet.ground.records import TripResult
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
 from suspnet.live.stream_state import dump_state, load_state

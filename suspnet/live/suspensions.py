@@ -11,9 +11,9 @@ from suspnet.live.suspension import LiveSettings, LiveSuspension
 from suspnet.recordings.frames import MOST_CHARACTERS
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.grouping import find_groups
-from suspnet.trips.models import models_of
 
 
 def read_suspensions(

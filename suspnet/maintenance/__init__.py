@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, Severity
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, Watched, alarm_table, watch
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.cusum import cusum, residuals, threshold
 from suspnet.maintenance.forecast import remaining_lives
 from suspnet.maintenance.life import Life, learn_fleet, predict_life
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
 from suspnet.maintenance.visit_costs import Costs
-from suspnet.maintenance.watch import Watched, alarm_table, watch
 
 __all__ = [
     "DEFAULT_LIMITS",

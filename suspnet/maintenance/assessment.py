@@ -1,23 +1,29 @@
-"""Assessment of a suspension by its trips, for maintenance: a severity and its reason in words."""
+"""Assessment of a parameter by its trips, for maintenance: a severity and its reason in words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.fleet_lives import ONE_FLAGGED
+from suspnet.maintenance.judge import (
+    N_CONFIRMING,
+    N_LAST,
+    Judged,
+    LastTrips,
+    beside,
+    judge_last,
+)
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
-from suspnet.maintenance.trend import PAYLOAD, Shape, Step, Trend
-from suspnet.maintenance.watch import beside
+from suspnet.maintenance.trend import Shape, Step, Trend
 
+ONE_FLAGGED = "the only trip is flagged"
 LARGE_PERCENT = 10.0
 """Size of a change, in % of healthy, from which words give the level that it leads to."""
 TOLD_PERCENT = 2.0
@@ -25,26 +31,6 @@ TOLD_PERCENT = 2.0
 named."""
 FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = "all trips are flagged"
-
-
-@dataclass(frozen=True)
-class LastTrips:
-    """The last trips with an estimate of one parameter, the newest last.
-
-    Attributes
-    ----------
-    values, low, high : arrays of shape (n_last,), [-]
-        Estimates and their intervals relative to healthy; an interval may be NaN.
-    flagged : bool array of shape (n_last,)
-    all_flagged : bool
-        Every trip with an estimate is flagged, also those before.
-    """
-
-    values: FloatArray
-    low: FloatArray
-    high: FloatArray
-    flagged: BoolArray
-    all_flagged: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,38 +75,16 @@ class Assessment:
         return self.severity > Severity.NONE or self.trend.changed
 
 
-def last_trips(
-    mileage_km: ArrayLike, values: ArrayLike, intervals: ArrayLike, flagged: ArrayLike
-) -> LastTrips:
-    """Return the ``N_LAST`` trips of largest mileage that have an estimate.
-
-    Parameters
-    ----------
-    mileage_km : array of shape (n_trips,), [km]
-        In any order.
-    values : array of shape (n_trips,), [-]
-        NaN: no estimate.
-    intervals : array of shape (n_trips, 2), [-]
-    flagged : bool array of shape (n_trips,)
-    """
-    km, centre = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
-    known = np.flatnonzero(np.isfinite(km) & np.isfinite(centre))
-    order = known[np.argsort(km[known], kind="stable")]
-    doubtful = np.asarray(flagged, dtype=bool)
-    last = order[-N_LAST:]
-    low, high = np.asarray(intervals, dtype=float).reshape(-1, 2)[last].T
-    everywhere = bool(len(order)) and bool(doubtful[order].all())
-    return LastTrips(centre[last], low, high, doubtful[last], everywhere)
-
-
 def assess(
-    trend: Trend, last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm] = ()
+    trend: Trend,
+    last: LastTrips,
+    limits: Limits | None,
+    alarms: Sequence[Alarm] = (),
+    doubt: str = "",
 ) -> Assessment:
     """Return how severe it is what the trips show of one parameter, and why.
 
-    The severity is that of ``judge``, of the last trips alone, or that of an alarm that stands if
-    that is worse. If all trips are flagged, they speak against the model rather than the vehicle:
-    then it is a notice at most, and unknown at least.
+    The severity is that of ``severity_of``.
 
     Parameters
     ----------
@@ -128,38 +92,50 @@ def assess(
         Of all trips.
     last : LastTrips
     limits : Limits or None
-        None: no value is alarming, as of the pay-load.
+        None: no value is alarming, as of the payload.
     alarms : sequence of Alarm
-        Of the parameter, that stand.
+        Active ones of the parameter.
+    doubt : str
+        Why nothing can be judged by the limits; empty if it can be.
     """
-    found = _assess(trend, last, limits)
-    worst = max((one.severity for one in alarms), default=Severity.NONE)
-    if worst <= found.severity:
-        return replace(found, alarms=tuple(alarms))
-    why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
-    since = f"alarm since {kilometres(why.begin_km)}"
-    told = why.cause == Cause.CHANGE and trend.changed
-    words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
-    return replace(found, severity=worst, words=words, alarms=tuple(alarms))
+    severity = severity_of(last, limits, alarms, doubt)
+    words = _words(trend, last, limits)
+    worst = max(alarms, key=lambda one: (one.severity, -one.begin_km), default=None)
+    if worst is not None and worst.severity > judge_last(last, limits)[0]:
+        since = f"alarm since {kilometres(worst.begin_km)}"
+        is_named = worst.cause == Cause.CHANGE and trend.changed
+        words = f"{words} ({since})" if is_named else f"{worst.words} ({since}); {words}"
+    if doubt and limits is not None:
+        words = f"{doubt}; {words}"
+    return Assessment(trend, severity, words, limits is not None, tuple(alarms))
 
 
-def _assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
-    """Return the assessment by the limits."""
+def severity_of(
+    last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm], doubt: str = ""
+) -> Severity:
+    """Return how severe it is what the trips show of a parameter: the one rule for it.
+
+    It is that of the last trips (``judge_last``), or that of an active alarm if that is worse. A
+    `doubt`, of a parameter with limits, makes it unknown at least.
+    """
+    least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
+    by_limits = judge_last(last, limits)[0]
+    return max(least, by_limits, *(one.severity for one in alarms))
+
+
+def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
+    """Return what the trips show, without alarms."""
+    severity, judged = judge_last(last, limits)
     if len(last.values) == 0:
-        severity = Severity.UNKNOWN if limits else Severity.NONE
-        return Assessment(trend, severity, "no trip with an estimate", bool(limits))
-    if limits is None:
-        return Assessment(trend, Severity.NONE, _joined(_calm(trend, last), trend, last), False)
-    judged = judge(last.values, last.low, last.high, last.flagged, limits)
-    severity = Severity(int(judged.severity))
-    if severity == Severity.NONE and last.flagged.all():
-        return Assessment(trend, Severity.UNKNOWN, _not_judged(trend, last))
-    parts = _calm(trend, last, limits) if severity == Severity.NONE else []
-    if severity > Severity.NONE:
-        parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
-    if last.all_flagged:
-        severity = min(severity, Severity.NOTICE)
-    return Assessment(trend, severity, _joined(parts, trend, last))
+        return "no trip with an estimate"
+    if limits is None or judged is None:
+        return _joined(_calm(trend, last), trend, last)
+    if judged.severity == Severity.NONE:
+        if severity == Severity.UNKNOWN:
+            return _not_judged(trend, last)
+        return _joined(_calm(trend, last, limits), trend, last)
+    parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
+    return _joined(parts, trend, last)
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:

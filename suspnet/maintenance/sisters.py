@@ -22,9 +22,12 @@ import numpy as np
 from scipy import stats
 
 from suspnet.ground.checks import check_number
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Key
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.limits import N_LAST, Severity
+from suspnet.maintenance.judge import N_LAST
+from suspnet.maintenance.series import Series, of_same_car
 
 CORRELATION = 0.5
 """Largest correlation between the errors of one trip and the next that is allowed for."""
@@ -303,3 +306,27 @@ def _words(parameter: str, found: _Compared, place: int) -> str:
     if 2 * n_apart == n + 1:
         return f"{size} {n_apart} of its {n} sisters ({levels}): which of them changed is not known"
     return f"{size} its sisters (median of {n})"
+
+
+def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dict[Key, list[Alarm]]:
+    """Return the alarms of each suspension that differs, or differed, from its sisters.
+
+    Trips before the last commissioning or maintenance of a suspension do not count, nor do
+    flagged ones.
+    """
+    found: dict[Key, list[Alarm]] = {}
+    for car in of_same_car(series):
+        for parameter in settings.least_percent:
+            alarms = sister_alarms(parameter, [_sister(one, parameter) for one in car], settings)
+            for one, own in zip(car, alarms, strict=True):
+                if own:
+                    found.setdefault((one.vehicle, one.place), []).extend(own)
+    return found
+
+
+def _sister(one: Series, parameter: str) -> Sister:
+    """Return a parameter of a suspension since its last commissioning and maintenance."""
+    used = one.recent & ~one.flagged
+    return Sister(
+        one.mileage_km[used], one.estimates[parameter][used], one.half_widths[parameter][used]
+    )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 
 LEVEL = 0.01
@@ -23,8 +24,6 @@ N_ENDS = 5
 """Number of trips at the beginning, and at the end, whose medians are compared."""
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one odd trip is no step."""
-PAYLOAD = "M_s"
-"""Name of the car-body mass, which the pay-load changes from trip to trip."""
 
 
 class Shape(StrEnum):

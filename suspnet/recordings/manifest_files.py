@@ -15,6 +15,7 @@ from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.ground.plain_files import NotPlainError, read_plain
+from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.ground.storage import printable, read_json, write_atomically
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
@@ -25,7 +26,6 @@ from suspnet.recordings.manifest import (
     CHANNELS,
     DELIMITERS,
     FORMAT,
-    HIGHEST_KM,
     MIDDLE,
     SIDES,
     SPEED_UNITS,
@@ -34,7 +34,6 @@ from suspnet.recordings.manifest import (
     Channel,
     CsvDialect,
     Pair,
-    Place,
     SpeedSource,
     TripManifest,
 )

@@ -12,19 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.dynamics import Vehicle
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
-from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.car_sisters import Key
+from suspnet.maintenance.alarms import Alarm, Cause, Watched
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.maintenance.fleet_plan import Planner
 from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.planner import Planner
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import SisterSettings
-from suspnet.maintenance.state import State, worst_first
-from suspnet.maintenance.watch import Watched
-from suspnet.report.fleet_view import FleetView, fleet_view
+from suspnet.maintenance.state import State, by_urgency
+from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
@@ -205,15 +204,18 @@ class Board:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that the settings do not name
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
-        new = [one for one in series if (one.vehicle, one.place) not in self._revisions]
+        new = [one for one in series if one.key not in self._revisions]
         if new or self._view.bad_rows:
             alarms = history.all_alarms()
-            states = [State(one, Watched(alarms.get((one.vehicle, one.place), []))) for one in new]
+            states = [
+                State(one, self._limits[one.vehicle], Watched(alarms.get(one.key, [])))
+                for one in new
+            ]
             self._early |= {state.key: state for state in states}
         if len(new) > AT_ONCE:
             self._show(history, is_complete=False)
         gone = self._fleet.keys() - revisions.keys()
-        gone |= set(changed) - {(one.vehicle, one.place) for one in series}
+        gone |= set(changed) - {one.key for one in series}
         self._is_due |= bool(gone)
         self._found(self._fleet.update([], gone))
         self._unkept -= gone
@@ -236,7 +238,7 @@ class Board:
         early = [state for key, state in self._early.items() if key not in known]
         acknowledged = history.all_acknowledgements()
         self._view = fleet_view(
-            sorted([*states, *early], key=worst_first),
+            by_urgency([*states, *early]),
             dict(self._limits),
             acknowledged,
             self._plan,

@@ -15,12 +15,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
-from suspnet.history.records import OK, TripResult
 from suspnet.recordings.overview import Overview
 from suspnet.report.responses import response
-from suspnet.report.trend import by_mileage
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
@@ -105,7 +104,7 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
     shown = [
         response(r.trip, r.mileage_km, r.curves)
-        for r in by_mileage(results)
+        for r in sorted(results, key=lambda r: np.nan_to_num(r.mileage_km, nan=-np.inf))
         if r.curves is not None
     ]
     mileage = np.array([one.mileage_km / 1000 for one in shown])
@@ -145,7 +144,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(3, 1, sharex=True))
-    placed = by_mileage(r for r in results if np.isfinite(r.mileage_km))
+    placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
     mileage = np.array([r.mileage_km / 1000 for r in placed])
     done = np.array([r.status == OK for r in placed], dtype=bool)
     panels = (

@@ -9,11 +9,11 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from suspnet.ground.limits import Severity
 from suspnet.ground.parameters import UNITS
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
+from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.watch import ABSURD
 
 SEVERITIES = {
     Severity.ACT: ("act", "Act"),

@@ -5,23 +5,21 @@ All values are in % of healthy, all mileages in km.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.records import Commissioning, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres, thousands
-from suspnet.history import Event
-from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import N_LAST, Limits, Severity
 from suspnet.maintenance.state import State
-from suspnet.maintenance.trend import PAYLOAD
-from suspnet.maintenance.watch import ABSURD
-from suspnet.trips.commissionings import Commissioning
 
 TRIP_COLOUR, FLAGGED_COLOUR, MISSING_COLOUR = "#3b82c4", "#9467bd", "#d64545"
 LIMIT_COLOURS = {"notice": "#d9822b", "act": "#d64545"}
@@ -150,60 +148,50 @@ class Trend:
 
 def trend_of_trips(
     results: Sequence[TripResult],
+    state: State,
     outputs: Sequence[str],
     level: float = 0.9,
-    limits: Mapping[str, Limits] | None = None,
-    states: Sequence[Commissioning] = (),
-    events: Sequence[Event] = (),
-    alarms: Sequence[Alarm] = (),
-    lives: Mapping[str, Life] | None = None,
+    commissionings: Sequence[Commissioning] = (),
 ) -> Trend:
     """Return what a report shows of trips.
 
     Parameters
     ----------
     results : sequence of TripResult
-        In any order; relative to the first of several healthy states.
+        In any order; relative to the first of several commissionings.
+    state : State
+        Of these trips; its limits are relative to the last commissioning.
     outputs : sequence of str
     level : float
         Probability of the intervals.
-    limits : mapping of Limits, optional
-        Of each parameter, relative to the last healthy state.
-    states : sequence of Commissioning
+    commissionings : sequence of Commissioning
         Several healthy states.
-    events : sequence of Event
-    alarms : sequence of Alarm
-    lives : mapping of Life, optional
     """
-    placed = by_mileage(r for r in results if np.isfinite(r.mileage_km))
-    km = np.array([r.mileage_km for r in placed])
-    last_km = max((r.mileage_km for r in placed if r.estimates), default=np.nan)
+    placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
+    now = commissionings[-1].relative if commissionings else {}
     panels = []
     for name in outputs:
         points = Points(
             np.array([r.trip for r in placed]),
-            km,
+            np.array([r.mileage_km for r in placed]),
             _percent([r.estimates.get(name, np.nan) for r in placed]),
             _percent([r.interval(name) for r in placed]).reshape(-1, 2),
             np.array([bool(r.flags) for r in placed], dtype=bool),
             _percent([r.truth.get(name, np.nan) for r in placed]),
         )
-        now = states[-1].relative[name] if states else 1.0
-        levels = _levels((limits or {}).get(name), now)
-        passing = _passing((lives or {}).get(name), last_km)
-        panels.append(_panel(name, points, levels, alarms, passing))
+        panels.append(_panel(name, points, state, now.get(name, 1.0)))
     return Trend(
         tuple(panels),
-        km,
-        tuple((one.mileage_km, one.words or one.kind) for one in events),
-        tuple(one.since_km for one in states[1:]),
+        np.array([r.mileage_km for r in placed]),
+        _events(state),
+        tuple(one.since_km for one in commissionings[1:]),
         AGAIN_OF_FIRST,
         len(results) - len(placed),
         level,
     )
 
 
-def trend_of_state(state: State, limits: Mapping[str, Limits]) -> Trend:
+def trend_of_state(state: State) -> Trend:
     """Return what a page shows of a suspension, each trip relative to its own healthy values."""
     series = state.series
     placed = np.isfinite(series.mileage_km)
@@ -212,23 +200,12 @@ def trend_of_state(state: State, limits: Mapping[str, Limits]) -> Trend:
         values, half = series.estimates[name], series.half_widths[name]
         with np.errstate(over="ignore"):
             intervals = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
-        points = Points(
-            series.trip,
-            series.mileage_km,
-            100 * values,
-            100 * intervals,
-            series.flagged,
-            np.full(len(values), np.nan),
-        ).chosen(placed)
-        passing = _passing(state.lives.get(name), state.last_km)
-        panels.append(_panel(name, points, _levels(limits.get(name)), state.alarms, passing))
+        unknown = np.full(len(values), np.nan)
+        numbers = series.mileage_km, 100 * values, 100 * intervals, series.flagged, unknown
+        panels.append(_panel(name, Points(series.trip, *numbers).chosen(placed), state))
     since_km = series.healthy_since_km
-    return Trend(
-        tuple(panels),
-        series.mileage_km[placed],
-        tuple((one.mileage_km, one.words or one.kind) for one in series.events),
-        tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist()),
-    )
+    again_km = tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist())
+    return Trend(tuple(panels), series.mileage_km[placed], _events(state), again_km)
 
 
 def ranges(trend: Trend) -> list[tuple[str, float, float]]:
@@ -248,11 +225,6 @@ def ranges(trend: Trend) -> list[tuple[str, float, float]]:
         pad = 0.02 * max(newest - begin, 1000.0)
         found.append(("Last 20 trips", begin - pad, newest + pad))
     return found
-
-
-def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
-    """Return trips in ascending order; those without a mileage first."""
-    return sorted(results, key=lambda r: r.mileage_km if np.isfinite(r.mileage_km) else -np.inf)
 
 
 def running_median(values: FloatArray, window: int = 5) -> FloatArray:
@@ -281,50 +253,37 @@ def alarm_label(alarm: Alarm) -> str:
     return f"{alarm.severity}: an alarm begins"
 
 
-def _panel(
-    name: str,
-    points: Points,
-    limits: tuple[tuple[str, float], ...],
-    alarms: Sequence[Alarm],
-    passing: Passing | None,
-) -> Panel:
+def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Panel:
+    """Return a parameter; its limits are relative to a level of `healthy` on the figure."""
     known, has_truth = np.isfinite(points.values), np.isfinite(points.truth)
     shown = points.chosen(known)
     shown.intervals[shown.flagged | ~np.isfinite(shown.intervals).all(axis=1)] = np.nan
-    of_name = tuple(one for one in alarms if one.parameter == name)
+    limits, passing = state.limits.get(name), _passing(state.lives.get(name), state.last_km)
     act = None
-    if passing or any(one.is_open and one.severity == Severity.ACT for one in of_name):
-        act = _nearer(limits, shown.values)
+    if limits and (passing or any(a.severity == Severity.ACT for a in state.alarms_of(name))):
+        limit = limits.act[0] if state.now(name) < 1 else limits.act[1]
+        act = 100 * healthy * limit if 0 < limit < np.inf else None
     return Panel(
         name,
         shown,
         points.km[~known],
         points.km[has_truth],
         points.truth[has_truth],
-        limits,
-        of_name,
+        tuple(
+            (kind, 100 * healthy * value)
+            for kind in LIMIT_COLOURS
+            for value in getattr(limits, kind, ())
+            if 0 < value < np.inf
+        ),
+        tuple(one for one in state.watched.alarms if one.parameter == name),
         passing,
         act,
         _axis(shown, act),
     )
 
 
-def _levels(limits: Limits | None, healthy: float = 1.0) -> tuple[tuple[str, float], ...]:
-    """Return the limits that a parameter has, over values that are `healthy` now."""
-    return tuple(
-        (kind, 100 * healthy * value)
-        for kind in LIMIT_COLOURS
-        for value in getattr(limits, kind, ())
-        if 0 < value < np.inf
-    )
-
-
-def _nearer(limits: tuple[tuple[str, float], ...], values: FloatArray) -> float | None:
-    """Return the act limit on that side of healthy on which a parameter is by now."""
-    if not len(values):
-        return None
-    is_low = np.median(values[-N_LAST:]) < 100
-    return next((v for kind, v in limits if kind == "act" and (v < 100) == is_low), None)
+def _events(state: State) -> tuple[tuple[float, str], ...]:
+    return tuple((one.mileage_km, one.words or one.kind) for one in state.series.events)
 
 
 def _passing(life: Life | None, last_km: float) -> Passing | None:

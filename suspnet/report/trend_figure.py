@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from suspnet.maintenance.trend import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.report.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.report.trend import (
     BEYOND,

@@ -8,9 +8,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from suspnet.ground.records import OK, TripResult
 from suspnet.ground.wording import count
-from suspnet.history.records import OK, TripResult
-from suspnet.maintenance.limits import N_LAST
 
 
 @dataclass(frozen=True)
@@ -69,26 +68,6 @@ def _digits(half_widths: Sequence[float]) -> int:
         return 1
     further = math.ceil(math.log10(0.095 / statistics.median(known)))
     return 1 + min(max(further, 0), 2)
-
-
-def sides_finding(trips: Sequence[TripResult]) -> str:
-    """Return a sentence on the sides for the report, from the last trips; empty without finding.
-
-    Parameters
-    ----------
-    trips : sequence of TripResult
-        In the order of the mileage.
-    """
-    last = [r for r in trips if r.status == OK][-N_LAST:]
-    told = [r for r in last if r.sides]
-    if not told:
-        return ""
-    trips_are = f"{len(told)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
-    return (
-        f"Left and right differ on {trips_are}; on {told[-1].trip}: {told[-1].sides}. An estimate "
-        "is the mean of both sides. Sensors of a pair that differ in place or sensitivity, and a "
-        "track with one rail worse than the other, can look alike: compare several trips."
-    )
 
 
 def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:

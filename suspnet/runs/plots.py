@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.dynamics import ResponseGenerator
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.types import FloatArray
 from suspnet.report.figures import SUSPENSIONS, SYMBOLS
 from suspnet.runs.table6 import MODEL_TITLES, table6_caption

@@ -11,8 +11,9 @@ import numpy as np
 from suspnet.dynamics.journey import Journey, service_journey, steady_journey
 from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.checks import check_choice, check_flag, check_number
+from suspnet.ground.records import HIGHEST_KM
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.manifest import CHANNELS, HIGHEST_KM
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.sensors import Sensor
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from suspnet.ground.checks import check_number
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place
 
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 """Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""

@@ -9,16 +9,16 @@ from pathlib import Path
 from suspnet._version import __version__
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.parameters import limits_words
+from suspnet.ground.limits import Limits, limits_words
+from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres
-from suspnet.history.records import TripResult, first_trips
-from suspnet.maintenance.limits import Limits
 from suspnet.report.trip_table import files_read_as
-from suspnet.trips.commissionings import eras
-from suspnet.trips.models import speed_words
+from suspnet.trips.commissionings import eras, first_trips, speed_words
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
+ALONE = "by this suspension alone, as no other of its vehicle shows how fast its kind wears"
+NO_STORE = "; with those of a history (store=) the plan of a fleet may give other ones"
 
 
 def report_details(
@@ -105,3 +105,12 @@ def _interval_words(model: TrainedModel, level: float) -> str:
         f"{100 * level:g} %, calibrated on {len(model.intervals.conformal.scores)} simulated "
         "curves that the model was not trained on, then adapted to the noise of each trip"
     )
+
+
+def wear_words(n_learnt: int, is_history: bool) -> str:
+    """Return with whose rates of wear lives are predicted; 0 suspensions: with its own alone."""
+    words = ALONE
+    if n_learnt:
+        where = "the history" if is_history else "this folder"
+        words = f"with the rates of wear of {n_learnt} suspensions of {where}"
+    return words if is_history else words + NO_STORE

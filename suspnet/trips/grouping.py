@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from suspnet.ground.ledger import LEDGER
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place
 from suspnet.recordings.manifest_files import find_manifests, read_place
 
 log = logging.getLogger(__name__)

@@ -19,9 +19,9 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.sides import with_sides
 from suspnet.estimation.speed_bin import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK, Place, Quality, TripCurves, TripResult
 from suspnet.ground.storage import printable
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
-from suspnet.recordings.manifest import Place, TripError, TripManifest
+from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.limits import Severity
 from suspnet.ground.parameters import NAMES, PARAMETERS
+from suspnet.ground.records import TripResult
 from suspnet.history.curves import TripResponses
-from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.plan_parts import suspension_of, train_of
+from suspnet.maintenance.fleet_plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
-from suspnet.report.fleet_view import FleetView
+from suspnet.report.overview import FleetView
 from suspnet.report.responses import response, response_table
 from suspnet.report.trend import ranges, trend_of_state
 from suspnet.report.trip_table import files_read_as, trip_table
@@ -197,16 +197,15 @@ def suspension_values(
     state = view.states[place]
     over = [one for one in state.watched.alarms if not one.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
-    limits = view.limits.get(state.series.vehicle, {})
     responses = [response(one.trip, one.mileage_km, one) for one in kept]
     return {
         "state": state,
         "row": view.rows[place],
-        "limits": limits,
+        "limits": state.limits,
         "names": NAMES,
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
         "over": [(one, newest_of(one, seen)) for one in reversed(over)],
-        "ranges": ranges(trend_of_state(state, limits)),
+        "ranges": ranges(trend_of_state(state)),
         "trips": trip_table(newest, PARAMETERS, LEVEL),
         "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),

@@ -25,16 +25,14 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length
 
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD
 from suspnet.history import History, HistoryError
-from suspnet.history.acknowledging import acknowledge_alarms
+from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
-from suspnet.maintenance.trend import PAYLOAD
-from suspnet.report.fleet_view import FleetView
-from suspnet.report.overview import finding
+from suspnet.report.overview import FleetView, finding
 from suspnet.report.responses import response
 from suspnet.report.trend import trend_of_state
 from suspnet.web import page_values as fleet_page
@@ -139,8 +137,7 @@ def acknowledge(name: str) -> ResponseReturnValue:
 def trend(name: str) -> ResponseReturnValue:
     """Return the figure of the parameters along the mileage."""
     state = _state(name)
-    limits = _view().limits.get(state.series.vehicle, {})
-    return trend_figure(trend_of_state(state, limits), name)
+    return trend_figure(trend_of_state(state), name)
 
 
 @pages.get("/suspension/<name>/responses.json")

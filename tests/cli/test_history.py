@@ -5,10 +5,10 @@ import pytest
 from trip_records import fleet, trip
 
 from suspnet.cli.history import history, main, parser
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.limits import Severity
-from suspnet.recordings.manifest import Place
 
 PLACE = Place("bogie 1, left")
 OTHER = Place("x", "leading", train="4", car="7")

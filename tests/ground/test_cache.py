@@ -139,7 +139,7 @@ def test_no_folder_keeps_nothing():
 
 
 def test_hash_of_the_code_is_that_of_its_files(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
+    monkeypatch.setattr(cache, "__file__", str(tmp_path / "ground" / "cache.py"))
     found = []
     for text in ("a = 1", "a = 2"):
         cache.code_hash.cache_clear()

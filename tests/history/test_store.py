@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Place, TripResult
 from suspnet.history import Event, History, HistoryError
-from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
-from suspnet.maintenance.limits import Severity
-from suspnet.recordings.manifest import Place
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"

@@ -9,17 +9,17 @@ import pytest
 from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Place
 from suspnet.history import Event, History, HistoryError
 from suspnet.maintenance import fleet as fleet_module
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.fleet_plan import parts_of, trains_of
 from suspnet.maintenance.plan import make_plan
-from suspnet.maintenance.plan_parts import parts_of, trains_of
-from suspnet.recordings.manifest import Place
 from suspnet.report import board as module
 from suspnet.report.board import Board, BoardSettings
-from suspnet.report.fleet_view import address
+from suspnet.report.overview import address
 
 TODAY = "2026-03-01"
 SETTINGS = BoardSettings(today=TODAY)
@@ -147,7 +147,7 @@ def test_a_new_trip_is_worked_out_for_its_car_alone(store, board, monkeypatch):
     )
     planned = []
     monkeypatch.setattr(
-        "suspnet.maintenance.planner.make_plan",
+        "suspnet.maintenance.fleet_plan.make_plan",
         lambda parts, *args: (planned.append(len(parts)), make_plan(parts, *args))[1],
     )
     write(store, FLEET[place("left", "4")][30])

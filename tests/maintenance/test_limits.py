@@ -9,17 +9,9 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import limits_words
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, Severity, limits_words, read_limits
 from suspnet.maintenance.assessment import assess, last_trips, overall
-from suspnet.maintenance.limits import (
-    DEFAULT_LIMITS,
-    N_CONFIRMING,
-    N_LAST,
-    Limits,
-    Severity,
-    judge,
-    read_limits,
-)
+from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge
 from suspnet.maintenance.trend import trend
 from suspnet.simulation.scenarios import Scenario
 

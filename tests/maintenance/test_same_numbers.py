@@ -10,8 +10,8 @@ from depot_trips import trips
 from trip_fixtures import model_at
 
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.records import Place
 from suspnet.history import History
-from suspnet.recordings.manifest import Place
 from suspnet.report import report
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tensorboard import RunLog

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
 
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement, Cause
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.fleet_plan import parts_of, train_of, trains_of
 from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.plan_parts import parts_of, train_of, trains_of
 from suspnet.maintenance.sisters import SisterSettings
-from suspnet.recordings.manifest import Place
-from suspnet.report.fleet_overview import overview_rows, overview_table
+from suspnet.report.overview import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.maintenance import write_maintenance
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from suspnet.maintenance.alarms import Cause
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.alarms import Cause, alarm_table, beside, detector_words, watch
 from suspnet.maintenance.change import Changes, ChangeSettings
 from suspnet.maintenance.cusum import autoregressive
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
-from suspnet.maintenance.watch import alarm_table, beside, detector_words, watch
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s")
 SPREAD = np.array([0.0005, 0.003, 0.0006, 0.001])

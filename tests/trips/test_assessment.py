@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
     LastTrips,
@@ -15,7 +16,6 @@ from suspnet.maintenance.assessment import (
     spoken,
     worst_first,
 )
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]

@@ -9,28 +9,28 @@ import pyarrow.parquet as pq
 import pytest
 from trip_fixtures import OUTPUTS, changed, model_at
 from trip_records import fleet as made_up
+from trip_records import trend_of
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS
-from suspnet.report.trend import AGAIN_OF_FIRST, trend_of_trips
+from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.records import Commissioning, relative_to_first_healthy
+from suspnet.report.trend import AGAIN_OF_FIRST
 from suspnet.report.trend_figure import health_trend
 from suspnet.trips.commissionings import (
-    Commissioning,
+    check_models,
     commissionings,
     eras,
     models_at,
     of_last_era,
-    relative_to_first_healthy,
     since_km,
     with_truth_of_each,
 )
 from suspnet.trips.details import healthy_words
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 
 ANEW_KM = 195_000.0
@@ -65,14 +65,7 @@ def read_with(models):
 
 
 @pytest.mark.parametrize(
-    ("km", "first"),
-    [
-        (0.0, 1e4),
-        (1e4, 1e4),
-        (194_999.0, 1e4),
-        (ANEW_KM, ANEW_KM),
-        (9e5, ANEW_KM),
-    ],
+    ("km", "first"), [(0.0, 1e4), (1e4, 1e4), (194_999.0, 1e4), (ANEW_KM, ANEW_KM), (9e5, ANEW_KM)]
 )
 def test_trip_is_read_with_the_latest_commissioning_that_begins_before_it(both, km, first):
     assert [since_km(model) for model in models_at(both, km)] == [first]
@@ -120,12 +113,7 @@ def test_trips_name_their_healthy_state_in_tables(both, manifests, tmp_path):
     settings = FleetSettings(TripSettings())
     (done,) = evaluate_fleet(tmp_path, both, out, settings, progress=False)
     rows = pq.read_table(out / "trips.parquet").to_pylist()
-    assert [row["healthy_since_km"] for row in rows] == [
-        1e4,
-        1e4,
-        ANEW_KM,
-        ANEW_KM,
-    ]
+    assert [row["healthy_since_km"] for row in rows] == [1e4, 1e4, ANEW_KM, ANEW_KM]
     c_s = AM96.healthy_values()[3]
     for row, factor in zip(rows, (1.0, 1.0, NEW_DAMPER, NEW_DAMPER), strict=True):
         assert row["c_s_ns_per_m_healthy"] == pytest.approx(factor * c_s)
@@ -151,7 +139,7 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
     found = commissionings(both, results)
     compared = relative_to_first_healthy(results, found)
     limits = {"c_s": DEFAULT_LIMITS["c_s"]}
-    axis = health_trend(trend_of_trips(compared, ("c_s",), limits=limits, states=found)).axes[0]
+    axis = health_trend(trend_of(compared, ("c_s",), limits=limits, commissionings=found)).axes[0]
     lines = {line.get_label(): line for line in axis.get_lines()}
     assert lines[AGAIN_OF_FIRST].get_xdata()[0] == ANEW_KM / 1000
     low, high = axis.get_ylim()

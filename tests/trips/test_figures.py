@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from trip_records import OUTPUTS, curves, fleet, trip
+from trip_records import OUTPUTS, curves, fleet, trend_of, trip
 
 from suspnet.report import figures, trend
 from suspnet.report.trend_figure import health_trend
@@ -34,7 +34,7 @@ def test_running_median_agrees_with_a_loop():
 
 def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
     trips = fleet(8, missing=(3,))
-    figure = health_trend(trend.trend_of_trips(trips[::-1], OUTPUTS))
+    figure = health_trend(trend_of(trips[::-1], OUTPUTS))
     draw(figure)
     assert len(figure.axes) == len(OUTPUTS)
     known = [r for r in trips if r.status == "ok"]
@@ -50,7 +50,7 @@ def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
 
 def test_health_trend_shows_the_truth_only_where_it_is_known():
     trips = [replace(r, truth={"k_p": 0.9} if i < 4 else {}) for i, r in enumerate(fleet(6, ()))]
-    figure = health_trend(trend.trend_of_trips(trips, ("k_p", "c_p")))
+    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
     draw(figure)
     x, y = labelled(figure.axes[0], "truth (simulated)")
     np.testing.assert_allclose(x, [10, 20, 30, 40])
@@ -61,7 +61,7 @@ def test_health_trend_shows_the_truth_only_where_it_is_known():
 def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
     trips = fleet(5, ())
     trips[2] = replace(trips[2], estimates=trips[2].estimates | {"c_p": np.nan})
-    figure = health_trend(trend.trend_of_trips(trips, ("k_p", "c_p")))
+    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
     draw(figure)
     assert "trip without an estimate" not in [line.get_label() for line in figure.axes[0].lines]
     np.testing.assert_allclose(labelled(figure.axes[1], "trip without an estimate")[0], [30.0])
@@ -117,7 +117,7 @@ def test_quality_marks_trips_without_an_estimate():
 def whole(results):
     """Return all four figures."""
     return (
-        health_trend(trend.trend_of_trips(results, OUTPUTS)),
+        health_trend(trend_of(results, OUTPUTS)),
         figures.trip_responses(results),
         figures.trip_signals(results[-1]),
         figures.quality(results),
@@ -143,7 +143,7 @@ def test_trips_without_a_mileage_are_counted():
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 5
     assert drawn[1] == []
     assert drawn[3] == ["no trip with a mileage"] * 3
-    figure = health_trend(trend.trend_of_trips([*fleet(3, ()), unplaced[0]], OUTPUTS))
+    figure = health_trend(trend_of([*fleet(3, ()), unplaced[0]], OUTPUTS))
     draw(figure)
     assert figure.axes[0].get_title() == "without a mileage, not shown: 1"
 

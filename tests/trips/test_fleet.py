@@ -20,20 +20,20 @@ from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.trend import LEAST_PERCENT
-from suspnet.maintenance.watch import Watched
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.reader_process import LIMIT, apart
 from suspnet.report import output
 from suspnet.report.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.report.tensorboard import RunLog
 from suspnet.spectra.curves import CurveSettings
+from suspnet.trips import earlier as finished
 from suspnet.trips import fleet
-from suspnet.trips import result_cache as finished
+from suspnet.trips.commissionings import check_models
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 
 TRIPS = TripSettings()

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
+from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.maintenance import Alarm, Cause, Life, Severity
-from suspnet.report.trend import LEAST_SPAN_PERCENT, trend_of_trips
+from suspnet.report.trend import LEAST_SPAN_PERCENT
 from suspnet.report.trend_figure import AHEAD, health_trend
 
 FEW = OUTPUTS[:2]
@@ -18,7 +18,7 @@ FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90
 
 def drawn(results, outputs=FEW, **options):
     """Return a figure's panels, drawn (a warning is an error)."""
-    figure = health_trend(trend_of_trips(results, outputs, **options))
+    figure = health_trend(trend_of(results, outputs, **options))
     FigureCanvasAgg(figure).draw()
     return figure.axes
 

@@ -12,14 +12,14 @@ from trip_records import HALF_WIDTHS, trip
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
-from suspnet.recordings.manifest import Place
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.records import Place
 from suspnet.report import output
 from suspnet.report.overview import Evaluated, finding, write_overview
 from suspnet.report.tensorboard import RunLog
 from suspnet.trips import fleet
+from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import models_of
 
 SETTINGS = FleetSettings(TripSettings())
 

@@ -9,15 +9,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
+from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
+from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.records import Place
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.assessment import assess, last_trips
-from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.maintenance.trend import flagged_trend
-from suspnet.recordings.manifest import Place
 from suspnet.report import figures, report
-from suspnet.report.trend import trend_of_trips
 from suspnet.report.trend_figure import health_trend
 from suspnet.report.trip_table import files_read_as
 
@@ -88,7 +87,7 @@ def whole(tmp_path_factory):
         "signals": figures.trip_signals(results[-1]),
         "extra_figure": small_figure(),
         "responses": figures.trip_responses(results),
-        "trend": health_trend(trend_of_trips(results, OUTPUTS)),
+        "trend": health_trend(trend_of(results)),
     }
     path = tmp_path_factory.mktemp("report") / "report.html"
     return *write(path, results[::-1], drawn, {"model": "msvr", "date": "2024-11-03"}), results

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, WORN, fill, name_of, served, trips
 
+from suspnet.ground.records import Place
 from suspnet.history import History
-from suspnet.recordings.manifest import Place
 
 selenium = pytest.importorskip("selenium")
 from selenium import webdriver  # noqa: E402

@@ -6,8 +6,8 @@ import time
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of, trips
 
+from suspnet.ground.limits import Severity
 from suspnet.history import History
-from suspnet.maintenance.limits import Severity
 from suspnet.report.board import Board
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher

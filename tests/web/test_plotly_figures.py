@@ -9,7 +9,6 @@ import pytest
 from served_fleet import FAILED, NAMED_EVIL, SETTINGS, WORN, trips
 
 from suspnet.history import Event, History
-from suspnet.maintenance.limits import DEFAULT_LIMITS
 from suspnet.report.board import Board
 from suspnet.report.responses import response, response_table
 from suspnet.report.trend import FLAGGED, PASSING, TRIP, ranges, trend_of_state
@@ -34,7 +33,7 @@ def state(board, place):
 
 
 def trend_of(one):
-    return trend_figure(trend_of_state(one, DEFAULT_LIMITS), "x")
+    return trend_figure(trend_of_state(one), "x")
 
 
 def responses(board, place):
@@ -100,12 +99,12 @@ def test_flagged_trip_far_away_is_a_triangle_at_the_edge_and_maintenance_a_line(
 
 def test_ranges_hold_what_they_say(board):
     shown = state(board, WORN)
-    (everything, first, last), (_, begin, end) = ranges(trend_of_state(shown, {}))
+    (everything, first, last), (_, begin, end) = ranges(trend_of_state(shown))
     assert everything == "All"
     assert first <= 2_000 < shown.last_km + shown.lives["c_s"].quantile_km(0.5) < last
     km = shown.series.mileage_km
     assert ((km >= begin) & (km <= end)).sum() == 20
-    assert len(ranges(trend_of_state(state(board, NAMED_EVIL), {}))) == 1
+    assert len(ranges(trend_of_state(state(board, NAMED_EVIL)))) == 1
 
 
 def test_responses_are_amplifications_of_first_and_newest(board):
