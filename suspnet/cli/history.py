@@ -16,9 +16,8 @@ from tabulate import tabulate
 from suspnet.cli import program
 from suspnet.ground import ledger
 from suspnet.ground.parameters import PARAMETERS
-from suspnet.ground.records import Place
+from suspnet.ground.records import PLACE, Place
 from suspnet.history import History, HistoryError
-from suspnet.ground.records import PLACE
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
 from suspnet.maintenance.series import KINDS, Event
