@@ -136,7 +136,6 @@ def read_responses(
 
 
 def _same_trip() -> sql.ColumnElement[bool]:
-    """Return the condition that curves are of a trip."""
     same = curves.c.suspension_id == trips.c.suspension_id, curves.c.key == trips.c.key
     return sql.and_(*same)
 

@@ -124,7 +124,6 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
 
 
 def _connect_server(url: URL, wait_s: float) -> Engine:
-    """Return the engine of a store on a server."""
     try:
         engine = sql.create_engine(url, pool_size=1, connect_args={"connect_timeout": CONNECT_S})
     except (ImportError, NoSuchModuleError):
@@ -235,6 +234,5 @@ def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, An
 
 
 def _unique_columns(table: sql.Table) -> list[str]:
-    """Return the columns that tell a row from the others: of its constraint, or of its key."""
     unique = [one for one in table.constraints if isinstance(one, sql.UniqueConstraint)]
     return [column.name for column in (unique[0] if unique else table.primary_key).columns]

@@ -74,7 +74,6 @@ def read_series(
 def _columns(
     connection: Connection, chosen: list[int] | None, names: Mapping[int, Key], bad: list[BadRow]
 ) -> Block:
-    """Return the columns of all trips, or of some suspensions'."""
     columns = [trips.c[name] for name in (*NUMBERS, *VALUE_COLUMNS)]
     flagged = sql.case((trips.c.flags == "", 0), else_=1)
     texts = [trips.c[name] for name in TEXTS]

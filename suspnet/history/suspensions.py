@@ -212,12 +212,10 @@ def replace_alarms(
 
 
 def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Return rows of alarms by what tells them apart."""
     names = [one.name for one in alarms.primary_key.columns]
     return {tuple(row[name] for name in names): row for row in rows}
 
 
 def _row(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
-    """Return the row of what is kept."""
     values = {name: or_null(value) for name, value in asdict(kept).items()}
     return values | {"suspension_id": suspension}

@@ -206,7 +206,6 @@ def watch(
 def _watch(
     one: Series, outputs: Iterable[str], limits: Mapping[str, Limits], settings: ChangeSettings
 ) -> Watched:
-    """Return the alarms of trips between maintenance."""
     values = {name: one.estimates[name] for name in outputs if name != PAYLOAD}
     if not values:
         return Watched()
@@ -290,7 +289,6 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
 
 
 def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> Alarm:
-    """Return the alarm of a change, with the level it has led to if it goes on."""
     about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
     verb = "fell" if change.percent < 0 else "rose"
     words = f"{verb} by {abs(change.percent):.2g} % at about {kilometres(about)}"

@@ -275,13 +275,11 @@ def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[s
 
 
 def _change(trend: Trend) -> str:
-    """Return what the tests along the mileage found."""
     without = ", without the flagged trips" if trend.without_flagged else ""
     return f"{_change_words(trend)}{without}"
 
 
 def _change_words(trend: Trend) -> str:
-    """Return what the tests found, in the trips that they were made of."""
     if trend.shape == Shape.TOO_FEW:
         return f"too few trips ({trend.n_trips} of {trend.n_needed}) to tell of a change"
     if trend.shape == Shape.NONE:
@@ -320,18 +318,15 @@ def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
 
 
 def _is(n: int) -> str:
-    """Return the verb for some number of things."""
     return "is" if n == 1 else "are"
 
 
 def _percent(value: float) -> str:
-    """Return the size of a change in %, with digits by its size."""
     size = abs(value)
     digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
     return f"{size:.{digits}f} %"
 
 
 def _km(step: Step) -> str:
-    """Return the mileage, rounded to the power of ten below the distance between the trips."""
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
     return kilometres(round(step.mileage_km, -digits))

@@ -208,7 +208,6 @@ class Fleet:
         return self.state(series.key)
 
     def _sorted(self) -> list[State]:
-        """Return the suspensions with their own alarms, by vehicle and place."""
         return sorted(self._own.values(), key=lambda one: (one.key[0], str(one.key[1])))
 
 
@@ -267,6 +266,5 @@ def _n_new(before: Series | None, series: Series) -> int:
 
 
 def _rows(series: Series) -> set[bytes]:
-    """Return mileage and estimates of each trip."""
     columns = np.column_stack([series.mileage_km, *series.estimates.values()])
     return {row.tobytes() for row in columns}

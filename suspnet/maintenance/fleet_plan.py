@@ -43,7 +43,6 @@ class Planner:
         return join_plans([nothing, *(plan for _, plan in self._made.values())])
 
     def _of(self, name: str, states: list[State], today: date) -> tuple[list[State], Plan]:
-        """Return the states of a train, and their plan."""
         known = self._made.get(name)
         if known is not None and known[1].today == today and _are(states, known[0]):
             return known
@@ -52,7 +51,6 @@ class Planner:
 
 
 def _are(states: Sequence[State], others: Sequence[State]) -> bool:
-    """Return whether states are the same objects, in the same order."""
     return len(states) == len(others) and all(map(operator.is_, states, others))
 
 

@@ -149,7 +149,6 @@ class _Compared:
 
 
 def _known(one: Sister) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mileage, logarithm and half width of the trips that have a value."""
     values = np.asarray(one.values, dtype=float)
     known = np.isfinite(one.mileage_km) & np.isfinite(values) & (values > 0)
     halves = np.nan_to_num(np.asarray(one.half_widths, dtype=float)[known], posinf=np.inf)
@@ -181,7 +180,6 @@ def _levels(
 
 
 def _of_mean() -> float:
-    """Return the variance of the mean of ``N_LAST`` correlated numbers of variance 1."""
     lags = np.arange(1, N_LAST)
     return float(1 + 2 * np.sum((1 - lags / N_LAST) * CORRELATION**lags)) / N_LAST
 
@@ -200,7 +198,6 @@ def _scatter_until(logs: FloatArray) -> FloatArray:
 
 
 def _robust(steps: FloatArray) -> float:
-    """Return the standard deviation of trips from the sizes of their successive differences."""
     if len(steps) == 0:
         return math.nan
     of_steps = float(np.median(steps) / stats.norm.ppf(0.75))
@@ -208,7 +205,6 @@ def _robust(steps: FloatArray) -> float:
 
 
 def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatArray]]:
-    """Return, for each trip until all references are full, its place and all differences so far."""
     steps, ends = [], []
     for one in sisters:
         own_km, logs, _ = _known(one)
@@ -220,7 +216,6 @@ def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatA
 
 
 def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
-    """Return the robust standard deviation of the trips of all sisters until each mileage."""
     found = np.full(len(km), np.nan)
     for place, steps in _pooled(sisters, km):
         found[place:] = _robust(steps)
@@ -230,7 +225,6 @@ def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
 def _quantiles(
     sisters: Sequence[Sister], km: FloatArray, settings: SisterSettings, n_parameters: int
 ) -> FloatArray:
-    """Return the number of standard deviations that a difference must exceed at each mileage."""
     degrees = np.ones(len(km))
     for place, steps in _pooled(sisters, km):
         degrees[place:] = max(1.0, EFFICIENCY * len(steps))
@@ -242,7 +236,6 @@ def _quantiles(
 
 
 def _compared(i: int, levels: FloatArray, variances: FloatArray) -> _Compared:
-    """Return a suspension beside its sisters."""
     others, own = np.delete(levels, i, axis=0), levels[i]
     there = np.isfinite(others)
     n = there.sum(axis=0)
@@ -259,7 +252,6 @@ def _compared(i: int, levels: FloatArray, variances: FloatArray) -> _Compared:
 def _alarms(
     parameter: str, km: FloatArray, found: _Compared, scale: FloatArray, least: float
 ) -> list[Alarm]:
-    """Return the alarms of one suspension."""
     size = np.abs(found.level - found.median)
     threshold = np.maximum(scale * found.deviation, least)
     is_odd = 2 * found.n_apart >= found.n_sisters + 1  # most of them are elsewhere, or half
@@ -277,7 +269,6 @@ def _alarms(
 
 
 def _newest(size: FloatArray) -> int:
-    """Return the place of the newest difference that is known."""
     return int(np.flatnonzero(np.isfinite(size))[-1])
 
 
@@ -295,7 +286,6 @@ def _spans(raised: BoolArray, over: BoolArray) -> list[tuple[int, int | None]]:
 
 
 def _words(parameter: str, found: _Compared, place: int) -> str:
-    """Return how a suspension differs from its sisters."""
     n, n_apart = int(found.n_sisters[place]), int(found.n_apart[place])
     level, median = math.exp(found.level[place]), math.exp(found.median[place])
     percent = 100 * (level / median - 1)
@@ -325,7 +315,6 @@ def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dic
 
 
 def _sister(one: Series, parameter: str) -> Sister:
-    """Return a parameter of a suspension since its last commissioning and maintenance."""
     used = one.recent & ~one.flagged
     return Sister(
         one.mileage_km[used], one.estimates[parameter][used], one.half_widths[parameter][used]

@@ -329,7 +329,6 @@ def _slope(values: FloatArray, change: float, threshold: float) -> float:
 
 
 def _is_line(values: FloatArray, threshold: float) -> bool:
-    """Tell whether most trips lie within `threshold` percent of one straight line."""
     trips = np.arange(len(values))
     line = stats.linregress(trips, values)
     deviations = values - line.intercept - line.slope * trips

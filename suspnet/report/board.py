@@ -162,7 +162,6 @@ class Board:
             return self._view is not before
 
     def _refresh(self, history: History) -> None:
-        """Make the view again, if anything changed."""
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
         bad = {one.key for one in self._view.bad_rows}  # they may have been mended
@@ -192,7 +191,6 @@ class Board:
             self._keep(history)
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        """Read the suspensions that changed, and find their alarms."""
         changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
         series = [  # in parts: an SQLite file cannot be written while it is read
             one
@@ -227,12 +225,10 @@ class Board:
         self._revisions = revisions
 
     def _found(self, keys: set[Key]) -> None:
-        """Note suspensions whose alarms were found anew, for the view and for the store."""
         self._is_due |= bool(keys)
         self._unkept |= keys
 
     def _show(self, history: History, *, is_complete: bool) -> None:
-        """Make the view of what is known by now."""
         states = self._fleet.states()
         known = {state.key for state in states}
         early = [state for key, state in self._early.items() if key not in known]

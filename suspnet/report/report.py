@@ -197,7 +197,6 @@ def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
 
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
-    """Return what the page is about: label and text."""
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
     between = "unknown"
     if mileage:
@@ -232,7 +231,6 @@ def _doubts(trips: Sequence[TripResult]) -> str:
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
-    """Return the names of figures, those with a caption first."""
     known = [name for name in CAPTIONS if name in figures]
     return known + [name for name in figures if name not in CAPTIONS]
 
@@ -251,7 +249,6 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
-    """Return what 100 % of each parameter is on the last trip that has an estimate."""
     known = [r for r in trips if r.healthy_si]
     if not known:
         return {}

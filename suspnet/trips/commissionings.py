@@ -156,7 +156,6 @@ def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:
 
 
 def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, float]:
-    """Return the median of each parameter."""
     if not values:
         return {}
     return {name: float(np.median([v[name] for v in values])) for name in names}
@@ -192,7 +191,6 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
 
 
 def _check_together(models: Sequence[TrainedModel]) -> None:
-    """Raise ModelFileError if models of one commissioning are for both bogies or share a speed."""
     if len({model.generator.bogie for model in models} - {None}) > 1:
         raise ModelFileError(
             "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
@@ -255,6 +253,5 @@ def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel
 
 
 def _named(places: Sequence[Place]) -> str:
-    """Return the first places in words, and how many more there are."""
     words = "; ".join(map(str, places[:NAMED]))
     return words if len(places) <= NAMED else f"{words} and {len(places) - NAMED} others"

@@ -252,7 +252,6 @@ def _read_group(
     progress: bool,
     store: History | None,
 ) -> _Read:
-    """Evaluate one suspension's trips, and store them."""
     fitting = models_of(models, group.place)
     vehicle, limits = fitting[0].vehicle.name, settings.limits_of(fitting)
     if settings.reference == "first_trips":
@@ -279,7 +278,6 @@ def _read_group(
 def _report(
     read: _Read, fleet: Fleet, settings: FleetSettings, store: History | None, figures: bool
 ) -> Evaluated:
-    """Write tables, figures and report of one suspension."""
     stage(f"trend and report of {read.group.place}")
     group, results, models = read.group, read.results, read.models
     outputs, level = models[0].task.outputs, settings.trips.level
@@ -320,7 +318,6 @@ def _evaluated(
     progress: bool,
     title: str,
 ) -> list[TripResult]:
-    """Return the result of every trip: kept by an earlier evaluation, or read in parallel now."""
     finished = FinishedTrips(output, models, settings.trips)
     results, made_from = [], {}
     bar = progress_bar(title, len(paths), unit="trip", shown=progress)

@@ -85,7 +85,6 @@ def evaluate_recording(
 
 
 def _failed(result: TripResult, error: Exception) -> TripResult:
-    """Return a result whose reason is an error."""
     words = str(error).removeprefix(f"{result.manifest}: ")
     if not isinstance(error, TripError):
         log.debug("trip %s failed", result.manifest, exc_info=error)
@@ -99,7 +98,6 @@ def lost_trip(path: Path, reason: str) -> TripResult:
 
 
 def _printable(result: TripResult) -> TripResult:
-    """Return a result whose words every file can hold, whatever the names of its files."""
     place = Place(*map(printable, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
@@ -107,7 +105,6 @@ def _printable(result: TripResult) -> TripResult:
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
-    """Return a result with what the manifest says of the trip."""
     return replace(
         result,
         vehicle=manifest.vehicle,
@@ -126,7 +123,6 @@ def _estimated(
     models: Sequence[TrainedModel],
     settings: TripSettings,
 ) -> TripResult:
-    """Return a result with the estimate from the trip's recording."""
     for name in sorted({model.vehicle.name for model in models}):
         if name != manifest.vehicle:
             raise TripError(
@@ -222,7 +218,6 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
 
 
 def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
-    """Return how many segments of each length at least one bin was made from."""
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch
@@ -231,7 +226,6 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 
 
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
-    """Return the curves and the overview of signals behind an estimate."""
     method = trip_settings(best.method).method
     seen = overview(recording)
     return TripCurves(

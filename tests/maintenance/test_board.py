@@ -220,7 +220,7 @@ def test_acknowledgements_are_shown_without_working_anything_out(store, board, m
     write(store, *FLEET[place("right")])
     board.refresh()
     monkeypatch.setattr(fleet_module, "watched", lambda *_: pytest.fail("watched again"))
-    monkeypatch.setattr(fleet_module, "lives_of", lambda *_: pytest.fail("predicted again"))
+    monkeypatch.setattr(fleet_module, "remaining_lives", lambda *_: pytest.fail("predicted again"))
     before = board.view
     assert before.rows[0]["acknowledged"] == ""
     seen = Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 8e4, "Kim", f"{TODAY}T08:00:00+00:00")
@@ -384,17 +384,25 @@ def failing(*_, **__):
     raise HistoryError("the store went away")
 
 
+LAST_FLAGGED = "all of the last 5 trips are flagged"
+
+
 @pytest.mark.parametrize(
-    ("flagged", "severity", "words"),
+    ("flagged", "severity", "words", "reason"),
     [
-        ([""] * 10, Severity.NONE, ""),
-        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, ""),
-        (["misfit"] * 10, Severity.UNKNOWN, "all of the last 5 trips are flagged"),
-        ([""] * 5 + ["misfit"] * 5, Severity.UNKNOWN, "all of the last 5 trips are flagged"),
+        ([""] * 10, Severity.NONE, "", ""),
+        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, "", ""),
+        (["misfit"] * 10, Severity.UNKNOWN, LAST_FLAGGED, "not judged, as all trips are flagged"),
+        (
+            [""] * 5 + ["misfit"] * 5,
+            Severity.UNKNOWN,
+            LAST_FLAGGED,
+            f"not judged, as {LAST_FLAGGED}",
+        ),
     ],
 )
 def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
-    tmp_path, flagged, severity, words
+    tmp_path, flagged, severity, words, reason
 ):
     where = place("left")
     made = trips(where, 0, n_trips=len(flagged))
@@ -404,4 +412,4 @@ def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
     board.refresh()
     (state,) = board.view.states
     assert (state.severity, state.unjudged) == (severity, words)
-    assert words in board.view.rows[0]["reason"]
+    assert reason in board.view.rows[0]["reason"]

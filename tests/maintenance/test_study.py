@@ -61,7 +61,10 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
     seen = {key: [Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 80_000.0, "Kim", SEEN)]}
     rows = overview_rows(states, seen)
     assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
-    assert rows[0]["reason"] == "the last trip is at 150 % of healthy, above the act limit of 125 %"
+    assert rows[0]["reason"] == (
+        "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; the change began "
+        "at about 75 000 km"
+    )
     assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
     assert rows[2]["reason"] == rows[2]["parameter"] == ""
     text = overview_table(rows)
@@ -105,7 +108,7 @@ def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
         "calendar": "",
         "sisters": [],
     }
-    assert words in render("fleet.html", "suspnet.depot", **about)
+    assert words in render("fleet.html", **about)
 
 
 def test_study_writes_overview_plan_and_calendar(store, tmp_path):

@@ -9,13 +9,13 @@ import pytest
 from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
-    LastTrips,
     assess,
-    last_trips,
     overall,
     spoken,
     worst_first,
 )
+from suspnet.maintenance.judge import LastTrips, last_trips
+from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]
@@ -91,8 +91,9 @@ def read(values, half=0.01, flagged=(), parameter="k_s"):
     """Return the assessment of a series that is said to scatter by 0.1 %."""
     values = np.array(values) * (1 + 2e-4 * np.random.default_rng(1).normal(size=len(values)))
     km, flags = KM[: len(values)], np.isin(np.arange(len(values)), flagged)
-    ends = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
-    last = last_trips(km, values, ends, flags)
+    last = last_trips(
+        make_series(km, {parameter: values}, {parameter: half + 0 * values}, flags), parameter
+    )
     found = replace(flagged_trend(parameter, km, values, flags), spread_percent=0.1)
     return assess(found, last, DEFAULT_LIMITS.get(parameter))
 
@@ -326,11 +327,14 @@ def test_nothing_known_is_no_good_news():
 def test_last_trips_are_those_of_largest_mileage_with_an_estimate():
     km = np.array([5.0, 1.0, 3.0, np.nan, 2.0, 6.0, 4.0, 7.0])
     values = np.array([0.5, 0.1, 0.3, 9.0, 0.2, 0.6, 0.4, np.nan])
-    ends = np.stack([values - 0.01, values + 0.01], axis=1)
-    last = last_trips(km, values, ends, km == 3.0)
+
+    def last_of(values, flagged):
+        return last_trips(make_series(km, {"k_s": values}, {"k_s": 0.01 + 0 * km}, flagged), "k_s")
+
+    last = last_of(values, km == 3.0)
     np.testing.assert_array_equal(last.values, [0.2, 0.3, 0.4, 0.5, 0.6])
-    np.testing.assert_allclose(last.high - last.low, 0.02)
+    np.testing.assert_allclose(np.log(last.high / last.low), 0.02)
     np.testing.assert_array_equal(last.flagged, [False, True, False, False, False])
     assert not last.all_flagged
-    assert last_trips(km, values, ends, np.ones(8)).all_flagged
-    assert not last_trips(km, np.nan * values, ends, np.ones(8)).all_flagged
+    assert last_of(values, np.ones(8)).all_flagged
+    assert not last_of(np.nan * values, np.ones(8)).all_flagged

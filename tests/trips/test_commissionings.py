@@ -18,6 +18,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.limits import DEFAULT_LIMITS
 from suspnet.ground.records import Commissioning, relative_to_first_healthy
+from suspnet.maintenance.series import series_of
 from suspnet.report.trend import AGAIN_OF_FIRST
 from suspnet.report.trend_figure import health_trend
 from suspnet.trips.commissionings import (
@@ -25,7 +26,6 @@ from suspnet.trips.commissionings import (
     commissionings,
     eras,
     models_at,
-    of_last_era,
     since_km,
     with_truth_of_each,
 )
@@ -90,8 +90,10 @@ def test_trips_of_two_commissionings_compare_in_si_units(both):
 
 def test_limits_and_tests_are_about_the_trips_since_the_last(both):
     results = read_with(both)
-    last = of_last_era(results, commissionings(both, results))
-    assert [r.trip for r in last] == [r.trip for r in results if r.mileage_km >= ANEW_KM]
+    whole = series_of(results)
+    assert whole.trip[whole.one_healthy].tolist() == [
+        r.trip for r in results if r.mileage_km >= ANEW_KM
+    ]
 
 
 def test_truth_is_relative_to_the_healthy_trips_of_each():
@@ -156,7 +158,7 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
 def test_one_commissioning_is_as_none(both):
     results = read_with(both[:1])
     assert commissionings(both[:1], results) == []
-    assert of_last_era(results, []) == results
+    assert series_of(results).one_healthy.all()
     assert [r.estimates for r in relative_to_first_healthy(results, [])] == [
         r.estimates for r in results
     ]
