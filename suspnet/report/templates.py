@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from importlib import resources
 from typing import Any
 
@@ -24,6 +25,8 @@ SEVERITIES = {
 """Tone and label of each severity; style.css has the colours of each tone."""
 LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
 """The same by the names that stand in tables."""
+MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
+"""Sign of each severity, so that colour is not needed."""
 KILO = 1e3
 KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
 """Unit of a thousand of each SI unit."""
@@ -49,7 +52,7 @@ def environment(*packages: str) -> Environment:
         loader=FunctionLoader(lambda name: packaged(name, *packages)),
     )
     found.filters |= FILTERS
-    found.globals["labels"] = LABELS
+    found.globals |= GLOBALS
     return found
 
 
@@ -132,7 +135,14 @@ def _range(pair: tuple[float, float]) -> str:
     return " to ".join(f"{100 * one:g}" for one in pair)
 
 
+def _columns(names: Iterable[str]) -> list[Markup]:
+    """Return the headings of columns of parameters in %."""
+    return [Markup("#{}\n[%]").format(_symbol(name)) for name in names]
+
+
+GLOBALS = {"labels": LABELS, "marks": MARKS}
 FILTERS = {
+    "columns": _columns,
     "level": level,
     "number": number,
     "plus_minus": _plus_minus,

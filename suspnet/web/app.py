@@ -17,8 +17,7 @@ from werkzeug.exceptions import HTTPException, SecurityError
 
 from suspnet import __version__
 from suspnet.history import HistoryError
-from suspnet.report.templates import FILTERS, LABELS, packaged
-from suspnet.web.page_values import MARKS
+from suspnet.report.templates import FILTERS, GLOBALS, packaged
 from suspnet.web.pages import REFRESHER, pages
 from suspnet.web.refresher import Refresher, clock
 from suspnet.web.server import protect
@@ -63,9 +62,7 @@ def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: flo
     app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
     app.jinja_options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
     app.jinja_env.filters |= FILTERS | {"clock": clock}
-    app.jinja_env.globals |= {
-        "labels": LABELS,
-        "marks": MARKS,
+    app.jinja_env.globals |= GLOBALS | {
         "file_digest": file_digest,
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",

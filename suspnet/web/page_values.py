@@ -22,8 +22,6 @@ from suspnet.report.responses import response, response_table
 from suspnet.report.trend import ranges, trend_of_state
 from suspnet.report.trip_table import files_read_as, trip_table
 
-MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
-"""Sign of each severity, so that colour is not needed."""
 SHORT = {"leading": "lead.", "trailing": "trail."}
 """Words of a place as they stand on a tile."""
 

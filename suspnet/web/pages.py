@@ -34,8 +34,9 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
 from suspnet.report.overview import FleetView, finding
 from suspnet.report.responses import response
+from suspnet.report.templates import MARKS
 from suspnet.report.trend import trend_of_state
-from suspnet.web import page_values as fleet_page
+from suspnet.web import page_values
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice, suspension_values
 from suspnet.web.refresher import Refresher
@@ -60,7 +61,7 @@ def fleet() -> ResponseReturnValue:
     """Return the page of the fleet."""
     view, choice = _view(), _choice()
     places = [i for i, state in enumerate(view.states) if choice.holds(state)]
-    alarms, jobs = fleet_page.raised(view, choice), fleet_page.jobs_of(view, choice, _address)
+    alarms, jobs = page_values.raised(view, choice), page_values.jobs_of(view, choice, _address)
     all_rows = request.args.get("rows") == "all"
     most = None if all_rows else MOST_ROWS
     page = _page(
@@ -68,12 +69,12 @@ def fleet() -> ResponseReturnValue:
         _fleet_version(view),
         finding=finding([view.rows[i] for i in places]),
         choice=choice,
-        train_names=fleet_page.train_names(view),
-        counts=fleet_page.counts(view, choice.train),
-        trains=fleet_page.trains_of_view(view, choice),
+        train_names=page_values.train_names(view),
+        counts=page_values.counts(view, choice.train),
+        trains=page_values.trains_of_view(view, choice),
         alarms=alarms[:most],
         n_alarms=len(alarms),
-        rows=fleet_page.rows_of(view, places[:most], _address),
+        rows=page_values.rows_of(view, places[:most], _address),
         n_rows=len(places),
         parameters=OUTPUTS,
         plan=view.plan,
@@ -92,8 +93,8 @@ def plan() -> ResponseReturnValue:
         _fleet_version(view),
         plan=view.plan,
         choice=choice,
-        train_names=fleet_page.train_names(view),
-        jobs=fleet_page.jobs_of(view, choice, _address),
+        train_names=page_values.train_names(view),
+        jobs=page_values.jobs_of(view, choice, _address),
     )
 
 
@@ -193,7 +194,7 @@ def _suspension_page(name: str, form: Seen) -> str:
         trouble=trouble,
         bad_rows=list(dict.fromkeys([*known, *bad])),
         parameters=OUTPUTS,
-        sisters=[fleet_page.rows_of(view, car, _address)] if car else [],
+        sisters=[page_values.rows_of(view, car, _address)] if car else [],
         **shown,
     )
 
@@ -226,7 +227,7 @@ def _state(name: str) -> State:
 def _choice() -> Choice:
     """Return which suspensions the address asks for; what it does not know chooses all."""
     severity = request.args.get("severity", "")
-    known = severity in fleet_page.MARKS
+    known = severity in MARKS
     return Choice(request.args.get("train", ""), severity if known else "")
 
 
