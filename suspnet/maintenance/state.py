@@ -161,7 +161,7 @@ class State:
         return float(np.median(values)) if len(values) else np.nan
 
     def alarms_of(self, name: str) -> list[Alarm]:
-        """Return the active alarms of a parameter, by the mileage where they begin."""
+        """Return the active alarms of a parameter, by the mileage where they start."""
         return [one for one in self.watched.alarms if one.parameter == name and one.is_open]
 
     @cached_property

@@ -110,7 +110,7 @@ class Trend:
 
     @property
     def changed(self) -> bool:
-        """Whether there is a change; never of the car-body mass, which is pay-load."""
+        """Whether there is a change; never of the car-body mass, which is payload."""
         return self.shape not in (Shape.TOO_FEW, Shape.NONE) and self.parameter != PAYLOAD
 
 
@@ -135,7 +135,7 @@ def trend(
     Parameters
     ----------
     parameter : str
-        "M_s" is pay-load, and never said to have changed.
+        "M_s" is payload, and never said to have changed.
     mileage_km : array of shape (n_trips,), [km]
         In any order.
     values : array of shape (n_trips,), [-]
