@@ -13,7 +13,9 @@ from suspnet.maintenance.life import Life, learn_fleet, predict_life
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.series import Event, Series, make_series
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
+from suspnet.maintenance.state import State
 from suspnet.maintenance.visit_costs import Costs
 
 if TYPE_CHECKING:
@@ -28,14 +30,17 @@ __all__ = [
     "ChangeSettings",
     "Changes",
     "Costs",
+    "Event",
     "Life",
     "Limits",
     "Part",
     "Plan",
     "PlanSettings",
+    "Series",
     "Severity",
     "Sister",
     "SisterSettings",
+    "State",
     "Train",
     "Watched",
     "alarm_table",
@@ -43,6 +48,7 @@ __all__ = [
     "find_changes",
     "learn_fleet",
     "make_plan",
+    "make_series",
     "plan_calendar",
     "predict_life",
     "remaining_lives",

@@ -171,7 +171,7 @@ class State:
     def _assessment(self, name: str) -> Assessment:
         one, least = self.recent, self.least_percent.get(name, LEAST_PERCENT)
         values = one.estimates[name]
-        trend = flagged_trend(name, one.mileage_km, values, one.flagged, least_percent=least)
+        trend = flagged_trend(name, one.mileage_km, values, one.flagged, least)
         limits, alarms = self.limits.get(name), self.alarms_of(name)
         found = assess(trend, self._last[name], limits, alarms, self.doubt)
         unknown = self.unknown.get(name, "")
