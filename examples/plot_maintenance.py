@@ -22,6 +22,7 @@ from suspnet.maintenance import (
     alarm_table,
     cusum,
     make_plan,
+    make_series,
     remaining_lives,
     residuals,
     threshold,
@@ -56,7 +57,7 @@ flagged = np.zeros(len(km), dtype=bool)
 # are older than ten. Its threshold comes from a stated budget, one false alarm in 1,000,000 km over
 # all four parameters.
 settings = ChangeSettings()
-watched = watch(km, values, half_widths, flagged, {}, DEFAULT_LIMITS, settings)
+watched = watch(make_series(km, values, half_widths, flagged), DEFAULT_LIMITS, settings)
 print(alarm_table(watched.alarms))
 
 limit = threshold(2000 / settings.km_per_false_alarm / 4, settings.n_reference)

@@ -18,14 +18,14 @@ class Severity(IntEnum):
 
     NONE = 0
     UNKNOWN = 1
-    """Nothing can be told: no estimate, or one that is too uncertain."""
+    """Nothing is known: no estimate, or one that is too uncertain."""
     NOTICE = 2
     """Look at the suspension when it is next at hand."""
     ACT = 3
     """The suspension needs work."""
 
     def __str__(self) -> str:
-        """Return the name in small letters, as it stands in tables."""
+        """Return the name in small letters, as it is written in tables."""
         return self.name.lower()
 
 
@@ -99,7 +99,7 @@ DAMPER = Limits(
 
 
 DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
-"""Limits of a vehicle whose file says none. The car body's mass is pay-load and has none."""
+"""Limits of a vehicle whose file says none. The car body's mass is payload and has none."""
 
 
 TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf))

@@ -17,9 +17,9 @@ from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import curves, suspensions, trips
 
 N_NEWEST = 3
-"""Number of the newest trips of a suspension whose curves are kept, besides those of the first."""
+"""Number of the newest trips whose curves are stored, besides those of the first."""
 NAMES = ("frequencies_hz", "real", "imaginary", "coherences", "deviations")
-"""Arrays of a trip as they are kept."""
+"""Arrays of a trip as they are stored."""
 
 
 ROW = (str, int | float | None, str, bytes | memoryview, str)
@@ -28,7 +28,7 @@ ROW = (str, int | float | None, str, bytes | memoryview, str)
 
 @dataclass(frozen=True, eq=False)
 class TripResponses:
-    """Transfer functions of one trip, as the store keeps them.
+    """Transfer functions of one trip, as the store holds them.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ def order(mileage_km: float, start: str, trip: str) -> Order:
 def write_curves(
     connection: Connection, suspension: int, results: Mapping[bytes, TripResult]
 ) -> None:
-    """Keep the curves of a suspension's trips, as far as they are the first or the newest.
+    """Store the curves of a suspension's trips, as far as they are the first or the newest.
 
-    Curves that were kept of these trips before are replaced, or deleted where a trip has none any
+    Curves that were stored of these trips before are replaced, or deleted where a trip has none any
     more; so are those of trips that are no longer among the newest.
 
     Parameters
@@ -106,7 +106,7 @@ def write_curves(
 def read_responses(
     connection: Connection, where: sql.ColumnElement[bool], name: str
 ) -> list[TripResponses]:
-    """Return the curves that are kept of a suspension, by mileage.
+    """Return the stored curves of a suspension, by mileage.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def read_responses(
     Raises
     ------
     HistoryError
-        If what is kept was altered.
+        If they were altered.
     """
     # NullType: whatever is there comes as it is, to be refused by name
     arrays = sql.type_coerce(curves.c.arrays, sql.types.NullType())
@@ -150,14 +150,14 @@ def _row(suspension: int, key: bytes, found: TripCurves) -> dict[str, object]:
 def _responses(
     trip: str, mileage_km: float | None, start: str, content: bytes, sha256: str, *, name: str
 ) -> TripResponses:
-    """Return curves from the bytes that are kept of them.
+    """Return curves from the bytes that are stored of them.
 
     Raises
     ------
     HistoryError
         If these were altered.
     """
-    what = f"{name}: what is kept of the curves of {trip}"
+    what = f"{name}: the stored curves of {trip}"
     try:
         arrays = load_arrays(bytes(content), what, sha256)
     except DamagedFileError as error:

@@ -68,7 +68,7 @@ suspensions = Table(
     Column("revision", BigInteger, nullable=False, server_default="0"),
     UniqueConstraint("vehicle", *PLACE),
 )
-"""The revision grows with each transaction that changes what is kept of a suspension."""
+"""The revision grows with each transaction that changes what is stored of a suspension."""
 
 QUALITY = {"float": Double, "int": Integer, "str": String}
 """Type of the column of each field of a trip's quality, by the type of the field."""
@@ -189,7 +189,7 @@ def check_types(table: sql.Table, row: RowMapping) -> None:
 
 
 def trip_key(result: TripResult) -> bytes:
-    """Return what tells a trip from the others of its suspension: a hash of 16 bytes."""
+    """Return what distinguishes a trip of its suspension: a hash of 16 bytes."""
     content = [result.trip, result.start, repr(float(result.mileage_km))]
     return hashlib.sha256(json.dumps(content).encode()).digest()[:16]
 

@@ -14,7 +14,7 @@ from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import HIGHEST_KM, VALUES, Key
 from suspnet.ground.types import FloatArray
 from suspnet.history.schema import BadRow, bad_row, check_types, trips
-from suspnet.history.suspensions import is_one_of, known_suspensions, read_kept
+from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
 from suspnet.maintenance.series import NUMBERS, Event, Series, utc
 
 ROWS = 20_000
@@ -39,7 +39,7 @@ def read_series(
     """
     names = {one: key for one, (key, _) in known_suspensions(connection).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
-    events = read_kept(connection, Event, bad)
+    events = read_stored(connection, Event, bad)
     numbers, texts, starts = _columns(connection, chosen, names, bad)
     owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
     order = np.lexsort((texts, km, owner))  # NaN last

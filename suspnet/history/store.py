@@ -28,7 +28,7 @@ from suspnet.history.database import (
 from suspnet.history.schema import BadRow, log_once, row_of, trips, undated_key
 from suspnet.history.series import read_series
 from suspnet.history.suspensions import (
-    Kept,
+    Stored,
     add_suspensions,
     delete_trips,
     is_of,
@@ -37,10 +37,10 @@ from suspnet.history.suspensions import (
     other_alarms,
     places_of,
     raise_revisions,
-    read_kept,
+    read_stored,
     read_trips,
     replace_alarms,
-    write_kept,
+    write_stored,
 )
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.maintenance.series import Event, Series
@@ -85,7 +85,7 @@ class History:
                 is_there = is_prepared(connection, str(self))
             if not is_there:
                 if must_exist:
-                    raise HistoryError(f"{self}: the store is empty, no trip was ever kept in it")
+                    raise HistoryError(f"{self}: the store is empty, no trip was ever stored in it")
                 with self._writing() as connection:
                     prepare(connection, str(self))
         except BaseException:
@@ -180,7 +180,7 @@ class History:
 
     def add_event(self, vehicle: str, place: Place, event: Event) -> None:
         """Store a maintenance event; the same one again replaces its words."""
-        self._keep(vehicle, place, [event])
+        self._store(vehicle, place, [event])
 
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
@@ -236,7 +236,7 @@ class History:
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
         """Store acknowledgements of alarms; the same one again replaces its words."""
-        self._keep(vehicle, place, seen)
+        self._store(vehicle, place, seen)
 
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
         """Return the acknowledgements of a suspension's alarms, by mileage and time."""
@@ -247,18 +247,18 @@ class History:
         return self._read(Acknowledgement)
 
     def _read(
-        self, kind: type[Kept], where: sql.ColumnElement[bool] | None = None
-    ) -> dict[Key, list[Kept]]:
+        self, kind: type[Stored], where: sql.ColumnElement[bool] | None = None
+    ) -> dict[Key, list[Stored]]:
         with self._reading() as connection:
-            return read_kept(connection, kind, self.bad_rows, where)
+            return read_stored(connection, kind, self.bad_rows, where)
 
-    def _keep(
+    def _store(
         self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
     ) -> None:
         with self._writing() as connection:
             ids = list(numbers_of(connection, [(vehicle, place)], str(self)).values())
             raise_revisions(connection, ids)
-            write_kept(connection, ids[0], kept)
+            write_stored(connection, ids[0], kept)
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:

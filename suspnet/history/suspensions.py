@@ -28,7 +28,7 @@ from suspnet.history.schema import (
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
 from suspnet.maintenance.series import Event
 
-Kept = TypeVar("Kept", Event, Alarm, Acknowledgement)
+Stored = TypeVar("Stored", Event, Alarm, Acknowledgement)
 TABLES: dict[type, sql.Table] = {
     Event: events,
     Alarm: alarms,
@@ -93,7 +93,7 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
     Raises
     ------
     HistoryError
-        If one is not known; it begins with the store's `name`.
+        If one is not known; it starts with the store's `name`.
     """
     wanted = list(keys)
     where = is_of(*wanted[0]) if len(wanted) == 1 else None  # all, if it is more than one
@@ -102,7 +102,7 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
         if (vehicle, place) not in there:
             known = "; ".join(f"{other}: {one}" for other, one in places_of(connection))
             raise HistoryError(
-                f"{name}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
+                f"{name}: no trip of {vehicle}: {place} is stored here; known: {known or 'none'}"
             )
     return {key: there[key] for key in wanted}
 
@@ -110,7 +110,7 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
 def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
     """Raise the revisions of suspensions, and lock them for other writers until the end.
 
-    A transaction that changes suspensions begins with this. They are locked one after the other, by
+    A transaction that changes suspensions starts with this. They are locked one after the other, by
     their numbers, so that no two writers wait for each other.
     """
     rows = [{"one": one} for one in sorted(set(ids))]
@@ -142,13 +142,13 @@ def delete_trips(connection: Connection, keys: Collection[tuple[int, bytes]]) ->
         connection.execute(trips.delete().where(of, key), rows)
 
 
-def read_kept(
+def read_stored(
     connection: Connection,
-    kind: type[Kept],
+    kind: type[Stored],
     bad: list[BadRow],
     where: sql.ColumnElement[bool] | None = None,
-) -> dict[Key, list[Kept]]:
-    """Return what is kept of each suspension, or of those chosen, in order of the table's key.
+) -> dict[Key, list[Stored]]:
+    """Return what is stored of each suspension, or of those chosen, in order of the table's key.
 
     Rows that cannot be read are left out, and added to `bad`.
     """
@@ -160,7 +160,7 @@ def read_kept(
         .where(sql.true() if where is None else where)
         .order_by(*table.primary_key.columns)
     )
-    found: dict[Key, list[Kept]] = {}
+    found: dict[Key, list[Stored]] = {}
     for row in connection.execute(chosen).mappings():
         try:
             key = key_of(row)
@@ -177,10 +177,10 @@ def read_kept(
     return found
 
 
-def write_kept(
+def write_stored(
     connection: Connection, suspension: int, kept: Sequence[Event | Alarm | Acknowledgement]
 ) -> None:
-    """Keep what is of one kind; the same one again takes its other values."""
+    """Store what is of one kind; the same one again takes its other values."""
     if kept:
         upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
 
@@ -188,7 +188,7 @@ def write_kept(
 def other_alarms(
     connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
 ) -> list[int]:
-    """Return the numbers of the suspensions whose kept alarms of some causes are not these."""
+    """Return the numbers of the suspensions whose stored alarms of some causes are not these."""
     chosen = sql.select(alarms).where(
         is_one_of(alarms.c.suspension_id, found), alarms.c.cause.in_([str(one) for one in causes])
     )
@@ -205,10 +205,10 @@ def other_alarms(
 def replace_alarms(
     connection: Connection, suspension: int, found: Sequence[Alarm], causes: Collection[Cause]
 ) -> None:
-    """Keep the alarms of some causes of a suspension in place of those before."""
+    """Store the alarms of some causes of a suspension in place of those before."""
     of_causes = alarms.c.cause.in_([str(one) for one in causes])
     connection.execute(alarms.delete().where(alarms.c.suspension_id == suspension, of_causes))
-    write_kept(connection, suspension, found)
+    write_stored(connection, suspension, found)
 
 
 def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:

@@ -11,7 +11,9 @@ from suspnet.maintenance.life import Life, learn_fleet, predict_life
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.series import Event, Series, make_series
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
+from suspnet.maintenance.state import State
 from suspnet.maintenance.visit_costs import Costs
 
 __all__ = [
@@ -23,14 +25,17 @@ __all__ = [
     "ChangeSettings",
     "Changes",
     "Costs",
+    "Event",
     "Life",
     "Limits",
     "Part",
     "Plan",
     "PlanSettings",
+    "Series",
     "Severity",
     "Sister",
     "SisterSettings",
+    "State",
     "Train",
     "Watched",
     "alarm_table",
@@ -38,6 +43,7 @@ __all__ = [
     "find_changes",
     "learn_fleet",
     "make_plan",
+    "make_series",
     "predict_life",
     "remaining_lives",
     "residuals",

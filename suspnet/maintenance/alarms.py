@@ -16,11 +16,11 @@ from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
-from suspnet.maintenance.judge import N_LAST, beside, judge
+from suspnet.maintenance.judge import N_LAST, judge, level_words
 from suspnet.maintenance.series import Series
 
 N_QUIET = 3
-"""Trips in a row within the limits that end an alarm: one that comes and goes stands."""
+"""Trips in a row within the limits that end an alarm: one that comes and goes stays active."""
 GOES_ON = 1.5
 """Ratio of a change now to what it was at its alarm from which words give both."""
 
@@ -37,7 +37,7 @@ class Cause(StrEnum):
 
 
 OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE)
-"""Causes of alarms that the trips of a suspension tell by themselves."""
+"""Causes of alarms that are found in the trips of one suspension alone."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +49,18 @@ class Alarm:
     parameter : str
     cause : Cause
     severity : Severity
-        The worst while it stood.
+        The worst while it was active.
     begin_km : float, [km]
         Mileage of the trip that raised it.
     end_km : float, [km]
-        Mileage of the trip that ended it; NaN: it stands still.
+        Mileage of the trip that ended it; NaN: it is active.
     words : str
         The reason.
 
     Raises
     ------
     ValueError
-        If it has no begin, or ends before it.
+        If it has no start, or ends before it.
     """
 
     parameter: str
@@ -80,7 +80,7 @@ class Alarm:
 
     @property
     def is_open(self) -> bool:
-        """Whether it stands still."""
+        """Whether it is active."""
         return math.isnan(self.end_km)
 
 
@@ -153,7 +153,7 @@ class Watched:
     Attributes
     ----------
     alarms : list of Alarm
-        By the mileage of their begin.
+        By the mileage where they start.
     changes : Changes
         What the detector found, and whether it could.
     """
@@ -210,7 +210,7 @@ def _watch(
     if not values:
         return Watched()
     covariates = {
-        "pay-load": one.estimates[PAYLOAD],
+        "payload": one.estimates[PAYLOAD],
         "speed": one.speed_m_per_s,
         "temperature": one.temperature_c,
     }
@@ -275,14 +275,13 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
         is_out = side * (centre - limit) > 0
         beyond = f"{'above' if side > 0 else 'below'} the {level} limit of {100 * limit:g} %"
-        words = f"the last trip is {beside(centre[newest], limit)} of healthy, {beyond}"
+        words = f"the last trip is {level_words(centre[newest], limit)} of healthy, {beyond}"
         if end is not None or not is_out[newest]:  # it is elsewhere now
             out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
-            words = (
-                f"was {beside(centre[out], limit)} of healthy, {beyond}, at {kilometres(km[out])}"
-            )
+            level_then = level_words(centre[out], limit)
+            words = f"was {level_then} of healthy, {beyond}, at {kilometres(km[out])}"
             if end is None:
-                words += f"; the last trip is {beside(centre[newest], limit)}"
+                words += f"; the last trip is {level_words(centre[newest], limit)}"
         until = np.nan if end is None else float(km[end])
         found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, words))
     return found
@@ -306,7 +305,7 @@ def _stood(alarm: Alarm, later: Alarm) -> bool:
 
 
 def _spans(severity: list[int]) -> list[tuple[int, int, int | None]]:
-    """Return the trips that began, were the worst of, and ended each alarm; None: it stands."""
+    """Return the trips that began, were the worst of, and ended each alarm; None: it is active."""
     found: list[tuple[int, int, int | None]] = []
     begin, worst, quiet = -1, 0, 0
     for trip, level in enumerate(severity):

@@ -17,8 +17,8 @@ from suspnet.maintenance.judge import (
     N_LAST,
     Judged,
     LastTrips,
-    beside,
     judge_last,
+    level_words,
 )
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.trend import Shape, Step, Trend
@@ -46,7 +46,7 @@ class Assessment:
     limited : bool
         The parameter has limits.
     alarms : tuple of Alarm
-        That stand.
+        Active ones.
     life : Life, optional
         Mileage until the act limit; None if it is unknown.
     now : float, [-]
@@ -70,7 +70,7 @@ class Assessment:
         return self.trend.parameter
 
     @property
-    def is_told(self) -> bool:
+    def is_named(self) -> bool:
         """Whether the parameter is named at the top of a report."""
         return self.severity > Severity.NONE or self.trend.changed
 
@@ -148,7 +148,7 @@ def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
 
 def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
     """Return the assessments named at the top of a report, the most severe first."""
-    return sorted((a for a in assessments if a.is_told), key=lambda a: -a.severity)
+    return sorted((a for a in assessments if a.is_named), key=lambda a: -a.severity)
 
 
 def spoken(assessments: Sequence[Assessment]) -> str:
@@ -178,14 +178,14 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
     if severity == Severity.NOTICE:
         return severity, f"Notice: {n[severity]} {of} {_is(n[severity])} to be looked at:"
     if n_known == 0:
-        return severity, "No trip has an estimate, so that nothing can be told."
+        return severity, "No trip has an estimate, so that nothing is known."
     if severity == Severity.UNKNOWN:
         return severity, f"No alarm, but {n[severity]} {of} cannot be judged:"
     if n_changed:
         return severity, f"{quiet}; {n_changed} {of} changed:"
     if n_tested < len(judged):
         which = "there are" if n_tested == 0 else "some parameters have"
-        return severity, f"{quiet}; {which} too few trips to tell of a change."
+        return severity, f"{quiet}; {which} too few trips to find a change."
     return (
         severity,
         f"Nothing stands out. {quiet}, and none changed by more than its trips scatter.",
@@ -201,20 +201,20 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
     if count >= N_CONFIRMING and run < count:
         out = last.values[side * (last.values - limit) > 0]
-        where = beside(np.median(out), limit)
+        where = level_words(np.median(out), limit)
         words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
-        return words if run else f"{words}; the last trip is {beside(last.values[-1], limit)}"
+        return words if run else f"{words}; the last trip is {level_words(last.values[-1], limit)}"
     trips, it, are, its = ("trip", "it", "is", "its interval reaches")
     if run > 1:
         trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
-    where = beside(np.median(last.values[n_last - run :]), limit)
+    where = level_words(np.median(last.values[n_last - run :]), limit)
     words = f"the last {trips} {are} {where} of healthy, {beyond}"
     if judged.weak and last.flagged[n_last - run :].any():
         return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
     if judged.weak:
         return f"{words}, but without an interval that would make it sure"
     if severity == Severity.UNKNOWN:
-        return f"{words}, but {its} back within it: too uncertain to tell"
+        return f"{words}, but {its} back within it: too uncertain to judge"
     return words
 
 
@@ -251,7 +251,7 @@ def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[s
     """Return how the parameter develops where no limit is crossed, or there is none."""
     change, median = _change(trend), float(np.median(last.values))
     if trend.parameter == PAYLOAD:
-        return [f"{change} (pay-load: varies by nature, no fault)"]
+        return [f"{change} (payload: varies by nature, no fault)"]
     scatter = 3 * float(np.nan_to_num(trend.spread_percent))
     level = f"at {100 * median:.0f} % of healthy"
     if trend.changed:
@@ -281,7 +281,7 @@ def _change(trend: Trend) -> str:
 
 def _change_words(trend: Trend) -> str:
     if trend.shape == Shape.TOO_FEW:
-        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to tell of a change"
+        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to find a change"
     if trend.shape == Shape.NONE:
         return f"no change beyond the spread of {_percent(trend.spread_percent)}"
     if trend.shape == Shape.RETURNED and trend.step is not None:

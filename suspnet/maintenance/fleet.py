@@ -84,7 +84,7 @@ class Fleet:
                 self._series[one.key] = one
 
     def update(self, series: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
-        """Take suspensions as they are now, and find the alarms of those that are not as before.
+        """Take suspensions as they are now, and find the alarms of those that changed.
 
         Parameters
         ----------

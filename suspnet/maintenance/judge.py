@@ -158,8 +158,8 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
     return min(severity, Severity.NOTICE) if last.all_flagged else severity, judged
 
 
-def beside(value: float, limit: float) -> str:
-    """Return a level in %, with as many digits as tell it from a limit, or that it is absurd."""
+def level_words(value: float, limit: float) -> str:
+    """Return a level in %, with digits that distinguish it from a limit, or that it is absurd."""
     if value > ABSURD > limit:
         return f"at over {100 * ABSURD:.0f} %"
     digits = 0

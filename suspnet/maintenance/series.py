@@ -24,7 +24,7 @@ KINDS = ("exchanged", "reprofiled", "other")
 
 @dataclass(frozen=True)
 class Event:
-    """Maintenance of a suspension: what trips show from then on starts anew.
+    """Maintenance of a suspension: trips from then on are judged by themselves.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Series:
     trip : array of str
         Names.
     start : array of datetime64[s]
-        UTC where the manifest names a zone, else as it stands there; NaT where there is none.
+        UTC where the manifest names a zone, else as written there; NaT where there is none.
     flagged : bool array
     mileage_km, healthy_since_km : arrays, [km]
     speed_m_per_s : array, [m/s]

@@ -1,14 +1,14 @@
 """Sister suspensions side by side: one that differs from the others of its car has changed.
 
 Values are relative to each suspension's own healthy value, so that healthy sisters are alike; what
-comes to all of them, as from cold or load, is not told. With L_i the mean logarithm of the last
-``N_LAST`` values of suspension i, and n sisters,
+is common to all of them, as from cold or load, is not reported. With L_i the mean logarithm of the
+last ``N_LAST`` values of suspension i, and n sisters,
 
     d_i = L_i - median_j L_j,    var d_i = s_i^2 + min(1, pi / 2n) mean_j s_j^2,
     s_i^2 = C sigma_i^2 + sigma_0i^2,
 
 where j runs over the sisters, sigma_i is the standard deviation of a trip, C sigma_i^2 that of the
-mean of correlated trips, and sigma_0i that of the healthy value. An alarm begins where |d_i| is
+mean of correlated trips, and sigma_0i that of the healthy value. An alarm starts where |d_i| is
 larger than the least difference and than Student's quantile times the root of var d_i.
 """
 
@@ -32,14 +32,14 @@ from suspnet.maintenance.series import Series, of_same_car
 CORRELATION = 0.5
 """Largest correlation between the errors of one trip and the next that is allowed for."""
 N_REFERENCE = 20
-"""Number of first trips of each suspension that tell how much its trips scatter."""
+"""Number of first trips of each suspension that show how much its trips scatter."""
 EFFICIENCY = 0.37
 """Degrees of freedom of a median absolute deviation for each of its normal numbers, in those of a
 standard deviation."""
 LOWEST_PROBABILITY, HIGHEST_PROBABILITY = 1e-12, 0.05
 """Bounds of the probability of a false alarm at one trip."""
 LEAST_PERCENT = {"k_p": 2.0, "c_p": 5.0, "k_s": 2.0, "c_s": 5.0}
-"""Least differences that are told, assumed: a fifth or a quarter of the way to the limits."""
+"""Least differences that are reported, assumed: a fifth or a quarter of the way to the limits."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class SisterSettings:
     km_per_false_alarm : float, [km]
         Mileage of a suspension in which one false alarm is expected at most, over all parameters.
     least_percent : mapping of float, [% of healthy]
-        Least difference of each parameter that is told; others are not compared.
+        Least difference of each parameter that is reported; others are not compared.
     max_apart_km : float, [km]
         A sister whose newest trip is further behind is not compared.
     level : float
@@ -139,7 +139,7 @@ def sister_alarms(
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """One suspension beside its sisters, at each trip of any; arrays of shape (n_km,)."""
+    """One suspension next to its sisters, at each trip of any; arrays of shape (n_km,)."""
 
     level: FloatArray
     median: FloatArray
@@ -273,7 +273,7 @@ def _newest(size: FloatArray) -> int:
 
 
 def _spans(raised: BoolArray, over: BoolArray) -> list[tuple[int, int | None]]:
-    """Return where each alarm begins and ends; None: it stands."""
+    """Return where each alarm starts and ends; None: it is active."""
     spans: list[tuple[int, int | None]] = []
     begin = None
     for place in np.flatnonzero(raised | over):

@@ -161,7 +161,7 @@ class State:
         return float(np.median(values)) if len(values) else np.nan
 
     def alarms_of(self, name: str) -> list[Alarm]:
-        """Return the active alarms of a parameter, by the mileage where they begin."""
+        """Return the active alarms of a parameter, by the mileage where they start."""
         return [one for one in self.watched.alarms if one.parameter == name and one.is_open]
 
     @cached_property
@@ -171,7 +171,7 @@ class State:
     def _assessment(self, name: str) -> Assessment:
         one, least = self.recent, self.least_percent.get(name, LEAST_PERCENT)
         values = one.estimates[name]
-        trend = flagged_trend(name, one.mileage_km, values, one.flagged, least_percent=least)
+        trend = flagged_trend(name, one.mileage_km, values, one.flagged, least)
         limits, alarms = self.limits.get(name), self.alarms_of(name)
         found = assess(trend, self._last[name], limits, alarms, self.doubt)
         unknown = self.unknown.get(name, "")

@@ -9,9 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from suspnet.dynamics import Vehicle
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
@@ -36,13 +35,25 @@ AT_ONCE = 50
 """Number of suspensions whose alarms are found before the time is looked at."""
 
 
+class Limited(Protocol):
+    """A vehicle, as far as its name and limits go."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def known_limits(self) -> Mapping[str, Limits]:
+        """Limits of its parameters."""
+
+
 @dataclass(frozen=True)
 class BoardSettings:
     """What the states of a fleet and its plan depend on, besides its history.
 
     Parameters
     ----------
-    vehicles : mapping of Vehicle
+    vehicles : mapping of vehicles
         Those whose limits are known; others have ``DEFAULT_LIMITS``.
     limits : mapping, optional
         In place of the vehicles': from a parameter to `notice` and `act`.
@@ -60,7 +71,7 @@ class BoardSettings:
         If `today` is not a day, or the limits do not go together.
     """
 
-    vehicles: Mapping[str, Vehicle] = field(default_factory=dict)
+    vehicles: Mapping[str, Limited] = field(default_factory=dict)
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
     sisters: SisterSettings = field(default_factory=SisterSettings)
@@ -100,10 +111,10 @@ class Board:
     suspensions, are learnt again as ``Fleet`` says. A refresh that takes long shows what it has
     every ``SHOWN_S``: first the suspensions with the alarms that the store keeps.
 
-    The store is told the alarms of sisters, which nobody else finds while trips are monitored;
-    those of limits and changes are kept by who evaluates the trips. They are written only when they
-    are not as this board found them the last time, so that boards of different settings do not wake
-    each other again and again.
+    The alarms of sisters are written to the store, as nobody else finds them while trips are
+    monitored; those of limits and changes are stored by who evaluates the trips. They are written
+    only when they are not as this board found them the last time, so that boards of different
+    settings do not wake each other again and again.
 
     Parameters
     ----------
@@ -252,7 +263,7 @@ class Board:
             history.keep_all_alarms(other, [Cause.SISTER])
         except HistoryError as error:  # it may be locked or read-only: try at the next look
             if str(error) != self._not_kept:
-                log.warning("alarms of sisters are not kept: %s", error)
+                log.warning("alarms of sisters are not stored: %s", error)
             self._not_kept = str(error)
             return
         self._kept |= other

@@ -111,7 +111,7 @@ class FleetView:
         Whether alarms, lives and plan are of all trips in `states`; if not, some are those of
         before, or not worked out yet.
     trouble : str
-        Why the store could not be read when this was to be made anew; empty if it could.
+        Why the store could not be read when this was to be made again; empty if it could.
     bad_rows : tuple of BadRow
         Rows of the store that cannot be read and are left out.
     """

@@ -30,7 +30,7 @@ ROLES = {
     "c_p": ", between axle box and bogie frame.",
     "k_s": ", between bogie frame and car body; often an air spring.",
     "c_s": ", between bogie frame and car body.",
-    "M_s": ": it varies with the pay-load and says nothing about faults.",
+    "M_s": ": it varies with the payload and says nothing about faults.",
 }
 CAPTIONS = {
     "trend": (
@@ -66,7 +66,7 @@ FLAGS_SHOWN = (
     "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
 )
 ANEW = (
-    "Commissioned anew: {}. Severities, medians and changes are of the trips since; each trip's "
+    "Commissioned again: {}. Severities, medians and changes are of the trips since; each trip's "
     "percentages are of its own healthy values, those of the figure of the first ones."
 )
 MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."

@@ -78,7 +78,7 @@ def write_maintenance(
     with History(store) as history:
         fleet = history.series()
         if not fleet:
-            raise ValueError(f"{store}: no trip is kept here yet")
+            raise ValueError(f"{store}: no trip is stored here yet")
         own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
         states = fleet_state(fleet, own, changes, sisters, seed)
         history.keep_all_alarms({state.key: state.watched.alarms for state in states})

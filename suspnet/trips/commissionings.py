@@ -56,7 +56,7 @@ def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
 
 
 def models_at(models: Sequence[TrainedModel], mileage_km: float) -> list[TrainedModel]:
-    """Return the models of the latest commissioning that begins at or before a trip.
+    """Return the models of the latest commissioning that starts at or before a trip.
 
     A trip before all of them is read with the first, one without a mileage with the last.
     """
@@ -113,7 +113,7 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     So is the truth, where it is known. The interval widens by the uncertainty of the median, whose
     variance is pi / 2 times that of a mean of `n_first` trips. That is right for noise; systematic
     errors (of a regression without refinement) cancel only as long as the vehicle does not change.
-    The car-body mass stays relative to nominal: pay-load varies from the first trip on. Where fewer
+    The car-body mass stays relative to nominal: payload varies from the first trip on. Where fewer
     trips have an estimate, those are taken.
     """
     done = first_trips(results, n_first)

@@ -103,9 +103,9 @@ class FinishedTrips:
 def with_earlier(
     results: Sequence[TripResult], place: Place, models: Sequence[TrainedModel], store: History
 ) -> list[TripResult]:
-    """Keep a suspension's trips in the store, and return them with those that it held before.
+    """Store a suspension's trips, and return them with those that it held before.
 
-    A trip that could not be read at all is not kept: its fault may be gone when it is read again.
+    A trip that could not be read at all is not stored: its fault may be gone when it is read again.
     A trip that was read relative to another healthy vehicle than that of any model is left out.
 
     Raises

@@ -147,7 +147,7 @@ def evaluate_fleet(
     If the folder holds the trips of one suspension, its files lie in `output`. If it holds those
     of several, or subfolders with trips, each suspension has a subfolder of `output`, and
     overview.html, .csv and .parquet there name the worst first. A suspension that cannot be read is
-    told in the log and in the overview.
+    named in the log and in the overview.
 
     Parameters
     ----------

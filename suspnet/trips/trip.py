@@ -146,7 +146,7 @@ def _estimated(
     pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
         bins, reasons = _bins(recording, pairs, settings)
-    except TripError as error:  # told here: the quality is known by now
+    except TripError as error:  # reported here: the quality is known by now
         return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))

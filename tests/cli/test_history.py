@@ -113,7 +113,7 @@ def test_export_writes_all_that_is_kept(alarmed, tmp_path, capsys):
 
 
 def test_maintenance_of_an_unknown_suspension_is_refused(path):
-    with pytest.raises(HistoryError, match="no trip of am96: y is kept here; known: AM96 217"):
+    with pytest.raises(HistoryError, match="no trip of am96: y is stored here; known: AM96 217"):
         run(path, "event", "--vehicle", "am96", "--suspension", "y", "--at-km", "1")
 
 

@@ -158,7 +158,7 @@ def test_mistakes_are_told(tmp_path):
     with pytest.raises(ValueError, match="which history"):
         run_study("", tmp_path)
     History(tmp_path / "empty.db").close()
-    with pytest.raises(ValueError, match="no trip is kept here yet"):
+    with pytest.raises(ValueError, match="no trip is stored here yet"):
         run_study(tmp_path / "empty.db", tmp_path)
     with pytest.raises(ValueError, match="must be a day like"):
         run_study(tmp_path / "empty.db", tmp_path, today="tomorrow")

@@ -7,7 +7,7 @@ from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.alarms import Cause, alarm_table, detector_words, watch
 from suspnet.maintenance.change import Changes, ChangeSettings
 from suspnet.maintenance.cusum import autoregressive
-from suspnet.maintenance.judge import beside
+from suspnet.maintenance.judge import level_words
 from suspnet.maintenance.series import Event, make_series
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s")
@@ -163,7 +163,7 @@ def test_table_of_alarms():
     [(0.6, 0.7, "at 60 %"), (0.6996, 0.7, "at 69.96 %"), (0.7, 0.7, "at 70.000 %")],
 )
 def test_level_is_told_from_its_limit(value, limit, words):
-    assert beside(value, limit) == words
+    assert level_words(value, limit) == words
 
 
 def test_detector_says_what_it_takes_into_account():
@@ -196,5 +196,5 @@ def test_words_of_an_alarm_of_a_limit_give_the_present_value(last, words):
 
 
 def test_a_level_that_no_suspension_has_is_no_number():
-    assert beside(1.52e6, 1.25) == "at over 1000 %"
-    assert beside(3.65, 1.25) == "at 365 %"
+    assert level_words(1.52e6, 1.25) == "at over 1000 %"
+    assert level_words(3.65, 1.25) == "at 365 %"

@@ -83,8 +83,8 @@ def test_no_combination_contradicts_itself(shape):
         if found.severity == Severity.ACT:
             assert " act limit of " in words, case
         if found.severity == Severity.UNKNOWN:
-            assert "too uncertain to tell" in words or flags == "all", case
-        assert found.is_told == (found.severity > Severity.NONE or found.trend.changed), case
+            assert "too uncertain to judge" in words or flags == "all", case
+        assert found.is_named == (found.severity > Severity.NONE or found.trend.changed), case
 
 
 def read(values, half=0.01, flagged=(), parameter="k_s"):
@@ -136,7 +136,7 @@ def ends_with(*last, n=N_TRIPS):
             read([1.5]),
             "act",
             "the last trip is at 150 % of healthy, above the act limit of 125 %; "
-            "too few trips (1 of 10) to tell of a change",
+            "too few trips (1 of 10) to find a change",
         ),
         (
             read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
@@ -173,7 +173,7 @@ def ends_with(*last, n=N_TRIPS):
             "none",
             "at 88 % of healthy, within its limits; no change beyond the spread of 0.1 %",
         ),
-        (read(ONES[:4]), "none", "within its limits; too few trips (4 of 10) to tell of a change"),
+        (read(ONES[:4]), "none", "within its limits; too few trips (4 of 10) to find a change"),
         (
             read(ends_with(3.0), flagged=[29]),
             "notice",
@@ -190,7 +190,7 @@ def ends_with(*last, n=N_TRIPS):
             read(ends_with(1.3), half=0.4),
             "unknown",
             "the last trip is at 130 % of healthy, above the notice limit of 110 %, but its "
-            "interval reaches back within it: too uncertain to tell",
+            "interval reaches back within it: too uncertain to judge",
         ),
         (
             read(ONES, flagged=range(N_TRIPS)),
@@ -224,7 +224,7 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(np.where(KM < 155_000, 1, 1.2), parameter="M_s"),
             "none",
-            "rises to 120 % of healthy (median of the last 5 trips) at about 160 000 km (pay-load: "
+            "rises to 120 % of healthy (median of the last 5 trips) at about 160 000 km (payload: "
             "varies by nature, no fault)",
         ),
         (read([np.nan, np.nan]), "unknown", "no trip with an estimate"),
@@ -276,8 +276,8 @@ def one(parameter, severity=Severity.NONE, shape=Shape.NONE):
     [
         ("0000", "0000", "Nothing stands out. No parameter is beyond its limits, and none changed"),
         ("0000", "0100", "No parameter is beyond its limits; 1 of 4 parameters changed:"),
-        ("0000", "2000", "limits; some parameters have too few trips to tell of a change."),
-        ("0000", "2222", "limits; there are too few trips to tell of a change."),
+        ("0000", "2000", "limits; some parameters have too few trips to find a change."),
+        ("0000", "2222", "limits; there are too few trips to find a change."),
         ("0100", "1000", "No alarm, but 1 of 4 parameters cannot be judged:"),
         ("0120", "0000", "Notice: 1 of 4 parameters is to be looked at:"),
         ("2020", "0000", "Notice: 2 of 4 parameters are to be looked at:"),
@@ -319,7 +319,7 @@ def test_nothing_known_is_no_good_news():
     missing = replace(read([np.nan]), severity=Severity.UNKNOWN)
     assert overall([missing]) == (
         Severity.UNKNOWN,
-        "No trip has an estimate, so that nothing can be told.",
+        "No trip has an estimate, so that nothing is known.",
     )
     assert overall([])[0] == Severity.UNKNOWN
 

@@ -125,7 +125,7 @@ def test_trips_name_their_healthy_state_in_tables(both, manifests, tmp_path):
         assert half == pytest.approx(expected, rel=1e-6)
         assert row["k_p_n_per_m_high"] == pytest.approx(row["k_p_high"] * AM96.healthy_values()[0])
     page = (out / "report.html").read_text()
-    assert "Commissioned anew: from" in page
+    assert "Commissioned again: from" in page
     assert "c_s 125\N{NO-BREAK SPACE}%" in page
     metrics = json.loads((out / "metrics.json").read_text())
     assert [one["since_km"] for one in metrics["commissionings"]] == [1e4, ANEW_KM]

@@ -188,7 +188,7 @@ def test_hostile_names_are_escaped(tmp_path):
 @pytest.mark.parametrize(
     ("results", "sentence"),
     [
-        ([trip()], "beyond its limits; there are too few trips to tell of a change"),
+        ([trip()], "beyond its limits; there are too few trips to find a change"),
         ([trip(i, missing=True) for i in range(3)], "No trip has an estimate"),
         ([], "No trip has an estimate"),
         ([trip(i) for i in range(12)], "Nothing stands out. No parameter is beyond its limits"),
