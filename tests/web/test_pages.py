@@ -1,7 +1,11 @@
 """The pages as Flask's test client reads them: content, escaping, protection, errors."""
 
+import os
 import re
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of, trips
@@ -274,6 +278,33 @@ def test_empty_store_and_first_look_are_told(tmp_path):
     wait_for(lambda: found.words.startswith("last looked"))
     found.stop()
     assert "being read" in (page := client.get("/", **BASE).text) or "No trip is kept" in page
+
+
+SERVE = """
+import sys
+from pathlib import Path
+from served_fleet import FAILED, SETTINGS, name_of
+from suspnet.report.board import Board
+from suspnet.web.app import create_app
+from suspnet.web.refresher import Refresher
+
+board = Board(sys.argv[1], SETTINGS)
+board.refresh()
+client = create_app(Refresher(board, 1.0)).test_client()
+one = "/suspension/" + name_of(board.view, FAILED)
+for address in ("/", "/plan", one, one + "/trend.json", one + "/responses.json"):
+    assert client.get(address, base_url="http://127.0.0.1").status_code == 200, address
+print(*sorted({"torch", "matplotlib", "hydra", "sklearn"} & sys.modules.keys()))
+"""
+
+
+def test_pages_are_served_without_torch_and_matplotlib(filled):
+    """Only the calendar's picture needs matplotlib, when it is first asked for."""
+    tests = str(Path(__file__).parent.parent)
+    command = [sys.executable, "-c", SERVE, str(filled)]
+    environment = {**os.environ, "PYTHONPATH": tests}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
 
 
 class Broken:
