@@ -123,7 +123,7 @@ def _event(store: History, arguments: Namespace) -> str:
 
 
 def _alarms(store: History, arguments: Namespace) -> str:
-    """Return a table of the alarms, the worst first, those that nobody has seen before others."""
+    """Return a table of the alarms, the worst first, those not yet acknowledged before others."""
     seen = store.all_acknowledgements()
     chosen = [
         (alarm, newest_of(alarm, seen.get(key, [])), key)

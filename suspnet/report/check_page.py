@@ -1,4 +1,4 @@
-"""All checked trips in words, as a table, as JSON and as a page."""
+"""Checked trips as text, JSON, page and pictures."""
 
 from __future__ import annotations
 
@@ -102,14 +102,14 @@ def _ends(values: Sequence[float], digits: int) -> str:
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return in one line how many trips are in which state."""
     counts = {state: sum(check.state == state for check in checks) for state in TONES}
-    told = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
+    parts = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
     if counts[TOO_LITTLE]:
-        told.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
+        parts.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
     if counts[PROBLEM]:
-        told.append(f"{counts[PROBLEM]} with problems")
+        parts.append(f"{counts[PROBLEM]} with problems")
     if elsewhere:
-        told.append(f"{len(elsewhere)} of the arguments lead to no trip")
-    return ", ".join(told)
+        parts.append(f"{len(elsewhere)} of the arguments lead to no trip")
+    return ", ".join(parts)
 
 
 def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
@@ -129,13 +129,13 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         lines += [tabulate(rows, header, tablefmt="github", disable_numparse=True)]
     for one in suspensions(checks):
         lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
-    for title, told in (
+    for title, found in (
         ("Problems", _by_words((check.name, check.problems) for check in checks)),
         ("Remarks", _by_words((check.name, check.remarks) for check in checks)),
     ):
         rest = [f"  {words}" for words in elsewhere] if title == "Problems" else []
-        if told or rest:
-            lines += ["", f"{title}:", *rest, *(f"  {names}: {words}" for words, names in told)]
+        if found or rest:
+            lines += ["", f"{title}:", *rest, *(f"  {names}: {words}" for words, names in found)]
     return "\n".join(lines)
 
 
@@ -149,10 +149,10 @@ def _cells(check: TripCheck) -> list[str]:
     return [check.name, *numbers, averages, coherence, check.sensors, check.state]
 
 
-def _by_words(told: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
-    """Return each sentence once with the trips that it is said of, in the order of the trips."""
+def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
+    """Return each sentence once with its trips, in the order of the trips."""
     names: dict[str, list[str]] = {}
-    for name, sentences in told:
+    for name, sentences in remarks:
         for words in sentences:
             names.setdefault(words, []).append(name)
     return [(words, _listing(of)) for words, of in names.items()]

@@ -31,7 +31,7 @@ def residuals(outcome: Commissioned) -> FloatArray:
     Returns
     -------
     array of shape (n_groups, 2, n_freq), [-]
-        1 is expected; NaN where a bin tells nothing.
+        1 is expected; NaN where a bin is not used.
     """
     left = np.abs(1 - outcome.fitted / outcome.observed) / (np.sqrt(2) * outcome.deviations)
     return np.where(np.isfinite(outcome.deviations), left, np.nan)
@@ -124,7 +124,7 @@ def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None
     """Draw the residual of each group thinly, and the rms of all groups."""
     known = np.isfinite(left)
     if not known.any():
-        say(axis, "no bin tells anything", keep_x=True)
+        say(axis, "no bin can be used", keep_x=True)
         return
     for one in left:
         axis.plot(frequencies_hz, one, color="0.75", lw=0.5)

@@ -1,4 +1,4 @@
-"""What commissioning leaves in a run's folder: a page, figures, numbers and curves."""
+"""The files of a commissioned vehicle: a page, figures, numbers and curves."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ CAPTIONS = {
     "numbers": (
         "Numbers before and after the trips",
         "Each bar is a median with one standard deviation to both sides, over the value of the "
-        "drawing. A short blue bar is a number that the trips tell; a blue bar as long as the "
-        "grey one is a number that they do not tell.",
+        "drawing. A short blue bar is a number that the trips determine; a blue bar as long "
+        "as the grey one is a number that they do not determine.",
     ),
 }
 
@@ -163,9 +163,7 @@ def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
 
 
 def _place(found: HealthyTrips) -> str:
-    """Return in words which suspension the trips are of."""
-    first = found.manifests[0]
-    return str(first.place)
+    return str(found.manifests[0].place)
 
 
 def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:

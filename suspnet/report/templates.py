@@ -24,7 +24,7 @@ SEVERITIES = {
 }
 """Tone and label of each severity; style.css has the colours of each tone."""
 LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
-"""The same by the names that stand in tables."""
+"""The same by the names in tables."""
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Sign of each severity, so that colour is not needed."""
 KILO = 1e3
@@ -120,7 +120,7 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
 
 
 def _rounded(km: float) -> str:
-    """Return a mileage in words, with two digits that count."""
+    """Return a mileage with two significant digits."""
     return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 

@@ -221,9 +221,9 @@ def ranges(trend: Trend) -> list[tuple[str, float, float]]:
     if newest - first > 100_000:
         found.append((f"Last {kilometres(100_000)}", newest - 100_000, newest + 2000))
     if len(trend.km) > 20:
-        begin = float(np.sort(trend.km)[-20])
-        pad = 0.02 * max(newest - begin, 1000.0)
-        found.append(("Last 20 trips", begin - pad, newest + pad))
+        start = float(np.sort(trend.km)[-20])
+        pad = 0.02 * max(newest - start, 1000.0)
+        found.append(("Last 20 trips", start - pad, newest + pad))
     return found
 
 
@@ -249,8 +249,8 @@ def percent_words(value: float, form: str = ".0f") -> str:
 
 
 def alarm_label(alarm: Alarm) -> str:
-    """Return what a mark at the begin of an alarm means."""
-    return f"{alarm.severity}: an alarm begins"
+    """Return what a mark at the start of an alarm means."""
+    return f"{alarm.severity}: start of an alarm"
 
 
 def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Panel:

@@ -41,7 +41,7 @@ def health_trend(trend: Trend) -> Figure:
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
     hollow. A red tick at the bottom is a trip without an estimate, a thin black line the truth of
-    simulated trips, a triangle at the top the begin of an alarm. Dashed lines are limits, where
+    simulated trips, a triangle at the top the start of an alarm. Dashed lines are limits, where
     they lie on the axis. A bar at the bottom is from where to where the act limit will be passed,
     as far as it reaches into the figure, which grows by half of its mileage at most. Trips without
     a mileage are left out, and counted in the title.

@@ -1,4 +1,4 @@
-"""What the page of the fleet shows: trains with their cars, alarms, and how these are chosen."""
+"""What the templates of the pages take: trains with their cars, alarms, one suspension."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from suspnet.report.trend import ranges, trend_of_state
 from suspnet.report.trip_table import files_read_as, trip_table
 
 SHORT = {"leading": "lead.", "trailing": "trail."}
-"""Words of a place as they stand on a tile."""
+"""Short words of a place, for a tile."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Tile:
-    """One suspension on the page: its address's name, severity, short and full words."""
+    """One suspension on the page: its name in addresses, severity, short words and reason."""
 
     name: str
     severity: str
     words: str
-    told: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Train:
 
 @dataclass(frozen=True)
 class Raised:
-    """An alarm that stands, of which suspension, and who has seen it."""
+    """An active alarm, its suspension, and who acknowledged it."""
 
     name: str
     state: State
@@ -112,7 +112,7 @@ def counts(view: FleetView, train: str) -> dict[str, int]:
 
 
 def raised(view: FleetView, choice: Choice) -> list[Raised]:
-    """Return the alarms that stand, the worst first, those that nobody has seen before others."""
+    """Return the active alarms, the worst first, those not yet acknowledged before others."""
     found = [
         Raised(name, state, alarm, newest_of(alarm, view.acknowledged.get(state.key, ())))
         for name, state in zip(names_of(view), view.states, strict=True)
@@ -145,7 +145,7 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
-    """Return what texts are sorted by so that car 2 comes before car 10."""
+    """Return a key of sorting that puts car 2 before car 10."""
     parts = re.split(r"(\d+)", text)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
@@ -176,7 +176,7 @@ def suspension_values(
     view: FleetView,
     place: int,
     results: Sequence[TripResult],
-    kept: Sequence[TripResponses],
+    stored: Sequence[TripResponses],
     seen: Sequence[Acknowledgement],
 ) -> dict[str, Any]:
     """Return what the template of a suspension takes.
@@ -188,14 +188,14 @@ def suspension_values(
         Of the suspension in the view.
     results : sequence of TripResult
         By mileage; empty if the store cannot be read.
-    kept : sequence of TripResponses
+    stored : sequence of TripResponses
         By mileage.
     seen : sequence of Acknowledgement
     """
     state = view.states[place]
     over = [one for one in state.watched.alarms if not one.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
-    responses = [response(one.trip, one.mileage_km, one) for one in kept]
+    responses = [response(one.trip, one.mileage_km, one) for one in stored]
     return {
         "state": state,
         "row": view.rows[place],

@@ -145,15 +145,15 @@ def trend(name: str) -> ResponseReturnValue:
 def responses(name: str) -> ResponseReturnValue:
     """Return the figure of the frequency responses."""
     with _opened() as store:
-        kept = store.responses(*_state(name).key)
-    if not kept:
+        stored = store.responses(*_state(name).key)
+    if not stored:
         abort(404)
-    return response_figure([response(one.trip, one.mileage_km, one) for one in kept], name)
+    return response_figure([response(one.trip, one.mileage_km, one) for one in stored], name)
 
 
 @pages.get("/state")
 def state() -> ResponseReturnValue:
-    """Return what stands for the state of a page, and how new it is; light, for asking often."""
+    """Return the version of a page's state and when it was read; light, as pages ask often."""
     view, name = _view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
     return {"version": version, "words": _refresher().words}
@@ -173,17 +173,17 @@ def _suspension_page(name: str, form: Seen) -> str:
     """Return the page of a suspension with a form as it was filled in."""
     view, state = _view(), _state(name)
     request.environ[WITH_PLOTS] = True
-    results, kept, trouble = [], [], ""
+    results, stored, trouble = [], [], ""
     seen, bad = view.acknowledged.get(state.key, ()), []
     try:
         with _opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
-            kept = store.responses(*state.key)  # last: curves may be damaged alone
+            stored = store.responses(*state.key)  # last: curves may be damaged alone
     except HistoryError as error:
         trouble = str(error)
     known = [one for one in view.bad_rows if one.key == state.key]
-    shown = suspension_values(view, view.keys[name], results, kept, seen)
+    shown = suspension_values(view, view.keys[name], results, stored, seen)
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
         "suspension_page.html",
@@ -200,7 +200,7 @@ def _suspension_page(name: str, form: Seen) -> str:
 
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
-    """Return a page; `version` stands for all that it shows, empty: it stays as it is."""
+    """Return a page; it is replaced when `version` changes, and never if that is empty."""
     refresher = _refresher()
     where = {"version": version, "of": of, "view": refresher.board.view, "refresher": refresher}
     return render_template(template, **where, **values)
@@ -247,12 +247,12 @@ def _opened(wait_s: float = READ_S) -> History:
 
 
 def _fleet_version(view: FleetView) -> str:
-    """Return what stands for the state of the fleet as the pages show it."""
+    """Return a digest that changes with what the pages show of the fleet."""
     return _digest(view.at, view.version, _refresher().fault)
 
 
 def _suspension_version(view: FleetView, name: str) -> str:
-    """Return what stands for the state of a suspension as its page shows it."""
+    """Return a digest that changes with what the page of a suspension shows."""
     if name not in view.keys:
         return _digest("gone", _refresher().fault)
     state = view.states[view.keys[name]]

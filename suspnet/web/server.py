@@ -1,4 +1,4 @@
-"""The HTTP server: it answers also while hundreds of connections hang."""
+"""The HTTP server: it answers while hundreds of connections hang, and only those it should."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def protect(app: Flask, hosts: Sequence[str]) -> None:
 
     Without the check of the name, a foreign page whose own name suddenly points to this computer
     (DNS rebinding) could read and acknowledge alarms. A form needs the token that its page holds
-    (CSRF); the key that signs tokens is made anew at each start.
+    (CSRF); each start makes another key for tokens.
 
     Parameters
     ----------
@@ -111,7 +111,6 @@ def protect(app: Flask, hosts: Sequence[str]) -> None:
 
 
 def _with_headers(response: Response) -> Response:
-    """Add the headers to an answer."""
     for name, value in HEADERS.items():
         response.headers.setdefault(name, value)
     styles = STYLES_OF_PLOTS if request.environ.get(WITH_PLOTS) else ""

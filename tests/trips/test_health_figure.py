@@ -186,8 +186,8 @@ def test_a_lone_flagged_trip_is_shown():
 def test_alarm_is_marked_where_it_began():
     alarms = [Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 5e4)]
     axes = drawn(measured(), alarms=alarms)
-    assert points(axes[0], "notice: an alarm begins").T.tolist() == [[50.0, 1.0]]
-    assert "notice: an alarm begins" not in labels(axes[1])
+    assert points(axes[0], "notice: start of an alarm").T.tolist() == [[50.0, 1.0]]
+    assert "notice: start of an alarm" not in labels(axes[1])
 
 
 def test_crossing_ahead_makes_room_for_itself():

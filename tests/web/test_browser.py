@@ -238,7 +238,7 @@ def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, fill
         assert browser.execute_script("return [window.same, window.scrollY]") == [True, 300]
         browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
         lost = browser.find_element(By.ID, "lost")
-        wait(browser, lambda b: "The server does not answer since" in lost.text)
+        wait(browser, lambda b: "No answer from the server since" in lost.text)
 
 
 def test_names_are_text_everywhere(browser, site):

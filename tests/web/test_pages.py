@@ -83,7 +83,7 @@ def test_fleet_is_filtered_by_train_and_state(client):
     assert "Train 9<" not in page
     assert "<option selected>12</option>" in page
     assert "1 suspension: 1 without alarm." in client.get("/?severity=none", **BASE).text
-    assert "No suspension is like that." in client.get("/?train=77", **BASE).text
+    assert "No suspension matches." in client.get("/?train=77", **BASE).text
     assert "4 suspensions" in client.get("/?severity=odd", **BASE).text
 
 
@@ -109,7 +109,7 @@ def test_suspension_has_all_that_is_known(client, refresher):
     assert page.count('<script src="/files/') == 3
     assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
     healthy = client.get(f"/suspension/{name_of(refresher.board.view, HEALTHY)}", **BASE).text
-    assert "No alarm stands." in healthy
+    assert "No alarm is active." in healthy
 
 
 def test_figures_are_json_without_nan(client, refresher):
@@ -261,7 +261,7 @@ def test_store_that_has_gone_is_told_with_the_last_state(client, refresher, path
     assert "trips and responses are not shown" in client.get(address, **BASE).text
     answer = client.post(f"{address}/acknowledge", data=csrf, **BASE)
     assert answer.status_code == 503
-    assert "Nothing was kept" in answer.text
+    assert "Nothing was saved" in answer.text
     assert not path.exists()  # nor was a new one made
     path.with_suffix(".away").rename(path)
     refresher.soon()
@@ -277,7 +277,10 @@ def test_empty_store_and_first_look_are_told(tmp_path):
     found.start()
     wait_for(lambda: found.words.startswith("last looked"))
     found.stop()
-    assert "being read" in (page := client.get("/", **BASE).text) or "No trip is kept" in page
+    assert (
+        "being read" in (page := client.get("/", **BASE).text)
+        or "This history holds no trip" in page
+    )
 
 
 SERVE = """
@@ -321,7 +324,7 @@ class Broken:
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (RuntimeError("no room"), "could not be worked out: RuntimeError: no room"),
+        (RuntimeError("no room"), "could not be computed: RuntimeError: no room"),
         (SystemExit(3), "is not read any more (SystemExit: 3): start suspnet-serve again"),
     ],
 )
