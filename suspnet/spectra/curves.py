@@ -14,9 +14,8 @@ from torch import Tensor
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.checks import check_number
 from suspnet.spectra.directions import Directions, directions
-from suspnet.spectra.misfit import CurveMisfit
-from suspnet.spectra.noise import add_noise
-from suspnet.spectra.observation import check_counts
+from suspnet.spectra.noise import add_noise, noise_rms
+from suspnet.spectra.observation import Observer, check_counts
 
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; the paper has 1000."""
@@ -133,3 +132,30 @@ class CurveObserver:
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
         """Return the misfit of observed magnitudes, whose noise follows from their own rms."""
         return CurveMisfit(self, curves, tuple(used))
+
+
+@dataclass(frozen=True)
+class CurveMisfit:
+    """Magnitudes with white noise, its rms relative to the rms of each observed curve.
+
+    Attributes
+    ----------
+    observer : Observer
+        With `settings.snr_db`.
+    observed : tensor of shape (n_rows, 2, n_freq), [-]
+    used : sequence of int
+        Which of G_p (0) and G_s (1) are used.
+    """
+
+    observer: Observer
+    observed: Tensor
+    used: Sequence[int] = (0, 1)
+    expected: float = 1.0
+    """Mean square of a residual if the model is true."""
+
+    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
+        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
+        observed = self.observed[rows][:, list(self.used)]
+        rms = noise_rms(observed, self.observer.settings.snr_db)
+        expected = self.observer.noise_free(ratios)[:, list(self.used)]
+        return ((observed - expected) / rms).flatten(1)

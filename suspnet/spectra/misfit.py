@@ -19,33 +19,6 @@ from suspnet.spectra.observation import Observer
 
 
 @dataclass(frozen=True)
-class CurveMisfit:
-    """Magnitudes with white noise, its rms relative to the rms of each observed curve.
-
-    Attributes
-    ----------
-    observer : Observer
-        With `settings.snr_db`.
-    observed : tensor of shape (n_rows, 2, n_freq), [-]
-    used : sequence of int
-        Which of G_p (0) and G_s (1) are used.
-    """
-
-    observer: Observer
-    observed: Tensor
-    used: Sequence[int] = (0, 1)
-    expected: float = 1.0
-    """Mean square of a residual if the model is true."""
-
-    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
-        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
-        observed = self.observed[rows][:, list(self.used)]
-        rms = noise_rms(observed, self.observer.settings.snr_db)
-        expected = self.observer.noise_free(ratios)[:, list(self.used)]
-        return ((observed - expected) / rms).flatten(1)
-
-
-@dataclass(frozen=True)
 class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
 
