@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from suspnet.spectra.extraction import PeakFeatures
     from suspnet.spectra.peaks import PeakFit, findpeaks
     from suspnet.spectra.segments import NoEstimateError
-    from suspnet.spectra.transfer_estimate import tfestimate
-    from suspnet.spectra.welch import Welch
+    from suspnet.spectra.welch import Welch, tfestimate
 
 _HOMES = {
     "suspnet.cli.configs": (
@@ -85,8 +84,7 @@ _HOMES = {
         "findpeaks",
     ),
     "suspnet.spectra.segments": ("NoEstimateError",),
-    "suspnet.spectra.transfer_estimate": ("tfestimate",),
-    "suspnet.spectra.welch": ("Welch",),
+    "suspnet.spectra.welch": ("Welch", "tfestimate"),
 }
 """Every public name by the module that defines it."""
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

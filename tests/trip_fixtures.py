@@ -17,7 +17,7 @@ from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import rms_percent
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.writing import Fleet, write_fleet
 from suspnet.spectra.estimates import EstimateSettings
 

@@ -12,10 +12,9 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.ground.checks import check_number
-from suspnet.simulation.fleet_writing import write_trains
+from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.trains import Trains
-from suspnet.simulation.writing import write_fleet
+from suspnet.simulation.writing import write_fleet, write_trains
 
 log = logging.getLogger(__name__)
 

@@ -16,13 +16,18 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.dynamics.distribution import LogNormal
 from suspnet.dynamics.elements import primary, secondary
-from suspnet.dynamics.generator import ResponseGenerator, check_ratios
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.quarter_car import QuarterCar
-from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle, check_vehicle
+from suspnet.dynamics.vehicle import (
+    GEOMETRY,
+    PARAMETERS,
+    ResponseGenerator,
+    Vehicle,
+    check_ratios,
+    check_vehicle,
+)
 from suspnet.dynamics.vertical_motion import vertical_motion
 from suspnet.dynamics.vertical_response import Layout, bounced, rolled, wheels_of
 from suspnet.ground.checks import check_choice, check_number

@@ -6,8 +6,8 @@ information matrix gives the deviations, and the misfit says whether the model c
 curve at all.
 
 A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
-the prior: with z their coordinates (`suspnet.spectra.directions`) the sum of squares is that of the
-curve's residuals and of z, and the result has the largest posterior density.
+the prior: with z their coordinates (`suspnet.spectra.observation`) the sum of squares is that of
+the curve's residuals and of z, and the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from suspnet.estimation.information import cramer_rao
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import LeastSquaresSolution, levenberg_marquardt
-from suspnet.spectra.directions import Directions
-from suspnet.spectra.observation import Misfit
+from suspnet.spectra.observation import Directions, Misfit
 
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""

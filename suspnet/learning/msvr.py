@@ -6,6 +6,7 @@ import functools
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -22,8 +23,17 @@ from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
+from suspnet.learning.feature_maps import (
+    FourierFeatures,
+    LandmarkFeatures,
+    exact,
+    nystroem,
+    orthogonal_fourier,
+    random_fourier,
+)
 from suspnet.learning.irwls import Iteration, Solution, Status, irwls
-from suspnet.learning.maps import MAPS
+from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
@@ -359,3 +369,40 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
                 f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
                 "feature_map='rff'"
             )
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """A kind of feature map: how it is made, what it is, and the design matrix it gives.
+
+    Attributes
+    ----------
+    make : callable
+        ``make(X, sigma, n_components, seed, kernel_tol)`` gives the map for samples X.
+    holds : type
+        What the map is, made again from its tensors.
+    design : type
+    of_data : bool
+        Whether the map depends on the samples.
+    float32 : bool
+        Whether its Gram matrix may be summed in single precision.
+    on_gpu : bool
+        Whether it runs on other devices than the CPU.
+    """
+
+    make: Callable[[Tensor, float, int, int, float], Any]
+    holds: type[Any]
+    design: type[Any] = DenseDesign
+    of_data: bool = True
+    float32: bool = False
+    on_gpu: bool = True
+
+
+MAPS = {
+    "rff": MapKind(random_fourier, FourierFeatures, of_data=False, float32=True),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
+    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
+    "exact": MapKind(exact, LandmarkFeatures),
+}
+"""The feature maps by name. To add one, write it beside these and enter it here."""

@@ -21,7 +21,7 @@ from torch import Tensor
 from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray
-from suspnet.learning.landmarks import rbf_kernel, squared_distances
+from suspnet.learning.feature_maps import rbf_kernel, squared_distances
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}

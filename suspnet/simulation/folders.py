@@ -16,9 +16,7 @@ from suspnet.ground import ledger
 from suspnet.ground.storage import content_hash, locked, read_json, write_json
 from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.trains import Aboard, Trains
+from suspnet.simulation.fleet import Aboard, Fleet, Scenario, Trains
 
 log = logging.getLogger(__name__)
 TRUTH = "truth.json"

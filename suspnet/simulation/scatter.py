@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED, LogNormal
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
 

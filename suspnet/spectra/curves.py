@@ -13,9 +13,7 @@ from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.checks import check_number
-from suspnet.spectra.directions import Directions, directions
-from suspnet.spectra.noise import add_noise, noise_rms
-from suspnet.spectra.observation import Observer, check_counts
+from suspnet.spectra.observation import Directions, Observer, check_counts, directions
 
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; the paper has 1000."""
@@ -159,3 +157,23 @@ class CurveMisfit:
         rms = noise_rms(observed, self.observer.settings.snr_db)
         expected = self.observer.noise_free(ratios)[:, list(self.used)]
         return ((observed - expected) / rms).flatten(1)
+
+
+def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:
+    """Return curves plus white Gaussian noise of rms = rms(curve) 10^(-SNR/20).
+
+    Parameters
+    ----------
+    magnitudes : tensor of shape (..., n_freq), [-]
+    snr_db : float, [dB]
+    seed : int
+        The same seed on the same kind of device gives the same noise.
+    """
+    source = torch.Generator(magnitudes.device).manual_seed(seed)
+    noise = torch.empty_like(magnitudes).normal_(generator=source)
+    return noise.mul_(noise_rms(magnitudes, snr_db)).add_(magnitudes)
+
+
+def noise_rms(magnitudes: Tensor, snr_db: float) -> Tensor:
+    """Return the rms of the noise of each curve, shape (..., 1)."""
+    return magnitudes.square().mean(dim=-1, keepdim=True).sqrt() * 10 ** (-snr_db / 20)

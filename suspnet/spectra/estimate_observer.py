@@ -22,11 +22,10 @@ from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.ground.tensors import squared_size
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
-from suspnet.spectra.directions import Directions, directions
-from suspnet.spectra.misfit import EstimateMisfit
+from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
+from suspnet.spectra.expected_spectra import EstimateMisfit
+from suspnet.spectra.observation import Directions, directions
 from suspnet.spectra.speeds import Speeds
-from suspnet.spectra.wishart import moving_average_with, sample_spectra
 
 if TYPE_CHECKING:
     from suspnet.spectra.estimates import EstimateSettings

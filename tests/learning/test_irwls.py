@@ -21,8 +21,7 @@ from sklearn.svm import LinearSVR
 
 from suspnet.learning.design import DenseDesign, Direction, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import Status, _Functional, irwls
-from suspnet.learning.loss import loss
+from suspnet.learning.irwls import Status, _Functional, irwls, loss
 
 N_COMPONENTS = 40
 PATHS = {

@@ -14,8 +14,7 @@ from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Fleet, Scenario
 from suspnet.simulation.writing import write_fleet
 
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))

@@ -11,9 +11,8 @@ from suspnet.dynamics import QuarterCar
 from suspnet.ground.storage import locked
 from suspnet.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.simulation import writing
-from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.fleet import Fleet, Scenario
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.writing import write_fleet
 
 FLEET = Fleet(n_trips=4, minutes=0.1, sensors=SENSORS)

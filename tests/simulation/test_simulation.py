@@ -10,18 +10,23 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.journey import Journey, steady_journey
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.ground.storage import read_json
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.scatter import scattered, true_numbers
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.signals import BLOCK, LEAD_IN_S, profile_length_m, simulate_trip
+from suspnet.simulation.signals import (
+    BLOCK,
+    LEAD_IN_S,
+    Journey,
+    profile_length_m,
+    simulate_trip,
+    steady_journey,
+)
 from suspnet.simulation.writing import Fleet, write_fleet
-from suspnet.spectra.transfer_estimate import tfestimate
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import Welch, tfestimate
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
 GENERATORS = {

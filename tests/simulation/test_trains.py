@@ -10,12 +10,11 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.recordings.manifest_files import UNFINISHED, partial_words, read_manifest
-from suspnet.simulation import fleet_writing, writing
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.fleet_writing import write_trains
+from suspnet.simulation import writing
+from suspnet.simulation import writing as fleet_writing
+from suspnet.simulation.fleet import Fleet, Scenario, Trains
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.trains import Trains
+from suspnet.simulation.writing import write_trains
 from suspnet.trips.grouping import find_groups
 
 FLEET = Fleet(n_trips=2, minutes=0.1, last_mileage_km=1000.0, sensors=SENSORS)

@@ -7,14 +7,12 @@ J^T J is the Fisher information of `suspnet.estimation.information`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from torch import Tensor, stack
 
 from suspnet.ground.tensors import complex_log, squared_size
-from suspnet.spectra.noise import noise_rms
 from suspnet.spectra.observation import Observer
 
 
