@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from suspnet.estimation.protocols import Protocol, Task
     from suspnet.estimation.trained import TrainedModel
     from suspnet.ground.parameters import PARAMETERS
-    from suspnet.learning.baselines import SVR, LinearRegression
-    from suspnet.learning.least_squares import CurveFit
+    from suspnet.learning.baselines import SVR, CurveFit, LinearRegression
     from suspnet.learning.msvr import MSVR
     from suspnet.learning.mvgpr import MVGPR
     from suspnet.recordings.checked_mapping import TripError
@@ -61,11 +60,7 @@ _HOMES = {
     ),
     "suspnet.estimation.trained": ("TrainedModel",),
     "suspnet.ground.parameters": ("PARAMETERS",),
-    "suspnet.learning.baselines": (
-        "LinearRegression",
-        "SVR",
-    ),
-    "suspnet.learning.least_squares": ("CurveFit",),
+    "suspnet.learning.baselines": ("SVR", "CurveFit", "LinearRegression"),
     "suspnet.learning.msvr": ("MSVR",),
     "suspnet.learning.mvgpr": ("MVGPR",),
     "suspnet.recordings.checked_mapping": ("TripError",),

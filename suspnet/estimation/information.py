@@ -1,8 +1,8 @@
 """Cramer-Rao bounds, and the least error where stiffness and mass are not identifiable.
 
 An unbiased estimator of theta has at least the covariance I^-1, I the Fisher information: J^T J,
-J the derivative of the curves in units of their noise (`suspnet.spectra.expected_spectra`). A Gaussian
-error has MAPE = sqrt(2 / pi) times its relative standard deviation.
+J the derivative of the curves in units of their noise (`suspnet.spectra.expected_spectra`). A
+Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from suspnet.learning.feature_maps import (
     orthogonal_fourier,
     random_fourier,
 )
-from suspnet.learning.irwls import Iteration, Solution, Status, irwls
+from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
 from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
@@ -334,16 +334,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def _solve(self, design: Design, targets: Tensor) -> Solution:
         """Return the minimiser of F for a design and targets."""
-        return irwls(
-            design,
-            targets,
-            self.C,
-            self.epsilon,
-            fit_intercept=self.fit_intercept,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            on_iteration=self.callback,
-        )
+        solver = IRWLS(self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol)
+        return solver.minimise(design, targets, self.callback)
 
     def _check_parameters(self) -> None:
         """Raise TypeError or ValueError if a parameter is wrong."""
