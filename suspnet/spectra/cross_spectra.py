@@ -31,6 +31,8 @@ PAIRS = ((0, 1), (0, 2), (1, 2))
 """The channels of each column of `CrossSpectra.cross`."""
 CHAIN = ((0, 1, 2), (1, 2, 0))
 """Input, output and instrument of G_p and of G_s."""
+SMOOTHED_BINS = 5
+"""Number of neighbouring bins over which a trip's measured covariance is averaged."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,31 @@ class CrossSpectra:
             rows.append(torch.stack(row, dim=-2))
             scales.append(torch.stack(row_scales, dim=-2))
         return torch.stack(rows, dim=-3), torch.stack(scales, dim=-3)
+
+    def measured_covariance(self, method: Method, correlation: Tensor) -> Tensor:
+        """Return the covariance that one trip's spectra (3, n_freq) show, (2, 2, n_freq).
+
+        Its numerators are smoothed over bins; `correlation` is that between bins, from lag 0 on.
+        """
+        residual, scale = self.covariance_parts(method)
+        covariance = _smoothed(residual) / scale
+        # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
+        n = self.n_averages * _independent(correlation)
+        return covariance * n / (n - 2)
+
+
+def _smoothed(covariance: Tensor) -> Tensor:
+    """Return the moving average over bins of a covariance (2, 2, n_freq)."""
+    half = SMOOTHED_BINS // 2
+    ends = [covariance[..., :1].expand(2, 2, half), covariance[..., -1:].expand(2, 2, half)]
+    return torch.cat([ends[0], covariance, ends[1]], dim=-1).unfold(-1, SMOOTHED_BINS, 1).mean(-1)
+
+
+def _independent(correlation: Tensor) -> float:
+    """Return how many of the smoothed bins are independent, by their correlation from lag 0 on."""
+    lags = torch.arange(len(correlation))
+    pairs = (SMOOTHED_BINS - lags).clamp(min=0) * torch.where(lags == 0, 1, 2)
+    return SMOOTHED_BINS**2 / float(pairs.to(correlation) @ correlation)
 
 
 def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator) -> CrossSpectra:

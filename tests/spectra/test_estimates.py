@@ -14,8 +14,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
 from suspnet.spectra.welch import Welch, segment_spectra
 
 METHODS = ["H1", "H2", "Hv", "IV"]
