@@ -14,7 +14,7 @@ from suspnet.cli import program
 from suspnet.ground.checks import check_number
 from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.writing import write_fleet, write_trains
+from suspnet.simulation.writing import Simulation, write_fleet, write_trains
 
 log = logging.getLogger(__name__)
 
@@ -26,19 +26,15 @@ def compose(config: DictConfig) -> None:
     check_number("workers", config.workers, low=1, most=1024, whole=True)
     trains = _trains(config)
     parts = [program.build(config, key) for key in ("fleet", "scenario", "generator")]
-    options: dict[str, Any] = {
-        "seed": config.seed,
-        "scatter": config.scatter,
-        "n_jobs": config.workers,
-        "progress": config.progress,
-    }
+    simulation = Simulation(*parts, config.seed, config.scatter)
+    options: dict[str, Any] = {"n_jobs": config.workers, "progress": config.progress}
     try:
         if trains is None:
-            manifests = write_fleet(Path(config.out), *parts, **options)
+            manifests = write_fleet(Path(config.out), simulation, **options)
             folder = manifests[0].parent
             log.info("%d trips of scenario %s in %s", len(manifests), config.scenario.name, folder)
         else:
-            folder = write_trains(Path(config.out), trains, *parts, **options)[0].parent
+            folder = write_trains(Path(config.out), trains, simulation, **options)[0].parent
             _tell_of_trains(config, trains, folder)
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error

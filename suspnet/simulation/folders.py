@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Any
 
-from suspnet._version import __version__
 from suspnet.ground import ledger
-from suspnet.ground.storage import content_hash, locked, read_json, write_json
+from suspnet.ground.storage import locked, read_json, write_json
 from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
-from suspnet.simulation.fleet import Aboard, Fleet, Scenario, Trains
 
 log = logging.getLogger(__name__)
 TRUTH = "truth.json"
@@ -25,22 +20,6 @@ TRUTH = "truth.json"
 
 class FolderTakenError(ValueError):
     """A folder holds the trips of another simulation."""
-
-
-def described(
-    fleet: Fleet,
-    scenario: Scenario,
-    generator: Any,
-    seed: int,
-    scatter: float,
-    trains: Trains | Aboard | None = None,
-) -> str:
-    """Return a hash of all that the trips of a simulation depend on."""
-    parts: list[Any] = [asdict(fleet), asdict(scenario), type(generator).__name__]
-    parts += [asdict(generator), seed, scatter, __version__]
-    if trains is not None:
-        parts.append(asdict(trains))
-    return content_hash(json.loads(json.dumps(parts, default=str)))
 
 
 @contextmanager
@@ -71,7 +50,7 @@ def unfinished(
     ----------
     folder : Path
     made_from : str
-        As `described` gives it.
+        Hash of all that its trips depend on.
     n_all, n_missing : int
         Number of its trips or suspensions, and of those that are not there yet.
     what : {"trips", "suspensions"}

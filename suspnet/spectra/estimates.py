@@ -389,7 +389,7 @@ class EstimateObserver:
         return EstimateMisfit(self, curves, covariance)
 
     def measured_misfit(self, spectra: CrossSpectra) -> EstimateMisfit:
-        """Return the misfit of one trip's spectra (3, n_freq), with the covariance that they show."""
+        """Return the misfit of one trip's spectra (3, n_freq), with the covariance they show."""
         method, correlation = self.settings.method, self.settings.welch.correlation()
         covariance = spectra.measured_covariance(method, correlation)
         return EstimateMisfit(
