@@ -25,8 +25,10 @@ def compose(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
     check_number("workers", config.workers, low=1, most=1024, whole=True)
     trains = _trains(config)
-    parts = [program.build(config, key) for key in ("fleet", "scenario", "generator")]
-    simulation = Simulation(*parts, config.seed, config.scatter)
+    fleet, scenario, generator = (
+        program.build(config, key) for key in ("fleet", "scenario", "generator")
+    )
+    simulation = Simulation(fleet, scenario, generator, config.seed, config.scatter)
     options: dict[str, Any] = {"n_jobs": config.workers, "progress": config.progress}
     try:
         if trains is None:

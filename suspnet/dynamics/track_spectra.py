@@ -106,7 +106,6 @@ def cross_level_spectrum(mean: TrackSpectrum) -> TrackSpectrum:
 
 
 def _cross_level_density(n: FloatArray, mean: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return the density of `cross_level_spectrum`, [m^3]."""
     return mean(n) * n**2 / (n**2 + (CROSS_LEVEL_RAD_PER_M / (2 * math.pi)) ** 2)
 
 

@@ -159,7 +159,6 @@ def check_vehicle(vehicle: object) -> None:
 
 
 def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> None:
-    """Raise ValueError if an uncoupled natural frequency suggests a wrong unit."""
     low, high = FREQUENCY_RANGE_HZ
     if low <= frequency_hz <= high:
         return
@@ -177,7 +176,6 @@ def _check_frequency(vehicle: Vehicle, suspension: str, frequency_hz: float) -> 
 
 
 def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
-    """Raise ValueError if an uncoupled damping ratio suggests a wrong unit."""
     low, high = DAMPING_RATIO_RANGE
     if low <= ratio <= high:
         return

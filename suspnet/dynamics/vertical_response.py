@@ -17,7 +17,7 @@ bogies and turns by phi_1 = phi + sigma q and phi_2 = phi - sigma q, over L; F_i
 z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
 levers h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
 
-Roll and sway stand apart where left and right are alike, with x_i the mean of half the cross level
+Roll and sway are separate where left and right are alike, with x_i the mean of half the cross level
 at both axles, b the half distances of springs and of the rails, S_i = kappa_si b_s^2 + k_bar / 2,
 y the way of the body aside, kappa_y the lateral suspension between body and bogie at the levers h_2
 and h_3, whose stretch is e_i = y + h_2 theta + h_3 theta_i::
@@ -64,7 +64,7 @@ class Layout:
     bogie, axle, frame_sensor, body_sensor_m, parts
         As of ``VerticalVehicle``.
     empty_body_kg : float, [kg]
-        M_s without pay-load, which the stiffness against bending belongs to.
+        M_s without payload, which the stiffness against bending belongs to.
     """
 
     bogie: str
@@ -100,8 +100,10 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
     # phi counts positive where the measured bogie rises, psi where the leading axle does
     p = {**p, "body_lever": forward * p["body_lever"]}
     link_x = longitudinal_element(p).at(omega) if "longitudinal" in layout.parts else None
+    # Each bogie is eliminated: what remains of it is a force and a stiffness under the body.
     first = _bogie(p, "", omega, wheels[:2], link_x, layout.parts)
     other = _bogie(p, "other_", omega, wheels[2:], link_x, layout.parts)
+    # Bounce and pitch of the body: a symmetric matrix (bounce, coupling, pitch) and two forces.
     inertia = 2 * p["M_s"] * omega**2
     total = first.resistance + other.resistance
     difference = first.resistance - other.resistance
@@ -121,7 +123,8 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
             row[1] = row[1] + slope * (first.upright - other.upright)
             row[2] = row[2] + slope**2 * (first.upright + other.upright)
             force = force + slope * (first.push - other.push)
-        # the last of three equations is eliminated
+        # The bending is the last of three equations. It is eliminated, so that a closed form of
+        # order two serves vehicles with and without it.
         share = [row[0] / row[2], row[1] / row[2]]
         matrix = [
             matrix[0] - share[0] * row[0],
@@ -135,6 +138,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
     determinant = a * b - coupling**2
     bounce = (b * bounce_force - coupling * pitch_force) / determinant
     pitch = (a * pitch_force - coupling * bounce_force) / determinant
+    # Back to what was eliminated: the bending, then how the body moves and turns over the bogie.
     turned, over = pitch, bounce + pitch
     at_sensor: Tensor | float = 0.0
     if "bending" in layout.parts:
@@ -142,6 +146,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
         turned = pitch + p["bending_slope"] * bending
         over = over + p["bending_at_pivot"] * bending
         at_sensor = p["bending_at_sensor"] * bending
+    # The sensors sit where the layout says, not at the centres.
     frame = first.link * over + first.free
     if layout.frame_sensor == "axle":
         tilted = first.swing - first.tilt * turned
@@ -235,7 +240,6 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
 
 
 def _phasor(angle: Tensor) -> Tensor:
-    """Return exp(-j angle)."""
     return torch.complex(torch.cos(angle), -torch.sin(angle))
 
 

@@ -110,7 +110,6 @@ class VerticalVehicle:
         object.__setattr__(self, "distribution", _distribution(self.distribution, self.parts))
 
     def _check_places(self) -> None:
-        """Raise ValueError unless there are three lateral places, and roll where one is not 0."""
         if len(self.sensor_lateral_m) != 3:
             raise ValueError(
                 f"`sensor_lateral_m` must be three places, got {self.sensor_lateral_m}"
@@ -120,7 +119,6 @@ class VerticalVehicle:
         object.__setattr__(self, "sensor_lateral_m", tuple(map(float, self.sensor_lateral_m)))
 
     def _check_nominal(self) -> None:
-        """Raise ValueError unless `nominal` holds positive values of quantities that have one."""
         allowed = {quantity.name for quantity in QUANTITIES if quantity.nominal is not None}
         unknown = sorted(set(self.nominal or {}) - allowed)
         if unknown:
@@ -329,7 +327,6 @@ class VerticalVehicle:
 
     @property
     def _layout(self) -> Layout:
-        """What of the vehicle is no number."""
         return Layout(
             self.bogie,
             self.axle,
@@ -404,7 +401,6 @@ _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=
 def _distribution(
     given: LogNormal | Mapping[str, Any] | str | None, parts: tuple[str, ...]
 ) -> LogNormal | None:
-    """Return a distribution from what a configuration or a model file may hold of one."""
     if given is None or isinstance(given, LogNormal):
         return given
     if isinstance(given, str):

@@ -164,7 +164,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return self
 
     def _fit_output(self, X: FloatArray, y: FloatArray) -> Any:
-        """Return scikit-learn's machine fitted to one output."""
         machine = svm.SVR(
             kernel="rbf",
             gamma=1 / self.sigma**2,
@@ -177,7 +176,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return machine.fit(X, y)
 
     def _kernel(self, X: FloatArray, vectors: FloatArray) -> FloatArray:
-        """Return the kernel of samples and support vectors."""
         return np.asarray(rbf_kernel(X, vectors, gamma=1 / self.sigma**2))
 
 

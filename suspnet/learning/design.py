@@ -264,7 +264,6 @@ class DenseDesign:
         return product if self._basis is None else self._basis.to(product).T @ product
 
     def _zeros(self, n_rows: int, n_columns: int) -> Tensor:
-        """Return a float64 matrix of zeros on the device of the samples."""
         return torch.zeros(n_rows, n_columns, dtype=torch.float64, device=self.X.device)
 
 

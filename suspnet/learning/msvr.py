@@ -311,7 +311,6 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     @property
     def _torch_dtype(self) -> torch.dtype:
-        """Return the precision of the features."""
         return torch.float32 if self.dtype == "float32" else torch.float64
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
@@ -327,18 +326,15 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
     def _make_map(self, samples: Tensor) -> Any:
-        """Return the feature map for some samples."""
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))
         make = MAPS[self.feature_map].make
         return make(samples, self.sigma, self.n_components, seed, self.kernel_tol)
 
     def _solve(self, design: Design, targets: Tensor) -> Solution:
-        """Return the minimiser of F for a design and targets."""
         solver = IRWLS(self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol)
         return solver.minimise(design, targets, self.callback)
 
     def _check_parameters(self) -> None:
-        """Raise TypeError or ValueError if a parameter is wrong."""
         check_number("C", self.C, above=0)
         check_number("sigma", self.sigma, above=0)
         check_number("epsilon", self.epsilon, low=0)

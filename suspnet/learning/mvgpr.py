@@ -235,7 +235,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return self
 
     def _check_parameters(self) -> None:
-        """Raise TypeError or ValueError if a parameter is wrong."""
         for name in ("length_scale", "signal_variance", "noise_variance"):
             check_number(name, getattr(self, name), above=0)
         check_number("n_restarts", self.n_restarts, low=0, whole=True)
@@ -316,7 +315,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
 
 def _cholesky(kernel: Tensor) -> Tensor:
-    """Return the lower Cholesky factor; raise ValueError if there is none."""
     factor: Tensor
     factor, info = torch.linalg.cholesky_ex(kernel)
     if int(info):

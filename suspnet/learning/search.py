@@ -180,7 +180,6 @@ class GridSearch:
         return wider, told
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
-        """Return a method's grid; raise ValueError if it has none."""
         if name not in self.grids:
             raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
         return self.grids[name]
@@ -188,8 +187,6 @@ class GridSearch:
 
 @dataclass
 class _Trials:
-    """The settings measured so far, with the RMSE of each fold."""
-
     estimator: Any
     X: FloatArray
     Y: FloatArray
@@ -236,7 +233,6 @@ class _Trials:
 
 
 def _words(key: str, value: float, why: str) -> str:
-    """Return a sentence on an optimum on the edge of the grid."""
     return f"the best {key}, {value:g}, is on the edge: {why}"
 
 

@@ -88,7 +88,6 @@ def unfinished(
 
 
 def _holds_trips(folder: Path) -> bool:
-    """Return whether a folder, or one in it, holds a manifest."""
     return any(any(folder.glob(pattern)) for pattern in ("*.yaml", "*/*.yaml"))
 
 

@@ -101,6 +101,5 @@ def _with_numbers(
 
 
 def _decays(generator: QuarterCar | VerticalVehicle) -> bool:
-    """Return whether all free motion of the healthy vehicle decays."""
     a, *_ = generator.motion_system(torch.ones(len(PARAMETERS))).state_space()
     return bool(np.linalg.eigvals(a).real.max() < 0)

@@ -82,7 +82,6 @@ def profile_length_m(system: LinearSystem, journey: Journey) -> float:
 
 
 def _lead_in_s(journey: Journey) -> float:
-    """Return the time simulated before the trip begins, [s]."""
     return LEAD_IN_S if journey.speeds_m_per_s[0] > 0 else 0.0
 
 

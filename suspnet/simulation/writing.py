@@ -237,7 +237,6 @@ def _write_all(
 
 
 def _write_suspension(work: tuple[Path, Suspension], simulation: Simulation) -> None:
-    """Simulate one suspension into its folder below a given one."""
     folder, one = work
     if not one.wears:
         healthy = replace(simulation.scenario, name="healthy", changes={})
@@ -249,7 +248,6 @@ def _write_suspension(work: tuple[Path, Suspension], simulation: Simulation) -> 
 
 
 def _name(index: int) -> str:
-    """Return the name of a trip."""
     return f"trip_{index + 1:03d}"
 
 
@@ -342,7 +340,6 @@ def _write_channels(
 
 
 def _check_sides(fleet: Fleet, generator: SimulatedVehicle) -> None:
-    """Raise ValueError unless the generator has the sides that the fleet asks for."""
     if fleet.sides == "both" and not generator.motion_system(torch.ones(5)).roll_per_m:
         raise ValueError(
             "`sides`=both needs a vehicle with roll and sensors off the middle (generator=family "
@@ -351,7 +348,6 @@ def _check_sides(fleet: Fleet, generator: SimulatedVehicle) -> None:
 
 
 def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
-    """Return a signal at another rate, low-passed."""
     ratio = Fraction(to_hz / from_hz).limit_denominator(1000)
     if ratio == 1:
         return signal.copy()
@@ -359,7 +355,6 @@ def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
 
 
 def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays of one length as a Parquet file, atomically."""
     stream = io.BytesIO()
     pq.write_table(pa.table(dict(columns)), stream, row_group_size=ROW_GROUP)
     write_atomically(path, stream.getvalue())

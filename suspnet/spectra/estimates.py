@@ -377,7 +377,6 @@ class EstimateObserver:
         return self._drawn(CrossSpectra(auto, cross, spectra.n_averages), source)
 
     def _drawn(self, mean: CrossSpectra, source: torch.Generator) -> Tensor:
-        """Return the estimates of G_p and G_s from a draw of averaged spectra about their mean."""
         return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:

@@ -265,7 +265,6 @@ class PeakFeatures:
         return replace(peak, reason=reason).blanked()
 
     def _fit(self, name: str) -> PeakFit:
-        """Return how a named peak is smoothed, found and fitted."""
         below, above = _WINDOWS[name]
         if self.shape == "gaussian":
             below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)

@@ -24,10 +24,9 @@ SECTION_S = 20 * 60
 
 def simulate(folder, trains=None, fleet=FLEET, generator=None, **options):
     generator = generator or QuarterCar(AM96)
-    given = {"seed": 5, "scatter": 1.0} | options
-    return write_trains(
-        folder, trains or Trains(1, 1, 1), Simulation(fleet, WORN, generator), **given
-    )
+    drawn = {name: options.pop(name, value) for name, value in (("seed", 5), ("scatter", 1.0))}
+    simulation = Simulation(fleet, WORN, generator, **drawn)
+    return write_trains(folder, trains or Trains(1, 1, 1), simulation, **options)
 
 
 def contents(folder):
