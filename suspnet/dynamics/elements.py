@@ -6,7 +6,7 @@ Each is a spring, a damper and Maxwell branches (a spring b in series with a dam
 
 A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds one of a
 share of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
-(Nishimura) is k_1 on top of k_2 and the orifice beside each other, both beside the stiffness k_3
+(Nishimura) is k_1 in series with k_2 parallel to the orifice, all parallel to the stiffness k_3
 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 that is the branch
 b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
 square of k_1 / (k_1 + k_2).
@@ -162,6 +162,6 @@ def lateral_element(p: Mapping[str, Tensor]) -> Element:
 
 
 def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
-    """Return the body's first bending per modal mass of M_s; pay-load does not stiffen it."""
+    """Return the body's first bending per modal mass of M_s; payload does not stiffen it."""
     own = 2 * math.pi * p["bending_frequency"]
     return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)

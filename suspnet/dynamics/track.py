@@ -83,7 +83,7 @@ class TrackProfile:
     def at(self, x: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return elevation, slope and curvature at any positions on the profile.
 
-        Between two grid points stands the polynomial of degree five that has the elevation, slope
+        Between two grid points it is the polynomial of degree five that has the elevation, slope
         and curvature of both (quintic Hermite); slope and curvature are its exact derivatives, so
         the three agree with each other everywhere. Of a wave sampled p times per length, p >= 8,
         the elevation is off by at most (2 pi / p)^6 / 46080, the curvature by (2 pi / p)^4 / 1920.

@@ -1,4 +1,4 @@
-"""Parameters of a vehicle in SI units, checked: the quarter car's six, the geometry if known."""
+"""Parameters of a vehicle in SI units, checked, and the interface of what computes its responses."""
 
 from __future__ import annotations
 
@@ -23,6 +23,13 @@ GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "bo
 
 FREQUENCY_RANGE_HZ = (0.2, 50.0)
 DAMPING_RATIO_RANGE = (1e-3, 10.0)
+_FIELD = {
+    "k_p": "primary_stiffness_n_per_m",
+    "c_p": "primary_damping_ns_per_m",
+    "k_s": "secondary_stiffness_n_per_m",
+    "c_s": "secondary_damping_ns_per_m",
+    "M_s": "body_mass_kg",
+}
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,7 @@ class Vehicle:
     half_wheelbase_m, half_pivot_distance_m : float, optional, [m]
         From a bogie's centre to its axles, from the body's centre to the bogies' centres.
     bogie_gyration_m, body_gyration_m : float, optional, [m]
-        Radii of gyration in pitch. These four are what ``VerticalVehicle`` needs besides.
+        Radii of gyration in pitch. ``VerticalVehicle`` needs these four as well.
     limits : mapping, optional
         When maintenance is to look or to act: from a parameter to its `notice`, `act` and `why`, or
         to None if it has no limits; see ``Limits``. Parameters that are not there have
@@ -143,15 +150,6 @@ class Vehicle:
         return tuple(float(getattr(self, _FIELD[name])) for name in PARAMETERS)
 
 
-_FIELD = {
-    "k_p": "primary_stiffness_n_per_m",
-    "c_p": "primary_damping_ns_per_m",
-    "k_s": "secondary_stiffness_n_per_m",
-    "c_s": "secondary_damping_ns_per_m",
-    "M_s": "body_mass_kg",
-}
-
-
 def check_vehicle(vehicle: object) -> None:
     """Raise TypeError unless a generator's vehicle is one."""
     if not isinstance(vehicle, Vehicle):
@@ -203,8 +201,8 @@ class ResponseGenerator(Protocol):
     distribution : LogNormal or None
         Of the generator's uncertain numbers; None if there are none.
     further_places : tuple of str
-        Names of places for sensors besides axle box, bogie and body: one on the frame, one on the
-        body, and the second axle box; or none.
+        Names of further places for sensors: one on the frame, one on the body, and the second
+        axle box; or none.
     sensor_lateral_m : tuple of 3 floats, [m]
         Lateral place of the sensors on axle box, frame and body; 0 for the mean of a left and a
         right one.

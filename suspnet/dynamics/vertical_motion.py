@@ -60,7 +60,7 @@ def vertical_motion(
     bogie, axle, frame_sensor, body_sensor_m
         As of ``VerticalVehicle``.
     empty_kg : float, [kg]
-        M_s without pay-load.
+        M_s without payload.
     """
     n = {name: float(value) for name, value in p.items()}
     masses = _masses(n, parts)
@@ -202,6 +202,6 @@ def _assembled(
 def _behind(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
     """Return how far the wheelsets run behind the measured one, its bogie's two first, [m]."""
     shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
-    apart = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
+    pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
     own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
-    return (*own, *(apart + distance for distance in own))
+    return (*own, *(pivots + distance for distance in own))

@@ -248,9 +248,9 @@ def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Te
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
     # one exponential for each length, not for each wheelset
     unit = _phasor(omega * 2 * a / p["speed"])
-    apart = _phasor(omega * 2 * pivot / p["speed"])
+    other = _phasor(omega * 2 * pivot / p["speed"])
     one = torch.ones_like(unit)
     own = [one, unit] if layout.axle == "leading" else [unit.conj(), one]
     if layout.bogie == "trailing":
-        apart = apart.conj()
-    return [*own, *(apart * wheel for wheel in own)]
+        other = other.conj()
+    return [*own, *(other * wheel for wheel in own)]

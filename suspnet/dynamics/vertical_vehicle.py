@@ -35,6 +35,13 @@ from suspnet.ground.tensors import as_tensor, check_device
 
 SIDES = ("leading", "trailing")
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
+_OTHER = slice(
+    len(PARAMETERS) + UNMEASURED.index("other_k_p"),
+    len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
+)
+"""Columns of the bogie that is not measured."""
+_OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
+"""What makes every column of ratios positive."""
 
 
 @dataclass(frozen=True)
@@ -387,15 +394,6 @@ def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> Re
     if all(getattr(vehicle, name) is None for name in GEOMETRY):
         return QuarterCar(vehicle, device)
     return VerticalVehicle(vehicle, device, **settings)
-
-
-_OTHER = slice(
-    len(PARAMETERS) + UNMEASURED.index("other_k_p"),
-    len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
-)
-"""Columns of the bogie that is not measured."""
-_OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
-"""What makes every column of ratios positive."""
 
 
 def _distribution(

@@ -1,7 +1,8 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
-What a map is, and random Fourier features. Maps from landmarks are in ``landmarks``, that on a
-regular grid of frequencies in ``equispaced``; ``maps.MAPS`` lists them all.
+What a map is, random Fourier features, and maps from landmarks: Nystroem, and the exact kernel with
+every sample as a landmark. That on a regular grid of frequencies is in ``equispaced``; ``msvr.MAPS``
+lists them all.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ from typing import Protocol
 
 import torch
 from torch import Tensor
+
+ROUNDING = 1e-13
+"""Residual of the kernel's diagonal, which is 1, below which it is rounding and counts as 0."""
 
 
 class FeatureMap(Protocol):
@@ -110,10 +114,6 @@ def _pairs(n_components: int) -> int:
 def generator(seed: int) -> torch.Generator:
     """Return a generator of its own for a seed, on the CPU."""
     return torch.Generator().manual_seed(seed)
-
-
-ROUNDING = 1e-13
-"""Residual of the kernel's diagonal, which is 1, below which it is rounding and counts as 0."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def pivoted_cholesky(
         drawn = drawn.to(X.device)
         known = factor[: len(pivots)]
         block = rbf_kernel(X[drawn], X[drawn], sigma) - known[:, drawn].T @ known[:, drawn]
-        # Rounding must not part the block from the residual that the proposals were drawn with.
+        # Rounding must not separate the block from the residual of the draws.
         block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
         accepted, lower = _accept(block.cpu(), chances)
         accepted = accepted[: n_pivots - len(pivots)]

@@ -1,13 +1,14 @@
-"""Iterative reweighted least squares for MSVR, in the primal, with backtracking.
+"""Iterative reweighted least squares for MSVR: the loss, and its minimum in the primal.
 
 Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
     F(W, b) = 1/2 |W|^2 + C sum_i L(|y_i - W^T phi_i - b|)
 
-F is convex and continuously differentiable, so it has one value at the optimum. Each iteration
-takes a direction from the normal equations of Eq. (9) (Eq. 11) and backtracks along it. The
-equations are those of a fixed Gram matrix until they slow down, then the reweighted ones, and so on
-in turns: the optimum and the stopping rule are the same.
+with the hyperspherical epsilon-insensitive loss L of Eq. (8). F is convex and continuously
+differentiable, so it has one value at the optimum. Each iteration takes a direction from the normal
+equations of Eq. (9) (Eq. 11) and backtracks along it. The equations are those of a fixed Gram
+matrix until they slow down, then the reweighted ones, in turns: the optimum and the stopping rule
+are the same.
 """
 
 from __future__ import annotations

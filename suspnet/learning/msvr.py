@@ -243,7 +243,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         def predict(setting: Mapping[str, float]) -> list[FloatArray]:
             model = clone(self).set_params(**setting)
             model._check_parameters()
-            solutions = (model._solve(design, kept) for design, kept in others)
+            solutions = (model._solve(design, rows) for design, rows in others)
             return [
                 part.predict(Direction(found.coef, found.intercept)).cpu().numpy()
                 for part, found in zip(parts, solutions, strict=True)
@@ -393,4 +393,4 @@ MAPS = {
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
     "exact": MapKind(exact, LandmarkFeatures),
 }
-"""The feature maps by name. To add one, write it beside these and enter it here."""
+"""The feature maps by name. To add one, write it next to these and enter it here."""

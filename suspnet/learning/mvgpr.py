@@ -284,8 +284,9 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             if self.callback is not None:
                 length, noise = np.exp(theta)
                 likelihood = float(value.detach())
-                told = LikelihoodEvaluation(evaluations, likelihood, float(length), float(noise))
-                self.callback(told)
+                self.callback(
+                    LikelihoodEvaluation(evaluations, likelihood, float(length), float(noise))
+                )
             gradient = logs.grad if logs.grad is not None else torch.zeros_like(logs)
             return -float(value.detach()), -gradient.cpu().numpy()
 

@@ -1,4 +1,4 @@
-"""What a simulated fleet is: its trips, their track and journeys, and the sensors."""
+"""What is simulated: a fleet's trips, the wear that they follow, and the trains they belong to."""
 
 from __future__ import annotations
 
@@ -15,6 +15,11 @@ from suspnet.ground.checks import check_choice, check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS, HIGHEST_KM, Place
 from suspnet.simulation.signals import Journey, Sensor, service_journey, steady_journey
+
+FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
+"""Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""
+HEADWAY = timedelta(minutes=20)
+"""Time from the start of a train to that of the next one."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +118,9 @@ class Scenario:
         From a name of ``PARAMETERS`` to `from_km`, `to_km` and `ratio`: 1 before, in a straight
         line between, `ratio` after. A step where the two mileages are equal.
     spread : float, [-]
-        k_p, c_p, k_s and c_s are besides multiplied by a factor uniform in 1 +- spread on each
-        trip.
+        On each trip k_p, c_p, k_s and c_s are also multiplied by a factor uniform in 1 +- spread.
     mass_low, mass_high : float, [-]
-        The car-body mass is uniform between these on each trip: pay-load.
+        The car-body mass is uniform between these on each trip: payload.
 
     Raises
     ------
@@ -157,24 +161,20 @@ class Scenario:
         ----------
         mileage_km : array of shape (n_trips,), [km]
         seed : int
-            Of spread and pay-load.
+            Of spread and payload.
         """
         rng = np.random.default_rng(seed)
         ratios = np.ones((len(mileage_km), len(PARAMETERS)))
         ratios[:, :4] += self.spread * rng.uniform(-1, 1, size=(len(mileage_km), 4))
         ratios[:, 4] = rng.uniform(self.mass_low, self.mass_high, size=len(mileage_km))
         for name, change in self.changes.items():
-            begin, end = change["from_km"], change["to_km"]
-            span = end - begin
-            after = mileage_km > end if span == 0 else np.clip((mileage_km - begin) / span, 0, 1)
+            start, end = change["from_km"], change["to_km"]
+            span = end - start
+            after = mileage_km > end if span == 0 else np.clip((mileage_km - start) / span, 0, 1)
             ratios[:, PARAMETERS.index(name)] *= 1 + (change["ratio"] - 1) * after
         return ratios
 
 
-FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
-"""Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""
-HEADWAY = timedelta(minutes=20)
-"""Time from the start of a train to that of the next one."""
 Bogie = Literal["leading", "trailing"]
 BOGIES: tuple[Bogie, ...] = ("leading", "trailing")
 """Those of a car, in the direction of travel."""
@@ -268,7 +268,7 @@ class Suspension:
     ----------
     aboard : Aboard
     seed : int
-        Of its true numbers, pay-load and noise.
+        Of its true numbers, payload and noise.
     wears : bool
         Whether it follows the scenario.
     """

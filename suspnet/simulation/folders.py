@@ -1,4 +1,4 @@
-"""Folders of simulated trips: one simulation each, which goes on after an interruption."""
+"""Folders of simulated trips: one simulation each, which continues after an interruption."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class FolderTakenError(ValueError):
 
 @contextmanager
 def own_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder into which no other simulation is writing: this one, or one beside it."""
+    """Yield a folder into which no other simulation is writing: this one, or one next to it."""
     for number in count(1):  # ends: there are fewer simulations than numbers
         tried = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
         existed = tried.is_dir()

@@ -16,7 +16,7 @@ from suspnet.ground.types import FloatArray
 MAX_DRAWS = 100
 """Number of draws after which no vehicle is taken to be physical."""
 STREAM = b"scatter"
-"""Sets the stream of these draws apart from those of trips and pay-load with the same seed."""
+"""Makes these draws independent of those of trips and payload with the same seed."""
 HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
 
 

@@ -1,4 +1,4 @@
-"""The motion of one simulated trip: track and journey -> what the places of the sensors feel."""
+"""The signals of one simulated trip: its journey, the motion it causes, and what sensors record."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ LEAD_IN_S = 20.0
 """Time simulated before a trip that starts at speed [s], in which the transient decays."""
 MARGIN_M = 50.0
 """Length of track before the first and behind the last wheelset [m]."""
+STANDARD_GRAVITY = 9.80665
 
 
 def simulate_trip(
@@ -86,7 +87,7 @@ def _lead_in_s(journey: Journey) -> float:
 
 
 def _start_m(system: LinearSystem, journey: Journey) -> float:
-    """Return the position of the measured wheelset on the track when the trip begins, [m]."""
+    """Return the position of the measured wheelset on the track when the trip starts, [m]."""
     lead_m = _lead_in_s(journey) * float(journey.speeds_m_per_s[0])
     return max(system.behind_m) + lead_m + MARGIN_M
 
@@ -186,22 +187,19 @@ def service_journey(
     times, speeds = [0.0], [0.0]
     for stop in range(n_stops + 1):
         top = cruise_m_per_s * (rng.uniform(0.6, 0.9) if rng.random() < 0.2 else 1.0)
-        begin = times[-1]
-        cruise = np.arange(begin + top / 0.4, begin + stretch_s - top / 0.6, 60.0)
-        times += [*cruise, begin + stretch_s]
+        start = times[-1]
+        cruise = np.arange(start + top / 0.4, start + stretch_s - top / 0.6, 60.0)
+        times += [*cruise, start + stretch_s]
         wander = 1 + ripple * rng.standard_normal(len(cruise))
         speeds += [*np.minimum(top * wander, cruise_m_per_s), 0.0]
-        # brake from the last cruising speed only where braking has to begin
-        times.insert(-1, begin + stretch_s - speeds[-2] / 0.6)
+        # brake from the last cruising speed only where braking has to start
+        times.insert(-1, start + stretch_s - speeds[-2] / 0.6)
         speeds.insert(-1, speeds[-2])
         if stop < n_stops:
             times.append(times[-1] + 120.0)
             speeds.append(0.0)
     ascending = np.concatenate([[True], np.diff(times) > 1e-6])
     return Journey(np.array(times)[ascending], np.array(speeds)[ascending])
-
-
-STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from suspnet.spectra.extraction import FeatureTable, PeakFeatures
 MISSING = 1
 """Reason code of a curve that is not finite."""
 ROUNDING = 1e-12
-"""Noise below which a bin is the healthy vehicle's in all curves: it tells nothing."""
+"""Noise below which a bin is the healthy vehicle's in all curves: it carries no information."""
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
@@ -226,7 +226,7 @@ class CurveFeatures:
         return values - healthy
 
     def missing(self, reasons: IntArray) -> str:
-        """Return what is wrong with a curve, in words, from one row of the reasons."""
+        """Return a text on what is wrong with a curve, from one row of the reasons."""
         return "curve (not finite)" if reasons.any() else ""
 
     def state(self) -> dict[str, FloatArray]:

@@ -36,14 +36,14 @@ from suspnet.spectra.welch import Welch
 
 SPEED_HALF_WIDTH = 0.08
 """Half width of the speeds that one model reads; measured, errors of corrected estimates were up to
-about twice those at the speed of the training at 0.1 beside it."""
+about twice those at the speed of the training at 0.1 from it."""
 LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
 """Ends of the band, and of what is used of G_s: multiples of the first natural frequency, then of
-the second. Between the last two the primary damper parts from its bushing and the axle guidance;
-the body sounds there with modes of its structure, of which the model holds the first."""
+the second. Between the last two the primary damper separates from its bushing and the axle
+guidance; the body sounds there with modes of its structure, of which the model holds the first."""
 HIGHEST_HZ = 25.0
 """Highest end of a band that follows from the vehicle: recordings are read up to a quarter of their
-rate, which is 100 Hz unless told otherwise; [Hz]."""
+rate, which is 100 Hz by default; [Hz]."""
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; a band up to 25 Hz has 500."""
 WEAK, WEAK_OF_ONE = 4.0, 0.5
@@ -86,7 +86,7 @@ class EstimateSettings:
     rates_hz : sequence of 3 floats, [Hz]
         Sampling rates of axle box, bogie and body.
     cache_dir : str or None
-        Where feature tables are kept between runs.
+        Where feature tables are stored between runs.
 
     Raises
     ------
@@ -207,7 +207,7 @@ class EstimateSettings:
         return EstimateObserver(self, generator)
 
     def words(self) -> str:
-        """Return in words what is observed, with which noise."""
+        """Return a text on what is observed, with which noise."""
         band = "" if self.low_hz is None else f", {self.low_hz:.3g} to {self.high_hz:.3g} Hz"
         bias = "" if self.method == "IV" else f" The bias of {self.method} in noise is known."
         return (

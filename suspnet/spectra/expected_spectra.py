@@ -172,7 +172,7 @@ class EstimateMisfit:
         rows : tensor of shape (n,)
             The estimates that they belong to.
         spread : float or tensor of shape (n_freq,), [-]
-            Rms error of the model that is allowed for beside the noise; a bin in which it is
+            Rms error of the model that is allowed for on top of the noise; a bin in which it is
             infinite does not count.
         """
         covariance = self.covariance[rows]

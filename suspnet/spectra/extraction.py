@@ -107,7 +107,7 @@ class FeatureSet(Protocol):
         ...
 
     def missing(self, reasons: IntArray) -> str:
-        """Return what is missing of one curve and why, in words."""
+        """Return a text on what is missing of one curve and why."""
         ...
 
     def state(self) -> dict[str, FloatArray]:
@@ -180,7 +180,7 @@ class PeakFeatures:
         return values / healthy
 
     def missing(self, reasons: IntArray) -> str:
-        """Return which peaks are missing and why, in words, from one row of the reasons."""
+        """Return a text on which peaks are missing and why, from one row of the reasons."""
         return ", ".join(
             f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
             for peak, reason in zip(self.peaks, reasons, strict=True)

@@ -1,8 +1,15 @@
-"""Interfaces of an observation of curves: settings, observer and misfit, and common checks.
+"""Interfaces of an observation of curves, and the directions of uncertain numbers that curves show.
 
 An observation is a pair of classes: settings, which hold the numbers of a YAML file, and the
 observer that they make of a generator. `curves` is the paper's (magnitudes with white noise),
 `estimates` that of trips (transfer functions estimated from recordings).
+
+Directions: with F the factor of the log-normal distribution of a generator's uncertain numbers,
+their logarithms (of those that may be absent: of 1 + number) are mean + F z, z standard normal. Many
+directions of z leave the curves as they are. With J the derivative of the curves in units of their
+noise, the eigenvectors of the mean of J^T J over vehicles (the active subspace; Constantine, Active
+subspaces, 2015) are directions of ever less effect, whose rms is the root of the eigenvalue. Those
+of next to no effect stay at the median.
 """
 
 from __future__ import annotations
@@ -10,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 import torch
@@ -24,6 +31,15 @@ LEAST_CALIBRATION = 100
 
 MOST_CURVES = 100_000_000
 """Largest number of curves; their parameters alone then fill 4 GB."""
+LEAST_EFFECT = 0.1
+"""Rms effect of a direction that counts, in standard deviations of the noise; each one left out
+widens a parameter's deviation by about 0.5 % at most."""
+N_VEHICLES = 24
+"""Vehicles over which the effect is averaged."""
+FURTHEST = 2.0
+"""Their parameters lie within this factor of healthy."""
+STEP = 1e-4
+"""Step of the central differences, in standard deviations of the numbers."""
 
 
 class Misfit(Protocol):
@@ -115,7 +131,7 @@ class Observation(Protocol):
     low_hz, high_hz : float or None, [Hz]
         Band.
     cache_dir : str or None
-        Where feature tables are kept between runs; None keeps none.
+        Where feature tables are stored between runs; None stores none.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -155,7 +171,7 @@ class Observation(Protocol):
         ...
 
     def words(self) -> str:
-        """Return in words what is observed, with which noise."""
+        """Return a text on what is observed, with which noise."""
         ...
 
 
@@ -173,20 +189,6 @@ def check_counts(settings: Observation) -> None:
         whole=True,
         optional=True,
     )
-
-
-if TYPE_CHECKING:
-    pass
-
-LEAST_EFFECT = 0.1
-"""Rms effect of a direction that counts, in standard deviations of the noise: what is left out
-widens a parameter's deviation by about 0.5 % a direction at most."""
-N_VEHICLES = 24
-"""Vehicles over which the effect is averaged."""
-FURTHEST = 2.0
-"""Their parameters lie within this factor of healthy."""
-STEP = 1e-4
-"""Step of the central differences, in standard deviations of the numbers."""
 
 
 @dataclass(frozen=True)

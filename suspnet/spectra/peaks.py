@@ -27,6 +27,8 @@ FLOOR_FRACTION = 1e-3
 LOWEST, REACH = 0.5, 1.5
 """A fit is rejected if its position lies below LOWEST times the frequency of the maximum (a tilt
 moves the maximum up), or more than REACH half widths of the window above it."""
+EDGE = 3.5
+"""Distance in half widths at which a window ends; its weight is exp(-EDGE^4 / 2) = 3e-33 there."""
 
 
 class PeakReason(IntEnum):
@@ -312,10 +314,6 @@ def _top(constant: Tensor, vertex: Tensor, curvature: Tensor, centre: Tensor, sh
         found = curvature < 0
         height, half_width = constant.exp(), (0.5 * math.log(2) / curvature.abs()).sqrt()
     return _Top(centre * (1 + vertex), height, 2 * centre * half_width, found)
-
-
-EDGE = 3.5
-"""Distance in half widths at which a window ends; its weight is exp(-EDGE^4 / 2) = 3e-33 there."""
 
 
 def windowed_parabola(

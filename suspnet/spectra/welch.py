@@ -1,4 +1,4 @@
-"""Welch's method: windowed, overlapping segments, and what they do to averaged spectra."""
+"""Welch's method: windowed, overlapping segments, their averages, and transfer functions."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, Method
 
 NEGLIGIBLE = 1e-4
 """Leakage and correlation between bins below this, relative to a bin's own, are neglected."""
+SEGMENTS = 64
+"""Number of segments transformed at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,6 @@ def _symmetric(power: FloatArray) -> Tensor:
     k = int(np.flatnonzero(power[:half] > NEGLIGIBLE * power[0])[-1])
     taps = np.concatenate([power[k:0:-1], power[: k + 1]])
     return torch.as_tensor(taps / taps.sum())
-
-
-SEGMENTS = 64
-"""Number of segments transformed at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)
