@@ -34,6 +34,24 @@ LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
 """Stiffness of each over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
 LOSS_REFERENCE_HZ = 2.7
 """Frequency at which the ladder leaves the stiffness as it is, the middle of its band, [Hz]."""
+RAIL_LATERAL_M = 0.75
+"""Half distance of the rails' centres, of standard gauge."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What describes a vehicle besides numbers: its parts, and where it is measured.
+
+    The fields are those of ``VerticalVehicle``, but `empty_body_kg`: M_s without payload [kg],
+    which the stiffness against bending belongs to.
+    """
+
+    bogie: str
+    axle: str
+    frame_sensor: str
+    body_sensor_m: float
+    parts: tuple[str, ...]
+    empty_body_kg: float
 
 
 @dataclass(frozen=True)

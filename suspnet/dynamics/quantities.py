@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.types import FloatArray
 
 TOLERANCE = 1e-9
@@ -29,6 +29,8 @@ class Quantity:
 
     Attributes
     ----------
+    part : str
+        The one of ``PARTS`` that it belongs to; empty if every vehicle has it.
     name : str
     deviation : float, [-]
         Standard deviation of its logarithm before any trip; 0 where it is taken as known.
@@ -39,17 +41,15 @@ class Quantity:
         None where the vehicle or the generator's settings give it.
     may_be_absent : bool
         Whether it may be 0; `deviation` is then that of log(1 + ratio to nominal).
-    part : str
-        The one of ``PARTS`` that it belongs to; empty if every vehicle has it.
     """
 
+    part: str
     name: str
     deviation: float
     unit: str
     meaning: str
     nominal: float | None = None
     may_be_absent: bool = False
-    part: str = ""
 
 
 _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
@@ -141,7 +141,7 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
 """The numbers by part, "" for those of every vehicle: the fields of ``Quantity`` but the part."""
 PARTS = tuple(part for part in _NUMBERS if part)
 """Parts that a vehicle may have beyond rigid bodies on linear springs and dampers."""
-QUANTITIES = tuple(Quantity(*row, part=part) for part, rows in _NUMBERS.items() for row in rows)
+QUANTITIES = tuple(Quantity(part, *row) for part, rows in _NUMBERS.items() for row in rows)
 """Every number, that of ``UNMEASURED`` of the same place."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
@@ -210,6 +210,23 @@ class LogNormal:
         """Return the prior of a vehicle with some of ``PARTS``."""
         known = ("", *parts)
         return cls.independent({q.name: q.deviation for q in QUANTITIES if q.part in known})
+
+    @classmethod
+    def read(
+        cls, given: LogNormal | Mapping[str, Any] | str | None, parts: Sequence[str]
+    ) -> LogNormal | None:
+        """Return a distribution from what a configuration or a model file may hold of one."""
+        if given is None or isinstance(given, LogNormal):
+            return given
+        if isinstance(given, str):
+            check_choice("distribution", given, ("prior",))
+            return cls.prior(parts)
+        if set(given) == {"names", "mean", "covariance"}:
+            return cls(**given)
+        unknown = sorted(set(given) - set(UNMEASURED))
+        if unknown:
+            raise ValueError(f"`distribution` must be named as in {UNMEASURED}, got {unknown}")
+        return cls.independent(given)
 
     @property
     def deviations(self) -> FloatArray:

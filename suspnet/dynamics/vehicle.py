@@ -1,4 +1,4 @@
-"""Parameters of a vehicle in SI units, checked, and the interface of what computes its responses."""
+"""Parameters of a vehicle in SI units, checked, and the interface of what gives its responses."""
 
 from __future__ import annotations
 

@@ -44,6 +44,8 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics.elements import (
+    RAIL_LATERAL_M,
+    Layout,
     bending_element,
     guidance_element,
     lateral_element,
@@ -52,27 +54,6 @@ from suspnet.dynamics.elements import (
     secondary,
 )
 from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
-from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What of a vehicle is no number: its parts, and where it is measured.
-
-    Attributes
-    ----------
-    bogie, axle, frame_sensor, body_sensor_m, parts
-        As of ``VerticalVehicle``.
-    empty_body_kg : float, [kg]
-        M_s without payload, which the stiffness against bending belongs to.
-    """
-
-    bogie: str
-    axle: str
-    frame_sensor: str
-    body_sensor_m: float
-    parts: tuple[str, ...]
-    empty_body_kg: float
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
 What a map is, random Fourier features, and maps from landmarks: Nystroem, and the exact kernel with
-every sample as a landmark. That on a regular grid of frequencies is in ``equispaced``; ``msvr.MAPS``
-lists them all.
+every sample as a landmark. That on a regular grid of frequencies is in ``equispaced``;
+``msvr.MAPS`` lists them all.
 """
 
 from __future__ import annotations

@@ -5,11 +5,11 @@ observer that they make of a generator. `curves` is the paper's (magnitudes with
 `estimates` that of trips (transfer functions estimated from recordings).
 
 Directions: with F the factor of the log-normal distribution of a generator's uncertain numbers,
-their logarithms (of those that may be absent: of 1 + number) are mean + F z, z standard normal. Many
-directions of z leave the curves as they are. With J the derivative of the curves in units of their
-noise, the eigenvectors of the mean of J^T J over vehicles (the active subspace; Constantine, Active
-subspaces, 2015) are directions of ever less effect, whose rms is the root of the eigenvalue. Those
-of next to no effect stay at the median.
+their logarithms (of those that may be absent: of 1 + number) are mean + F z, z standard normal.
+Many directions of z leave the curves as they are. With J the derivative of the curves in units of
+their noise, the eigenvectors of the mean of J^T J over vehicles (the active subspace; Constantine,
+Active subspaces, 2015) are directions of ever less effect, whose rms is the root of the eigenvalue.
+Those of next to no effect stay at the median.
 """
 
 from __future__ import annotations
