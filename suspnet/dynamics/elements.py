@@ -152,16 +152,6 @@ def secondary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str])
     return Element(stiffness, damping)
 
 
-def primary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequence[str]) -> Tensor:
-    """Return kappa_p of a bogie, (n_vehicles, n_freq), [N/m]."""
-    return primary_element(p, which, parts).at(omega)
-
-
-def secondary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequence[str]) -> Tensor:
-    """Return kappa_s of a bogie, (n_vehicles, n_freq), [N/m]."""
-    return secondary_element(p, which, parts).at(omega)
-
-
 def guidance_element(p: Mapping[str, Tensor]) -> Element:
     """Return the axle guidance of a bogie's side, which acts on its pitch times a."""
     return Element(

@@ -9,29 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
-from suspnet.dynamics.track_spectra import (
-    TRACKS,
-    TrackSpectrum,
-    acceleration_density,
-    band_rms,
-    check_band,
-    cross_level_spectrum,
-    track_spectrum,
-)
+from suspnet.dynamics.track_spectra import TrackSpectrum, check_band
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
-
-__all__ = [
-    "TRACKS",
-    "TrackProfile",
-    "TrackSpectrum",
-    "acceleration_density",
-    "band_rms",
-    "cross_level_spectrum",
-    "make_profile",
-    "track_spectrum",
-]
-
 
 BLOCK = 1 << 15  # positions interpolated at once: the working arrays stay in the cache
 

@@ -50,8 +50,8 @@ from suspnet.dynamics.elements import (
     guidance_element,
     lateral_element,
     longitudinal_element,
-    primary,
-    secondary,
+    primary_element,
+    secondary_element,
 )
 from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
 
@@ -145,7 +145,10 @@ def _bogie(
     parts: tuple[str, ...],
 ) -> _Bogie:
     """Return the measured ("") or the other bogie with its bounce and pitch eliminated."""
-    kappa_p, kappa_s = primary(p, which, omega, parts), secondary(p, which, omega, parts)
+    kappa_p, kappa_s = (
+        primary_element(p, which, parts).at(omega),
+        secondary_element(p, which, parts).at(omega),
+    )
     inertia = p["bogie_mass"] * omega**2
     below = kappa_p + kappa_s - inertia
     link = kappa_s / below
@@ -189,8 +192,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     bogies = []
     resistance = stiffening = coupling = moment = push = torch.zeros_like(wheels[0])
     for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
-        below = primary(p, which, omega, layout.parts) * p["primary_lateral"] ** 2
-        above = secondary(p, which, omega, layout.parts) * p["secondary_lateral"] ** 2
+        below = primary_element(p, which, layout.parts).at(omega) * p["primary_lateral"] ** 2
+        above = secondary_element(p, which, layout.parts).at(omega) * p["secondary_lateral"] ** 2
         above = above + p["anti_roll_bar"] / 2
         all_ = below + above - bogie_inertia + aside * lever**2
         link, yielding = above / all_, aside * lever / all_

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.dynamics.elements import Layout, primary, secondary
+from suspnet.dynamics.elements import Layout, primary_element, secondary_element
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.quarter_car import QuarterCar
@@ -264,7 +264,10 @@ class VerticalVehicle:
         Complex, in N/m, bushings and rubber included.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        return torch.stack([one(p, "", omega, self.parts) for one in (primary, secondary)], dim=1)
+        return torch.stack(
+            [one(p, "", self.parts).at(omega) for one in (primary_element, secondary_element)],
+            dim=1,
+        )
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns."""

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.track import track_spectrum
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.ground.checks import check_choice, check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS, HIGHEST_KM, Place
@@ -40,7 +40,7 @@ class Fleet:
     n_stops : int
         Of a service journey.
     track : str
-        A name of ``suspnet.dynamics.track.TRACKS``.
+        A name of ``suspnet.dynamics.track_spectra.TRACKS``.
     short_waves : bool
     sensors : mapping
         A `Sensor`'s arguments for each of axle_box, bogie and body.

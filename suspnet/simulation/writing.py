@@ -24,7 +24,8 @@ from scipy.signal import resample_poly
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.track import cross_level_spectrum, make_profile, track_spectrum
+from suspnet.dynamics.track import make_profile
+from suspnet.dynamics.track_spectra import cross_level_spectrum, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray

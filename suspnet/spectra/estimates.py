@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
-from suspnet.dynamics.track import track_spectrum
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.ground.checks import check_choice, check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import (
@@ -66,7 +66,7 @@ class EstimateSettings:
     speed_half_width : float, [-]
         Trips are read whose speed lies within 1 +- this of it.
     track : str
-        A name of ``suspnet.dynamics.track.TRACKS``.
+        A name of ``suspnet.dynamics.track_spectra.TRACKS``.
     short_waves : bool
     snr_db : float, [dB]
         White noise of each sensor, relative to the rms of the healthy vehicle's signal over the

@@ -13,7 +13,8 @@ from trip_fixtures import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS
-from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.dynamics.track import make_profile
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scatter import scattered
 from suspnet.simulation.signals import steady_journey

@@ -11,7 +11,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
+from suspnet.dynamics.track import TrackProfile, make_profile
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.ground.storage import read_json
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
