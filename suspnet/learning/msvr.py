@@ -168,13 +168,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.callback = callback
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Fit to samples.
-
-        Parameters
-        ----------
-        X : array of shape (n_samples, n_inputs)
-        y : array of shape (n_samples,) or (n_samples, n_outputs)
-        """
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         self._check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
@@ -206,23 +200,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
         """Return a predictor of each fold's samples by a model fitted to all other folds.
 
-        The models are those of `fit`, but all values of C and epsilon share one Gram matrix, from
-        which a fold's own is subtracted. Only for maps that do not depend on the samples
-        (``shares_gram``).
-
-        Parameters
-        ----------
-        X : array of shape (n_samples, n_inputs)
-        y : array of shape (n_samples, n_outputs)
-        folds : sequence of arrays
-            Row indices; each row is in one fold.
-
-        Returns
-        -------
-        callable
-            From a mapping with C and epsilon, where they are not the model's own, to a list of
-            predictions (n_fold, n_outputs). It raises ValueError if a system is singular to
-            working precision.
+        It takes a mapping with C and epsilon, where they are not the model's own, and gives a list
+        of predictions (n_fold, n_outputs). The models are those of `fit`, but all values of C and
+        epsilon share one Gram matrix, from which a fold's own is subtracted. Only for maps that do
+        not depend on the samples (``shares_gram``); `folds` are row indices, each row in one fold.
         """
         self._check_parameters()
         samples, targets = self._validated(X, y)
@@ -257,13 +238,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return self.feature_map in MAPS and not MAPS[self.feature_map].of_data
 
     def predict(self, X: ArrayLike) -> FloatArray:
-        """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was.
-
-        Raises
-        ------
-        NotFittedError, ValueError
-            If the model is not fitted or `X` does not fit it.
-        """
+        """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
@@ -282,13 +257,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return {"coef": self.coef_, "intercept": self.intercept_, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is; it predicts columns, (n_samples, n_outputs).
-
-        Raises
-        ------
-        ValueError
-            If arrays are missing or their shapes disagree.
-        """
+        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
         self._check_parameters()
         map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]

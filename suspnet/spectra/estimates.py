@@ -305,10 +305,6 @@ class EstimateObserver:
         G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's. Of what is
         left relative to healthy a weak bin gets the straight line between its neighbours. G_s
         beyond `body_high_hz` is that of the healthy vehicle.
-
-        Parameters
-        ----------
-        curves : complex tensor of shape (n_curves, 2, n_freq), [-]
         """
         if self._is_nominal and not bool((self.weak | self.beyond).any()):
             return curves
@@ -324,33 +320,16 @@ class EstimateObserver:
         return directions(self) if self._is_nominal else self._nominal.directions
 
     def noise_free(self, ratios: Tensor) -> Tensor:
-        """Return the limit of the estimate of G_p and G_s for infinitely long trips.
+        """Return the limit of the estimates for infinitely long trips, (n_vehicles, 2, n_freq).
 
         It includes leakage, and the bias of H1, H2 and Hv by the sensors' noise.
-
-        Parameters
-        ----------
-        ratios : tensor of shape (n_vehicles, 5), [-]
-
-        Returns
-        -------
-        complex tensor of shape (n_vehicles, 2, n_freq), [-]
         """
         return self.expected(ratios).responses(self.settings.method)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return estimates of G_p and G_s, one trip of each vehicle.
+        """Return estimates of G_p and G_s from one trip of each vehicle, (n_vehicles, 2, n_freq).
 
-        The generator's uncertain quantities are drawn too.
-
-        Parameters
-        ----------
-        ratios : tensor of shape (n_vehicles, 5), [-]
-        seed : int
-
-        Returns
-        -------
-        complex tensor of shape (n_vehicles, 2, n_freq), [-]
+        The generator's uncertain quantities are drawn, too.
         """
         unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
         rows = self.generator.sample_unmeasured(ratios, int(unmeasured >> np.uint64(1)))
@@ -359,18 +338,9 @@ class EstimateObserver:
         return self._drawn(expected, source)
 
     def observe_again(self, spectra: CrossSpectra, n_draws: int, seed: int) -> Tensor:
-        """Return estimates of further trips with the same spectra and as many averages.
+        """Return estimates of further trips with the same spectra, (n_draws, 2, n_freq).
 
-        Parameters
-        ----------
-        spectra : CrossSpectra
-            Of shape (3, n_freq) on the observer's bins.
-        n_draws : int
-        seed : int
-
-        Returns
-        -------
-        complex tensor of shape (n_draws, 2, n_freq), [-]
+        `spectra` are of shape (3, n_freq) on the observer's bins, with as many averages.
         """
         auto, cross = (part.expand(n_draws, -1, -1) for part in (spectra.auto, spectra.cross))
         source = torch.Generator(auto.device).manual_seed(seed)
@@ -396,16 +366,9 @@ class EstimateObserver:
         )
 
     def without_unused(self, covariance: Tensor) -> Tensor:
-        """Return a covariance of log-responses in which bins `weak` or `beyond` count for nothing.
+        """Return a covariance (n_vehicles, 2, 2, n_freq) in which unused bins count for nothing.
 
-        Parameters
-        ----------
-        covariance : complex tensor of shape (n_vehicles, 2, 2, n_freq)
-
-        Returns
-        -------
-        complex tensor of shape (n_vehicles, 2, 2, n_freq)
-            With infinite variance and no covariance where an estimate is not to be used.
+        Bins `weak` or `beyond` have infinite variance and no covariance.
         """
         unused = (self.weak | self.beyond).to(covariance.device)
         covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
@@ -422,12 +385,7 @@ class EstimateObserver:
     def noise_densities(self, responses: Responses, rates_hz: Sequence[float]) -> Tensor:
         """Return the noise density of each of some sensors, (n_sensors,), [(m/s^2)^2/Hz].
 
-        Parameters
-        ----------
-        responses : function
-            Of ratios (1, 5) and frequencies_hz (n,); returns each sensor's response from the axle
-            box, (1, n_sensors, n).
-        rates_hz : sequence of n_sensors floats, [Hz]
+        ``responses(ratios, frequencies_hz)`` gives those from the axle box, (1, n_sensors, n_freq).
         """
         return self._mean.noise_densities(responses, rates_hz, self.settings.snr_db)
 

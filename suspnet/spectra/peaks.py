@@ -326,21 +326,9 @@ def windowed_parabola(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Fit target = constant + curvature (u - vertex)^2, u = f / centre - 1, curve by curve.
 
-    Weighted least squares, the weight of a bin being `weight` times the window
-    exp(-(log(f / centre) / half width)^4 / 2).
-
-    Parameters
-    ----------
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-    target, weight : tensors of shape (n_curves, n_freq)
-    centre : tensor of shape (n_curves,), [Hz]
-    below, above : tensors of shape (n_curves,)
-        Half widths of the window on either side, in log-frequency.
-
-    Returns
-    -------
-    constant, vertex, curvature : tensors of shape (n_curves,)
-        NaN where the bins do not determine them.
+    Weighted least squares, the weight of a bin being `weight` (n_curves, n_freq) times the window
+    exp(-(log(f / centre) / half width)^4 / 2) with the half widths `below` and `above` in
+    log-frequency. Constant, vertex and curvature are NaN where the bins do not determine them.
     """
     bins = _bins_within(frequencies_hz, centre, below, above)
     near = frequencies_hz[bins]
