@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
-from suspnet.estimation.healthy import HealthyValues
+from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import Unexplained

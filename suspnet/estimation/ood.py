@@ -4,7 +4,7 @@ Six kinds of flags, each with its reason in words: a peak is missing; the featur
 cloud of the training curves; a parameter lies outside the range of the training curves; the
 generator, with whatever parameters, does not explain the curve; it did not explain the healthy
 trips that it was commissioned on (`suspnet.estimation.physics`, which sets that flag); or left and
-right differ, which estimates take as equal (`suspnet.estimation.sides`, which sets that one).
+right differ, which estimates take as equal (`suspnet.estimation.trip_flags`, which sets that one).
 """
 
 from __future__ import annotations

@@ -8,14 +8,12 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from suspnet.estimation.conformal import Conformal
-from suspnet.estimation.feature_data import FeatureData
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves, identified
-from suspnet.estimation.intervals import Intervals, residuals
+from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import WORN, Residual, Unexplained
-from suspnet.estimation.problem import CALIBRATE, TRAIN, Problem
+from suspnet.estimation.problem import CALIBRATE, TRAIN, FeatureData, Problem
 from suspnet.ground.types import FloatArray
 from suspnet.runs.predict import refine_stream, regress_stream
 from suspnet.spectra.estimate_observer import EstimateObserver

@@ -12,9 +12,15 @@ from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.drawing import draw_predictions
 from suspnet.runs.predict import predict_stream
-from suspnet.runs.scores import Metrics, headline, log_hyperparameters, report, scores
+from suspnet.runs.scores import (
+    Metrics,
+    draw_predictions,
+    headline,
+    log_hyperparameters,
+    report,
+    scores,
+)
 
 
 def evaluate(

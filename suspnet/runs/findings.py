@@ -10,8 +10,14 @@ from typing import Any
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.estimation.bounds import UNIDENTIFIED, Bound, Direction, best_addition_sentence, listed
-from suspnet.estimation.options import Option
+from suspnet.estimation.identifiability import (
+    UNIDENTIFIED,
+    Bound,
+    Direction,
+    Option,
+    best_addition_sentence,
+    listed,
+)
 from suspnet.estimation.protocols import Task
 
 UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}

@@ -12,8 +12,7 @@ from typing import Any
 import torch
 
 from suspnet.estimation.checkpoint import parameters
-from suspnet.estimation.feature_data import FeatureData
-from suspnet.estimation.problem import TRAIN, Problem
+from suspnet.estimation.problem import TRAIN, FeatureData, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar

@@ -10,7 +10,6 @@ from typing import TypeVar
 import numpy as np
 from torch import Tensor
 
-from suspnet.estimation.feature_data import FeatureData
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import (
     MASS,
@@ -21,8 +20,7 @@ from suspnet.estimation.from_curves import (
     residual_scales,
 )
 from suspnet.estimation.ood import Flags
-from suspnet.estimation.parallel import pool_of
-from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, Problem
+from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, FeatureData, Problem, pool_of
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray

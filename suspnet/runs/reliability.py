@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.stats import norm
+from tabulate import tabulate
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, Vehicle
@@ -30,12 +33,11 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.metrics import covers, interval_scores
+from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.report.table6 import MODEL_TITLES, records_csv
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.evaluate import find_runs
 from suspnet.runs.predict import Outcome, predict_stream
-from suspnet.runs.reliability_figure import reliability_figure
-from suspnet.runs.reliability_findings import Reliability, markdown, records
 from suspnet.runs.scores import LEVEL, label
 from suspnet.spectra.observation import MOST_CURVES
 
@@ -218,3 +220,113 @@ def _shares(found: BoolArray) -> dict[str, float]:
     """Return the share of curves with each kind of flag, and with any, in %."""
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares
+
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Coverage and flags measured of one model.
+
+    Attributes
+    ----------
+    name : str
+        Method, protocol and group.
+    intervals : dict
+        As ``interval_scores`` for each kind of interval, with `slices`: the coverage of each
+        output in each fifth of each parameter, {parameter: {output: [..]}}.
+    flags : dict
+        {set of curves: {kind of flag: share [%]}}, with `any`.
+    """
+
+    name: str
+    intervals: dict[str, dict[str, Any]]
+    flags: dict[str, dict[str, float]]
+
+
+def records(found: list[Reliability]) -> Iterator[Record]:
+    """Yield one record for each number measured: model, what, of, value [%]."""
+    for one in found:
+        for kind, scores in one.intervals.items():
+            for output, values in scores["outputs"].items():
+                for what, value in values.items():
+                    yield _record(one, f"{kind} {what}", output, value)
+            joint = scores["joint_coverage_percent"]
+            yield _record(one, f"{kind} coverage_percent", "all at once", joint)
+            for name, by_output in scores["slices"].items():
+                for output, values in by_output.items():
+                    for k, value in enumerate(values):
+                        of = f"{output}, {name} in fifth {k + 1}"
+                        yield _record(one, f"{kind} coverage_percent", of, value)
+        for name, shares in one.flags.items():
+            for kind, value in shares.items():
+                yield _record(one, f"flagged_percent {kind}", name, value)
+
+
+def _record(one: Reliability, what: str, of: str, value: float) -> Record:
+    """Return one number as a record."""
+    return {"model": one.name, "what": what, "of": of, "percent": value}
+
+
+def markdown(one: Reliability) -> str:
+    """Return one model's coverage and flags as Markdown."""
+    rows = []
+    for kind, scores in one.intervals.items():
+        for output, values in scores["outputs"].items():
+            sliced = [v for by in scores["slices"].values() for v in by[output] if math.isfinite(v)]
+            row = [values["half_width_percent"], values["coverage_percent"]]
+            rows.append([kind, output, *row, min(sliced), max(sliced)])
+        rows.append([kind, "all at once", None, scores["joint_coverage_percent"], None, None])
+    title = f"{100 * LEVEL:g} % interval"
+    header = [title, "output", "+- %", "covers %", "least slice %", "largest slice %"]
+    formats = ("", "", ".3g", ".2f", ".1f", ".1f")
+    first = tabulate(rows, header, tablefmt="github", floatfmt=formats, missingval="-")
+    flags = [[name, *shares.values()] for name, shares in one.flags.items()]
+    header = ["curves", "flagged %", "peak missing", "beyond cloud", "out of range", "misfit"]
+    second = tabulate(flags, header, tablefmt="github", floatfmt=".2f")
+    return f"## {one.name}\n\n{first}\n\n{second}\n"
+
+
+NOMINAL, TOLERANCE = 90.0, 1.5
+"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
+
+
+def reliability_figure(found: Sequence[Reliability]) -> Figure:
+    """Draw the coverage of each parameter's slices and the share of flagged curves of each set."""
+    height = max(3.2, 0.9 + 0.2 * len(found[0].flags))
+    figure = Figure(figsize=(10.0, height * len(found)), layout="constrained")
+    axes = figure.subplots(len(found), 2, squeeze=False, width_ratios=(1.3, 1))
+    for one, (left, right) in zip(found, axes, strict=True):
+        _draw_slices(left, one)
+        left.set_title(one.name, fontsize="medium")
+        _draw_flags(right, one)
+    return figure
+
+
+def _draw_slices(axis: Axes, one: Reliability) -> None:
+    """Draw a line for each output over the fifths of each parameter; dashed is a GP's own."""
+    axis.axhspan(NOMINAL - TOLERANCE, NOMINAL + TOLERANCE, color="0.9")
+    axis.axhline(NOMINAL, color=BOUND_COLOUR, lw=0.8)
+    for style, scores in zip(("o-", "s--"), one.intervals.values(), strict=False):
+        for place, by_output in enumerate(scores["slices"].values()):
+            for j, (output, values) in enumerate(by_output.items()):
+                x = [place + (k - 2) * 0.17 for k in range(len(values))]
+                named = SYMBOLS[output] if place == 0 and style == "o-" else None
+                axis.plot(x, values, style, color=f"C{j}", ms=3, lw=1, label=named)
+    names = list(next(iter(one.intervals.values()))["slices"])
+    axis.set_xticks(range(len(names)), [f"fifths of {SYMBOLS[name]}" for name in names])
+    axis.set_ylabel(f"coverage of {NOMINAL:g} % intervals [%]")
+    axis.margins(y=0.25)
+    axis.legend(ncols=4, fontsize="small", loc="lower center")
+
+
+def _draw_flags(axis: Axes, one: Reliability) -> None:
+    """Draw a bar for the share of flagged curves of each set."""
+    names = list(one.flags)[::-1]
+    values = [one.flags[name]["any"] for name in names]
+    axis.barh(names, values, color=[OUR_COLOUR if v > 1 else "0.6" for v in values])
+    for place, value in enumerate(values):
+        axis.text(min(value, 100) + 1, place, f"{value:.3g}", va="center", fontsize="x-small")
+    axis.tick_params(axis="y", labelsize="x-small")
+    axis.set(xlabel="flagged [%]", xlim=(0, 112))

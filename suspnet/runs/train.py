@@ -3,39 +3,44 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
+from tabulate import tabulate
 
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import TEST, Problem
+from suspnet.ground.checks import check_number
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.calibrate import calibrated, with_unexplained
-from suspnet.runs.drawing import draw_run
 from suspnet.runs.fit import fit, method_name, tune
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (
     Metrics,
+    draw_run,
     headline,
     log_hyperparameters,
     report,
     rms_percent,
     scores,
 )
+from suspnet.spectra.speeds import SpeedRange
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
@@ -175,3 +180,78 @@ def environment() -> dict[str, Any]:
         "packages": {name: version(name) for name in PACKAGES},
         "commit": git.stdout.strip() or None,
     }
+
+
+def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
+    """Return the fewest bins that cover a range of speeds, equal in logarithm, edge to edge.
+
+    Parameters
+    ----------
+    speeds : sequence of 2 floats, [m/s]
+        Lowest and highest.
+    half_width : float, [-]
+        Largest half width of a bin relative to its middle.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If these are not two ascending speeds, or the half width is not above 0.
+    """
+    if len(speeds) != 2:
+        raise ValueError(
+            "`speed_m_per_s` must be one speed or the lowest and the highest of a range, "
+            f"[45,80], got {list(speeds)}"
+        )
+    low, high = speeds
+    check_number("speed_m_per_s[0]", low, above=0)
+    check_number("speed_m_per_s[1]", high, above=low)
+    check_number("data.speed_half_width", half_width, above=0, below=1)
+    widest = math.log((1 + half_width) / (1 - half_width))
+    n_bins = math.ceil(math.log(high / low) / widest - 1e-9)
+    edges = [low * (high / low) ** (i / n_bins) for i in range(n_bins)] + [high]
+    return [SpeedRange(*pair) for pair in pairwise(edges)]
+
+
+def train_ranges(
+    ranges: Sequence[SpeedRange], train_one: Callable[[SpeedRange, Path], Metrics], folder: Path
+) -> None:
+    """Train a model for each range of speeds in a folder of its own, and compare them.
+
+    Writes speeds.json: for each range its folder, ends and middle [m/s], and metrics.json's scores.
+
+    Parameters
+    ----------
+    ranges : sequence of SpeedRange
+    train_one : function
+        Trains the model of a range into a folder and returns what metrics.json holds; empty in a
+        process that neither writes nor tests.
+    folder : Path
+    """
+    rows: list[dict[str, Any]] = []
+    for one in ranges:
+        metrics = train_one(one, folder / one.name)
+        if metrics:
+            rows.append(_row(one, metrics))
+    if rows:
+        write_json(folder / "speeds.json", rows)
+        log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
+
+
+def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a range's model is and how well it does."""
+    keys = ("scores", "rms_percent", "intervals", "seconds")
+    return {
+        "folder": one.name,
+        "low_m_per_s": one.low_m_per_s,
+        "high_m_per_s": one.high_m_per_s,
+        "trained_m_per_s": one.trained_m_per_s,
+    } | {key: metrics[key] for key in keys if key in metrics}
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rms errors of each range's model as a table."""
+    body = [
+        [f"{row['low_m_per_s']:.1f} to {row['high_m_per_s']:.1f} m/s", *row["rms_percent"].values()]
+        for row in rows
+    ]
+    return tabulate(body, ["speed", *rows[0]["rms_percent"]], tablefmt="github", floatfmt=".2g")

@@ -13,9 +13,8 @@ from vehicles import AM96
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
 from suspnet.estimation.checkpoint import load_model, save_model
-from suspnet.estimation.conformal import Conformal
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.intervals import Intervals, ResidualScale
+from suspnet.estimation.intervals import Conformal, Intervals, ResidualScale
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.problem import Problem

@@ -12,11 +12,10 @@ from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation import from_spectra as trust
-from suspnet.estimation.conformal import Conformal
 from suspnet.estimation.from_curves import corrected, estimate_curves
 from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_spectra
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.intervals import Conformal, Intervals
 from suspnet.spectra import estimate_observer
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.wishart import moving_average_with, sample_spectra

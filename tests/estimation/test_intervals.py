@@ -7,8 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.estimation.conformal import Conformal
-from suspnet.estimation.intervals import SMALLEST_SHARE, Intervals, ResidualScale, residuals
+from suspnet.estimation.intervals import (
+    SMALLEST_SHARE,
+    Conformal,
+    Intervals,
+    ResidualScale,
+    residuals,
+)
 
 LEVEL = 0.9
 MEAN_LOG_NORMAL = -(np.euler_gamma + math.log(2)) / 2

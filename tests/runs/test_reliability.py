@@ -25,11 +25,12 @@ from suspnet.runs.reliability import (
     _gp_intervals,
     _odd_sets,
     _slices,
+    markdown,
     measure,
+    records,
+    reliability_figure,
     write_reliability,
 )
-from suspnet.runs.reliability_figure import reliability_figure
-from suspnet.runs.reliability_findings import markdown, records
 from suspnet.spectra.curves import CurveSettings
 from tests.vehicles import AM96
 
