@@ -81,7 +81,6 @@ def fingerprint(model: TrainedModel) -> str:
 
 
 def _files(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
-    """Return what model.safetensors and model.json hold."""
     arrays = dict(model.estimator.state())
     for prefix, part in ((FEATURES, model.task.extractor), *_calibration(model)):
         arrays |= {prefix + name: array for name, array in part.state().items()}
@@ -116,7 +115,6 @@ def _described(model: TrainedModel) -> dict[str, Any]:
 
 
 def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:
-    """Return the calibrated parts that a model has, with the prefixes of their arrays."""
     pairs = ((INTERVALS, model.intervals), (OOD, model.ood), (PHYSICS, model.unexplained))
     return [(prefix, part) for prefix, part in pairs if part is not None]
 
@@ -154,13 +152,6 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
 
 
 def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
-    """Return the model of a description and its arrays, after all checks.
-
-    Raises
-    ------
-    TypeError, ValueError, KeyError, ...
-        If a setting, a shape or a number is not that of a model.
-    """
     check_numbers(content)
     check_arrays(arrays)
     with warnings.catch_warnings():
@@ -181,7 +172,6 @@ def parameters(estimator: Any) -> dict[str, Any]:
 
 
 def _check_description(path: Path, content: Any) -> None:
-    """Raise ModelFileError if model.json is foreign, outdated or altered."""
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
     if content["schema_version"] != SCHEMA_VERSION:
@@ -197,7 +187,6 @@ def _check_description(path: Path, content: Any) -> None:
 
 
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
-    """Return the model of a checked description and its arrays."""
     estimator_type = METHODS[content["model"]]
     arguments = dict(content["parameters"])
     if "device" in arguments:
@@ -252,19 +241,16 @@ def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
 
 
 def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
-    """Return a dataclass as JSON-able values with the name of its kind."""
     kind = next(name for name, one in kinds.items() if type(value) is one)
     return {"kind": kind, **asdict(value)}
 
 
 def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
-    """Return the dataclass that `_tagged` made JSON-able."""
     arguments = _with_tuples(content)
     return kinds[arguments.pop("kind")](**arguments)
 
 
 def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping with tuples for JSON's lists."""
     return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
 
 
@@ -277,7 +263,6 @@ def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, 
 
 
 def _scaling(content: dict[str, Any]) -> Scaling | None:
-    """Return the scaling that `_scaling_json` made JSON-able."""
     if "mean" not in content:
         return None
     return Scaling(np.array(content["mean"]), np.array(content["scale"]), content["log"])

@@ -157,10 +157,8 @@ def commission(
         With the prior as its distribution.
     settings : EstimateSettings
         Bound to the vehicle: bins, window and estimator.
-    groups : sequence of HealthySpectra
     n_starts : int
         Most searches that are finished, of those at the first spread.
-    progress : bool
 
     Raises
     ------
@@ -388,7 +386,6 @@ class _Target:
 
 
 def _row(x: FloatArray) -> Tensor:
-    """Return one point as a tensor of one row."""
     return torch.as_tensor(x)[None]
 
 

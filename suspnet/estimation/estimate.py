@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy import stats
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.dynamics.vehicle import UNITS
-from suspnet.estimation.ood import Flags
 from suspnet.ground.checks import check_number
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import BoolArray, FloatArray
 
 ENDS = ("value", "low", "high")
 SHOWN = 10
@@ -108,13 +107,11 @@ class Estimate:
         }
 
     def _si(self, si: tuple[FloatArray, ...], row: int, j: int) -> dict[str, Any]:
-        """Return one parameter of one row in SI units."""
         assert self.healthy is not None
         ends = {key: _number(part[row, j]) for key, part in zip(ENDS, si, strict=True)}
         return {"si": ends | {"unit": self.healthy.units[j]}}
 
     def _line(self, row: int) -> str:
-        """Return one row in words: values, intervals and flags."""
         parts = []
         for j, name in enumerate(self.names):
             if np.isnan(self.values[row, j]):
@@ -128,7 +125,6 @@ class Estimate:
 
 
 def _number(value: float) -> float | None:
-    """Return a number, None if it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
@@ -207,3 +203,38 @@ class HealthyValues:
         half = np.hypot(half_widths, self.half_widths(level))
         with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
             return values, values * np.exp(-half), values * np.exp(half)
+
+
+KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
+
+
+@dataclass(frozen=True)
+class Flags:
+    """Reasons not to trust each estimate.
+
+    Attributes
+    ----------
+    found : bool array of shape (n_curves, 6)
+        Columns as ``KINDS``.
+    reasons : tuple of str
+        For each curve; empty where nothing was found.
+    """
+
+    found: BoolArray
+    reasons: tuple[str, ...]
+
+    @classmethod
+    def none(cls, n_curves: int) -> Self:
+        """Return flags of `n_curves` estimates of which none is set."""
+        return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
+
+    @property
+    def flagged(self) -> BoolArray:
+        """Whether anything was found, shape (n_curves,)."""
+        return np.asarray(self.found.any(axis=1))
+
+    def with_kind(self, kind: str, words: str) -> Flags:
+        """Return flags of which each has one of ``KINDS`` and its words too."""
+        found = self.found.copy()
+        found[:, KINDS.index(kind)] = True
+        return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))

@@ -49,7 +49,6 @@ def feature_information(
 
     Parameters
     ----------
-    observer : Observer
     extractor : FeatureSet
         Fitted, if it learns from curves.
     ratios : array of shape (n_vehicles, 5), [-]
@@ -97,7 +96,6 @@ def feature_loss(
     ----------
     task : Task
         Its feature set fitted.
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
 
     Raises

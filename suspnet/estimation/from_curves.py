@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.ood import Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray, IntArray
@@ -37,7 +36,6 @@ def estimate_curves(
 
     Parameters
     ----------
-    method : FittedMethod
     observer : Observer
         How the curves were observed, with the method's own generator.
     curves : tensor of shape (n_curves, 2, n_freq), [-]
@@ -101,8 +99,6 @@ def regress(
 
     Parameters
     ----------
-    method : FittedMethod
-    observer : Observer
     inputs : array of shape (n_curves, n_inputs), [-]
         Features relative to healthy (and the mass).
     curves : tensor of shape (n_curves, 2, n_freq), [-]

@@ -25,11 +25,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.ood import Flags
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
@@ -141,7 +140,6 @@ def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    outputs : sequence of str
     ratios : array of shape (n_outputs,), [-]
         Estimates.
 
@@ -196,7 +194,6 @@ def _estimate(
     level: float,
     flags: Flags | None = None,
 ) -> Estimate:
-    """Return an estimate of one row whose interval is symmetric in logarithms."""
     half = np.full(len(values), np.nan) if half_widths is None else half_widths
     with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
         low, high = values * np.exp(-half), values * np.exp(half)
@@ -225,7 +222,6 @@ def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatAr
 def _refined(
     method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
 ) -> Refined:
-    """Return the maximum-likelihood estimate from a trip's spectra."""
     misfit = observer.measured_misfit(spectra)
     return refine(method.task, misfit, predicted, directions=observer.directions)
 

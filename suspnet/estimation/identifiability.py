@@ -90,8 +90,6 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
 
     Parameters
     ----------
-    task : Task
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     """
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
@@ -135,7 +133,6 @@ def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> lis
 
 
 def _against(responses: Sequence[str], measured: Sequence[str]) -> Kind:
-    """Return whether responses are more, less or other than those measured."""
     if set(responses) > set(measured):
         return "more"
     return "less" if set(responses) < set(measured) else "other"
@@ -251,7 +248,6 @@ def bounds(option: Option, ratios: FloatArray) -> list[Bound]:
 
     Parameters
     ----------
-    option : Option
     ratios : array of shape (1 + n_vehicles, 5), [-]
         Those of the information, from `with_healthy`.
     """
@@ -319,7 +315,6 @@ def directions(information: FloatArray, parameters: Sequence[str]) -> list[Direc
     ----------
     information : array of shape (n_parameters, n_parameters)
         With respect to ratios, at the healthy vehicle: there, with respect to logarithms as well.
-    parameters : sequence of str
     """
     names, size = tuple(parameters), len(parameters)
     seen = np.diag(information) > 0

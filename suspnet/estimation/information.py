@@ -50,7 +50,6 @@ def fisher_information(
 
     Parameters
     ----------
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     parameters, responses : sequences of str
         From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
@@ -77,7 +76,6 @@ def joint_information(
 
     Parameters
     ----------
-    observer, ratios, parameters, responses : as of `fisher_information`
     directions : Directions, optional
         Coordinates of the uncertain numbers; None is the observer's own.
 
@@ -111,7 +109,6 @@ def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
     Parameters
     ----------
     information : array of shape (..., n_parameters + n_z, n_parameters + n_z)
-    n_parameters : int
     """
     n = n_parameters
     found = information[..., :n, :n]
@@ -184,7 +181,6 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
 
     Parameters
     ----------
-    task : Task
     ratios : array of shape (n_vehicles, 5), [-]
         Over which the errors are averaged.
     """
@@ -217,8 +213,6 @@ def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatAr
 
     Parameters
     ----------
-    task : Task
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     """
     information = fisher_information(observer, ratios, task.unknown, task.responses)
@@ -235,7 +229,6 @@ def best_possible(
 
     Parameters
     ----------
-    task : Task
     bounds : array of shape (n_vehicles, n_outputs), [-]
         From `output_bounds`.
     ratios : array of shape (n_vehicles, 5), [-]

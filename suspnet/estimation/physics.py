@@ -20,7 +20,7 @@ from typing import Self
 
 import numpy as np
 
-from suspnet.estimation.ood import Flags
+from suspnet.estimation.estimate import Flags
 from suspnet.ground.types import ComplexArray, FloatArray
 
 INCOMPLETE = 1.09

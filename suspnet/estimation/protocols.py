@@ -177,7 +177,6 @@ class Task:
         return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
 
     def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return scrambled Sobol points in the range of the varied parameters."""
         if n_curves is None:
             raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
         rng = np.random.default_rng([seed, stream])
@@ -292,7 +291,6 @@ class Protocol:
         )
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
-        """Return the feature set of a group's entry."""
         if self.feature_set == "curve":
             if set(entry["responses"]) != set(RESPONSES):
                 raise ValueError(
@@ -309,7 +307,6 @@ class Protocol:
 
 
 def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
-    """Return names if each is allowed and none is given twice; else raise ValueError."""
     if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
         raise ValueError(
             f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"

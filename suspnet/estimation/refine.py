@@ -147,7 +147,6 @@ def refine(
 
     Parameters
     ----------
-    task : Task
     misfit : Misfit
         Of n_curves curves.
     estimates : array of shape (n_curves, n_outputs), [-]

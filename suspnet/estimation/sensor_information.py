@@ -73,7 +73,6 @@ def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz:
 
     Parameters
     ----------
-    generator : ResponseGenerator
     ratios : tensor of shape (n_vehicles, 5) or wider, [-]
     frequencies_hz : tensor of shape (n_freq,), [Hz]
     """
@@ -215,7 +214,6 @@ def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
 
 
 def _checked(counts: ArrayLike, n_places: int) -> Tensor:
-    """Return the counts as a tensor; raise ValueError if they are not such a table."""
     numbers = torch.as_tensor(np.asarray(counts, dtype=np.float64))
     if numbers.ndim != 2 or numbers.shape[1] != n_places:
         raise ValueError(

@@ -90,7 +90,6 @@ class TrainedModel(FittedMethod):
         return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
 
     def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
-        """Return one positive mass ratio for each curve, or None where the model takes none."""
         if self.task.mass_known != (mass is not None):
             raise ValueError(
                 "the model was trained to know the car-body mass: give `mass`, 1 is healthy"
@@ -110,7 +109,6 @@ class TrainedModel(FittedMethod):
 def _checked_curves(
     data: ArrayLike | Tensor, frequencies_hz: ArrayLike | None, bins: Tensor
 ) -> Tensor:
-    """Return curves (n_curves, 2, n_freq) on the bins of a model."""
     values = data if isinstance(data, Tensor) else torch.as_tensor(np.asarray(data))
     values = values.to(torch.complex128 if values.is_complex() else torch.float64)
     values = values[None] if values.ndim == 2 else values

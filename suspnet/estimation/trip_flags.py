@@ -55,7 +55,6 @@ def delay_words(
         Of a trip on the method's bins, (3, n_freq).
     estimate : Estimate
         Of one row, from the spectra.
-    speeds : Speeds
     """
     observer = trip_observer(method).at(speeds)
     ratios = torch.as_tensor(complete_ratios(method.task, estimate.values))
@@ -144,8 +143,6 @@ def with_sides(
     ----------
     estimate : Estimate
         Of one row, from `bins`.
-    bins : sequence of SpeedBin
-    recording : Recording
     """
     words = spoken_sides(weaker_sides(largest(bins), recording, estimate.values[0]))
     if not words:
@@ -161,8 +158,6 @@ def weaker_sides(
 
     Parameters
     ----------
-    speed_bin : SpeedBin
-    recording : Recording
     estimates : array of shape (n_outputs,), [-]
         The trip's, of the method's outputs.
     """
@@ -197,7 +192,6 @@ def bounce_of(
 
     Parameters
     ----------
-    generator : ResponseGenerator
     ratios : array of shape (5,), [-]
     frequencies_hz : array of shape (n_freq,), [Hz]
     to_frame, to_body : complex arrays of shape (n_freq,), [-]

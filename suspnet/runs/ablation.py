@@ -106,7 +106,6 @@ def figure(records: Sequence[Record]) -> Figure:
 
 
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
-    """Draw the records of one output against the baseline and the bounds."""
     axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
         if record["ablation"] == BASELINE:
@@ -128,7 +127,6 @@ def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) ->
 
 
 def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """Return the metrics of a run with its configuration and what its features lose."""
     metrics: dict[str, Any] = read_json(folder / "metrics.json")
     lost = features_ratio(load_model(folder), known)
     return metrics | {
@@ -245,7 +243,6 @@ def ablation_caption(records: Sequence[Record]) -> str:
 def _records(
     run: Mapping[str, Any], baseline: Mapping[str, Any] | None, changed: Mapping[str, Any] | None
 ) -> list[Record]:
-    """Return the records of one run, one for each output."""
     told = None
     if changed is not None:
         told = " ".join(f"{key}={_shown(value)}" for key, value in changed.items())
@@ -273,7 +270,6 @@ def _records(
 
 
 def _setting(run: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what a run shares with its baseline."""
     return run["protocol"], run["group"], run["seed"]
 
 
@@ -285,24 +281,20 @@ def _order(run: Mapping[str, Any], changed: Mapping[str, Any] | None) -> tuple[A
 
 
 def _place(key: str) -> tuple[int, str]:
-    """Return the sorting key of a setting's name."""
     first = key.split(".")[0]
     return (PARTS.index(first) if first in PARTS else len(PARTS), key)
 
 
 def _rank(value: Any) -> tuple[float, str]:
-    """Return the sorting key of a setting's value."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return (float(value) if number else 0.0, str(value))
 
 
 def _shown(value: Any) -> str:
-    """Return a value as it is written on the command line."""
     if isinstance(value, float):
         return f"{value:g}"
     return value if isinstance(value, str) else json.dumps(value)
 
 
 def _over(value: float | None, other: float | None) -> float | None:
-    """Return a quotient, None if a part is missing or 0."""
     return None if value is None or not other else value / other

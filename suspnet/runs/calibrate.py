@@ -107,7 +107,6 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
 
 
 def _rms(values: FloatArray) -> FloatArray:
-    """Return the root of the mean square of each column."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 

@@ -46,13 +46,10 @@ def evaluate(
         Where metrics.json and figures go.
     seed : int
         Of the fresh curves; another one than the run's.
-    n_test : int or "all"
     snr_db : float, optional
         The run's own if None.
     protocol : Protocol, optional
         The run's own if None; else one with the same features that varies the model's outputs.
-    threads : int
-    device : str
     progress, figures : bool
         Whether to show how far it is, and to draw.
 

@@ -147,7 +147,6 @@ def plain(found: Findings) -> dict[str, Any]:
 
 
 def _bounds_table(found: Findings) -> str:
-    """Return the bounds of what is measured now, as Markdown."""
     rows = []
     for bound in found.bounds_now:
         unit, least = UNITS[bound.parameter], found.bound_at_healthy(bound)
@@ -166,7 +165,6 @@ def _bounds_table(found: Findings) -> str:
 
 
 def _directions_table(found: Sequence[Direction]) -> str:
-    """Return the directions and the changes along them, as Markdown."""
     rows = []
     for direction in found:
         if math.isfinite(direction.deviation_percent):
@@ -179,7 +177,6 @@ def _directions_table(found: Sequence[Direction]) -> str:
 
 
 def _options_table(found: Findings) -> str:
-    """Return the median bounds of every option, as Markdown."""
     rows = []
     for option, part in found.table:
         cells = dict.fromkeys(found.task.varied, "known")
@@ -193,25 +190,21 @@ def _options_table(found: Findings) -> str:
 
 
 def _ratio(found: Findings, bound: Bound) -> float | None:
-    """Return a median bound relative to the baseline's, or None if one of them is infinite."""
     baseline = {now.parameter: now.median_percent for now in found.table[0][1]}
     before, after = baseline.get(bound.parameter, math.inf), bound.median_percent
     return after / before if math.isfinite(before) and math.isfinite(after) else None
 
 
 def _value(value: float, digits: int) -> str:
-    """Return a number with some digits and commas between thousands."""
     rounded = float(f"{value:.{digits}g}")
     return f"{rounded:,.0f}" if rounded >= 100 else f"{rounded:g}"
 
 
 def _percent(value: float) -> str:
-    """Return a percentage with three digits, or the verdict of an infinite one."""
     if math.isinf(value):
         return UNIDENTIFIED
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    """Return a table as Markdown."""
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)

@@ -125,7 +125,6 @@ def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
 
 
 def _count(rows: FloatArray) -> int:
-    """Return the number of rows over all ranks."""
     return int(ranks.all_reduce(torch.tensor([len(rows)])))
 
 
@@ -143,7 +142,6 @@ def _spread(estimator: Any) -> Iterator[None]:
 
 
 def _summary(estimator: Any) -> dict[str, Any]:
-    """Return the scalar fitted attributes of an estimator, and its parameters."""
     fitted = {
         key.removesuffix("_"): value
         for key, value in vars(estimator).items()
@@ -170,7 +168,6 @@ class _Told:
         self._bar.close()
 
     def _tell(self, info: Any) -> None:
-        """Advance the progress bar and log what the estimator reports."""
         self._bar.update()
         if self._log is not None and is_dataclass(info) and not isinstance(info, type):
             values = asdict(info)

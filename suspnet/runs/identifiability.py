@@ -53,10 +53,6 @@ def write_identifiability(
 
     Parameters
     ----------
-    generator : ResponseGenerator
-    protocol : Protocol
-    settings : Observation
-    folder : Path
     group : str or None
         One group of the protocol; None is every group.
     n_vehicles : int
@@ -112,12 +108,8 @@ def identify(
 
     Parameters
     ----------
-    generator : ResponseGenerator
-    task : Task
     settings : Observation
         Bound to the generator's vehicle.
-    n_vehicles : int
-    seed : int
     """
     ratios = with_healthy(task.sample(n_vehicles, seed, TEST))
     choices = options(task, settings.observer(generator), ratios)
@@ -139,7 +131,6 @@ def identify(
 def _setting(
     generator: ResponseGenerator, settings: Observation, task: Task, n_vehicles: int, seed: int
 ) -> str:
-    """Return in words the setting of the bounds and their assumptions."""
     verdicts = ", ".join(f"{word} up to {x:g} %" for x, word in VERDICTS)
     return (
         f"{settings.words()} {generator.assumptions()} {n_vehicles} vehicles, seed {seed}, "
@@ -150,7 +141,6 @@ def _setting(
 
 
 def _range(task: Task) -> str:
-    """Return the ranges of suspension and mass in words."""
     low, high = (f"{100 * end:g}" for end in task.range("k_p"))
     mass_low, mass_high = (f"{100 * end:g}" for end in task.range("M_s"))
     if (low, high) == (mass_low, mass_high):
@@ -197,7 +187,6 @@ def _draw_bounds(axis: Axes, bounds: Sequence[Bound]) -> None:
 
 
 def _draw_options(axis: Axes, table: Sequence[tuple[Option, Sequence[Bound]]]) -> None:
-    """Draw a table of median bounds, blue where they are less than in the first row."""
     rows = [{bound.parameter: bound.median_percent for bound in found} for _, found in table]
     names = [name for name in PARAMETERS if any(name in row for row in rows)]
     medians = np.array([[row.get(name, np.nan) for name in names] for row in rows])
@@ -215,5 +204,4 @@ def _draw_options(axis: Axes, table: Sequence[tuple[Option, Sequence[Bound]]]) -
 
 
 def _symbolic(words: str) -> str:
-    """Return words with the two responses set as mathematics."""
     return words.replace("G_p", "$G_p$").replace("G_s", "$G_s$")

@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 from torch import Tensor
 
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import (
     MASS,
@@ -19,7 +20,6 @@ from suspnet.estimation.from_curves import (
     regress,
     residual_scales,
 )
-from suspnet.estimation.ood import Flags
 from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, FeatureData, Problem, pool_of
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar

@@ -23,8 +23,8 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import MASS, estimate_curves
-from suspnet.estimation.ood import KINDS
 from suspnet.estimation.problem import BLOCK, TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
@@ -68,14 +68,10 @@ def write_reliability(
         Folder of a run, or of a whole multirun.
     others : mapping
         Vehicles of another type than the model's, by name.
-    folder : Path
     n_test, n_odd : int
         Curves like the training curves, and of each set unlike them.
     seed : int
         Of the curves; not a run's own.
-    threads : int or None
-    device : str
-    progress : bool
 
     Raises
     ------
@@ -138,7 +134,6 @@ def measure(
 def _intervals(
     problem: Problem, model: TrainedModel, outcome: Outcome
 ) -> dict[str, dict[str, Any]]:
-    """Return coverage, width and slices of conformal intervals, and of a GP's own."""
     intervals, scales = model.intervals, outcome.scales
     assert intervals is not None
     assert scales is not None
@@ -164,7 +159,6 @@ def _intervals(
 def _gp_intervals(
     model: TrainedModel, inputs: FloatArray, level: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return intervals from the standard deviations that a Gaussian process predicts."""
     assert model.output_scaling is not None
     mean, deviation = model.estimator.predict(model.scaled(inputs), return_std=True)
     half = norm.ppf((1 + level) / 2) * deviation
@@ -186,7 +180,6 @@ def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict
 
 
 def _share(within: BoolArray) -> float:
-    """Return the coverage in %, NaN of no samples."""
     return 100 * float(within.mean()) if len(within) else math.nan
 
 
@@ -265,7 +258,6 @@ def records(found: list[Reliability]) -> Iterator[Record]:
 
 
 def _record(one: Reliability, what: str, of: str, value: float) -> Record:
-    """Return one number as a record."""
     return {"model": one.name, "what": what, "of": of, "percent": value}
 
 
@@ -305,7 +297,6 @@ def reliability_figure(found: Sequence[Reliability]) -> Figure:
 
 
 def _draw_slices(axis: Axes, one: Reliability) -> None:
-    """Draw a line for each output over the fifths of each parameter; dashed is a GP's own."""
     axis.axhspan(NOMINAL - TOLERANCE, NOMINAL + TOLERANCE, color="0.9")
     axis.axhline(NOMINAL, color=BOUND_COLOUR, lw=0.8)
     for style, scores in zip(("o-", "s--"), one.intervals.values(), strict=False):
@@ -322,7 +313,6 @@ def _draw_slices(axis: Axes, one: Reliability) -> None:
 
 
 def _draw_flags(axis: Axes, one: Reliability) -> None:
-    """Draw a bar for the share of flagged curves of each set."""
     names = list(one.flags)[::-1]
     values = [one.flags[name]["any"] for name in names]
     axis.barh(names, values, color=[OUR_COLOUR if v > 1 else "0.6" for v in values])

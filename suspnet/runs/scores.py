@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.information import (
     best_possible,
@@ -18,7 +19,6 @@ from suspnet.estimation.information import (
     range_limited,
     relative_percent,
 )
-from suspnet.estimation.ood import KINDS
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
@@ -151,7 +151,6 @@ def report(metrics: Metrics, folder: Path) -> None:
 
 
 def _trust(metrics: Metrics) -> str:
-    """Return a line on joint coverage and flags, where a model was calibrated."""
     words = []
     if "intervals" in metrics:
         words.append(f"all outputs at once: {metrics['intervals']['joint_coverage_percent']:.1f} %")
@@ -211,14 +210,12 @@ def draw_predictions(
 def _write_figures(
     figures: Mapping[str, Figure], title: str, run_log: RunLog, folder: Path
 ) -> None:
-    """Write figures with a common title to the folder and TensorBoard."""
     for name, figure in figures.items():
         figure.suptitle(title, fontsize="small")
         run_log.figure(name, figure, folder)
 
 
 def _title(problem: Problem, name: str) -> str:
-    """Return the title of a run's figures."""
     task = problem.task
     noise = f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
     return f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {name}, {noise}"

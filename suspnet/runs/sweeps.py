@@ -191,7 +191,6 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
 
 
 def _search_record(run: Run) -> dict[str, Any]:
-    """Return the outcome of a run's search as one record."""
     search = run["search"]
     keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
     return {key: run[key] for key in keys} | {

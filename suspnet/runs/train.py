@@ -67,10 +67,8 @@ def train(
 
     Parameters
     ----------
-    problem : Problem
     estimator : object
         An instance of one of ``suspnet.learning.METHODS``.
-    folder : Path
     search : GridSearch, optional
         Tunes the method first.
     refine : bool
@@ -144,7 +142,6 @@ def train(
 
 
 def _tell(model: FittedMethod) -> None:
-    """Warn if the healthy trips say that the model lacks physics."""
     if model.unexplained is None or not model.unexplained.is_incomplete:
         return
     costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
@@ -157,7 +154,6 @@ def _tell(model: FittedMethod) -> None:
 
 
 def _cost_percent(model: FittedMethod) -> dict[str, float]:
-    """Return what is unexplained of the healthy trips costs each output, [%]."""
     assert model.unexplained is not None
     costs = 100 * model.unexplained.costs
     return dict(zip(model.task.outputs, costs.tolist(), strict=True))
@@ -221,11 +217,9 @@ def train_ranges(
 
     Parameters
     ----------
-    ranges : sequence of SpeedRange
     train_one : function
         Trains the model of a range into a folder and returns what metrics.json holds; empty in a
         process that neither writes nor tests.
-    folder : Path
     """
     rows: list[dict[str, Any]] = []
     for one in ranges:
@@ -238,7 +232,6 @@ def train_ranges(
 
 
 def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a range's model is and how well it does."""
     keys = ("scores", "rms_percent", "intervals", "seconds")
     return {
         "folder": one.name,
@@ -249,7 +242,6 @@ def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the rms errors of each range's model as a table."""
     body = [
         [f"{row['low_m_per_s']:.1f} to {row['high_m_per_s']:.1f} m/s", *row["rms_percent"].values()]
         for row in rows

@@ -8,8 +8,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.distribution import LogNormal
-from suspnet.estimation.estimate import Estimate, HealthyValues
-from suspnet.estimation.ood import Flags
+from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 
 POSTERIOR = LogNormal(
     ("healthy_c_p", "body_gyration", "healthy_k_s"),

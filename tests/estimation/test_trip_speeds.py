@@ -11,10 +11,9 @@ from trip_fixtures import OUTPUTS, model_at
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_curves import corrected
 from suspnet.estimation.from_spectra import estimate_spectra
-from suspnet.estimation.ood import Flags
 from suspnet.estimation.speed_bin import combined
 from suspnet.estimation.speed_groups import same_speed
 from suspnet.spectra.cross_spectra import CrossSpectra

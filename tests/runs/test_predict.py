@@ -11,9 +11,9 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.estimation.checkpoint import load_model, save_model
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.ood import KINDS
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.estimation.refine import refine
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression

@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
 from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.ood import KINDS
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR, MVGPR
 from suspnet.runs.calibrate import calibrated
