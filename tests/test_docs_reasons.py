@@ -20,7 +20,6 @@ TELLING = (
     "suspnet/estimation/healthy_trips.py",
     "suspnet/trips/check.py",
     "suspnet/trips/checked_manifests.py",
-    "suspnet/estimation/trip_flags.py",
     "suspnet/estimation/from_recording.py",
     "suspnet/estimation/from_spectra.py",
     "suspnet/estimation/trip_flags.py",
@@ -30,6 +29,8 @@ TELLING = (
     "suspnet/trips/trip.py",
     "suspnet/estimation/ood.py",
     "suspnet/estimation/physics.py",
+    "suspnet/spectra/plausibility.py",
+    "suspnet/spectra/segments.py",
     "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""
