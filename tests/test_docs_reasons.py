@@ -174,7 +174,7 @@ def test_every_module_that_refuses_or_flags_a_trip_is_looked_at():
     for path in (ROOT / "suspnet").rglob("*.py"):
         code = path.read_text(encoding="utf-8")
         if re.search(
-            r"raise (?:TripError|NoEstimateError|MissingFeaturesError)\b|with_kind\(", code
+            r"raise (?:TripError|NoEstimateError|MissingFeaturesError)\b|\.with_kind\(", code
         ):
             assert path.relative_to(ROOT).as_posix() in looked_at, path
 

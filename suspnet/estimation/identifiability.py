@@ -18,7 +18,11 @@ from suspnet.estimation.information import (
     without_uncertain,
 )
 from suspnet.estimation.protocols import RESPONSES, Task
-from suspnet.estimation.sensor_information import THREE_SENSORS, places, recording_information
+from suspnet.estimation.sensor_information import (
+    THREE_SENSORS,
+    recording_information,
+    sensor_places,
+)
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
 from suspnet.spectra.estimate_observer import EstimateObserver
@@ -140,7 +144,7 @@ def _against(responses: Sequence[str], measured: Sequence[str]) -> Kind:
 
 def _from_recordings(task: Task, observer: EstimateObserver, ratios: FloatArray) -> list[Option]:
     """Return the options of a trip, all of ``task.varied`` unknown."""
-    names = places(observer.generator)
+    names = sensor_places(observer.generator)
     one = np.eye(len(names))
     three = one[: len(THREE_SENSORS)].sum(axis=0)
     choices = {"three sensors": three}

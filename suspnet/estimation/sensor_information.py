@@ -52,14 +52,14 @@ ROUNDING = 1e-24
 THREE_SENSORS = ("axle box", "bogie", "body")
 
 
-def places(generator: ResponseGenerator) -> tuple[str, ...]:
+def sensor_places(generator: ResponseGenerator) -> tuple[str, ...]:
     """Return the names of the places of sensors: the three, then ``further_places``."""
     return THREE_SENSORS + generator.further_places
 
 
 def _on_body(generator: ResponseGenerator) -> Tensor:
-    """Return which of ``places`` are on the body, bool (n_places,)."""
-    return torch.tensor([place.startswith("body") for place in places(generator)])
+    """Return which of `sensor_places` are on the body, bool (n_places,)."""
+    return torch.tensor([place.startswith("body") for place in sensor_places(generator)])
 
 
 def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
@@ -69,7 +69,7 @@ def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[flo
 
 
 def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-    """Return each of ``places`` for each input, (n_vehicles, n_inputs, n_places, n_freq).
+    """Return each of `sensor_places` for each input, (n_vehicles, n_inputs, n_places, n_freq).
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def recording_information(
     parameters : sequence of str
         From ``PARAMETERS``; the others are known.
     counts : array of shape (n_choices, n_places)
-        How many sensors each choice has at each of ``places(generator)``; two at one place
+        How many sensors each choice has at each of ``sensor_places(generator)``; two at one place
         have half the noise density of one.
 
     Returns
@@ -114,7 +114,7 @@ def recording_information(
         If the counts have another shape, or a choice has no sensor.
     """
     generator, settings = observer.generator, observer.settings
-    numbers = _checked(counts, len(places(generator)))
+    numbers = _checked(counts, len(sensor_places(generator)))
     bins = observer.frequencies_hz
     rates_hz = _rates_hz(generator, settings.rates_hz)
     noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
