@@ -14,7 +14,7 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_recording import TripSettings, estimate_recording
-from suspnet.estimation.from_spectra import estimate_spectra
+from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.recordings import Recording, load_recording, read_manifest
 from suspnet.spectra.cross_spectra import CrossSpectra
 
@@ -78,7 +78,7 @@ class TrainedModel(FittedMethod):
             If curves, frequencies or masses do not fit the model.
         """
         if isinstance(data, CrossSpectra):
-            return estimate_spectra(self, data, level)
+            return estimate_with_noise(self, data, level)[0]
         if isinstance(data, str | Path | Recording):
             chosen = replace(settings or TripSettings(), level=level)
             if not isinstance(data, Recording):

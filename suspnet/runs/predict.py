@@ -15,7 +15,6 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import (
     MASS,
     identified,
-    missing_words,
     refine_curves,
     regress,
     residual_scales,
@@ -81,8 +80,7 @@ def predict_stream(
         scales = residual_scales(model, data.inputs, predicted, refined)[data.valid]
     found = None
     if flags and model.ood is not None and refined is not None:
-        missing = missing_words(model.task.extractor, data.reasons)
-        found = model.ood.flags(model.task, missing, model.scaled(data.inputs), refined)
+        found = model.flags(data.inputs, data.reasons, refined)
     return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), scales, found)
 
 
