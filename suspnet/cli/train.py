@@ -22,7 +22,7 @@ from suspnet.ground.checks import check_number
 from suspnet.report.commissioning_page import training_notes, write_outcome
 from suspnet.runs.commissioning import check_generator, commission_folder
 from suspnet.runs.scores import Metrics
-from suspnet.runs.train import speed_ranges, train, train_ranges
+from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.speeds import SpeedRange, covering, setting_words
 
@@ -213,11 +213,13 @@ def _train(
         search=search,
         refine=config.refine,
         figures=config.figures,
-        config=resolved,
-        varied=varied,
-        draw_vehicle=draw,
-        notes={"commissioned": healthy.notes} if healthy else None,
-        residual=healthy.residual if healthy else None,
+        context=RunContext(
+            config=resolved,
+            varied=varied,
+            draw_vehicle=draw,
+            notes={"commissioned": healthy.notes} if healthy else {},
+            residual=healthy.residual if healthy else None,
+        ),
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from suspnet.learning.metrics import covers, interval_scores
 from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
 from suspnet.report.table6 import MODEL_TITLES, records_csv
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.evaluate import find_runs
+from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import LEVEL, label
 from suspnet.spectra.observation import MOST_CURVES
@@ -88,11 +88,9 @@ def write_reliability(
             raise ValueError(
                 f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
             )
-        if seed == model.training["seed"]:
-            raise ValueError(f"seed={seed} made the training curves of {path}; give another seed")
-        settings = replace(model.settings, n_test=n_test, cache_dir=None)
         workers = torch.get_num_threads() if threads is None else threads
-        problem = Problem(model.generator, model.task, settings, seed, workers, progress)
+        fresh = FreshCurves(seed, n_test, threads=workers, progress=progress)
+        problem = fresh.problem(model, path)
         found.append(measure(problem, model, others, n_odd))
     text = "\n".join(markdown(one) for one in found)
     write_json(folder / "reliability.json", {one.name: vars(one) for one in found})
