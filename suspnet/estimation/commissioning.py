@@ -41,7 +41,7 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.spectra.estimates import EstimateSettings
 
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
-"""Rms errors of the model allowed for beside the noise, one search after the other."""
+"""Rms errors of the model allowed for in addition to the noise, one search after the other."""
 FEW, MANY = 12, 100
 """Evaluations of each of these searches, and of the last one, which may follow a curved valley:
 a damper and its bushing can stand in for each other."""
@@ -71,7 +71,7 @@ The wheelbase moves notches along frequency. The pivot distance makes a delay th
 has off by a period; the body pitches as before if its radius of gyration goes with the distance. A
 damper in series with a bushing dissipates at one frequency as much as a weaker one whose bushing is
 stiff. Of a bending mode at the wrong frequency a search takes the amplitude away, and then no
-curve tells the frequency any more."""
+curve determines the frequency any more."""
 N_DRAWS, SEED = 200, 12
 """Number of draws of each of ``REDRAWN``, and their seed."""
 FAR = 2.0
@@ -83,8 +83,7 @@ another one."""
 N_STARTS = 4
 AGREEMENT = 0.25
 """Two searches found the same vehicle if no number differs by more than this many deviations of the
-posterior, of which the weakest told numbers have one of the prior; in between, while the model is
-allowed errors, of the prior."""
+posterior; before the last search, while the model is allowed errors, of the prior."""
 Z_BOUND = 8.0
 """Standard deviations of the prior within which coordinates stay."""
 
@@ -102,14 +101,14 @@ class Commissioned:
     masses : array of shape (n_trips,), [-]
         Car-body mass over nominal on each trip.
     misfit : float
-        Rms of what is left over that of the noise: 1 if all is explained.
+        Rms of the residuals over that of the noise: 1 if all is explained.
     misfits : tuple of float
         That of each group.
     frequencies_hz : array of shape (n_freq,), [Hz]
     observed, nominal, fitted : complex arrays of shape (n_groups, 2, n_freq), [-]
         G_p and G_s as measured, of the nominal and of the commissioned vehicle.
     deviations : array of shape (n_groups, 2, n_freq), [-]
-        Of the measured log-magnitudes; infinite where a bin tells nothing.
+        Of the measured log-magnitudes; infinite where a bin is not used.
     n_agree, n_starts : int
         Searches that found this vehicle, of how many that were finished.
     converged : bool
@@ -215,13 +214,13 @@ class _Search(HealthyMisfit):
             found += more
             if min(map(_cost, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
-        apart: list[OptimizeResult] = []
+        separate: list[OptimizeResult] = []
         again: list[OptimizeResult] = []
         for one in sorted(found, key=_cost):
-            near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in apart)
-            (again if near else apart).append(one)
-        n_apart = max(1, n_starts - 1)
-        return [*apart[:n_apart], *again, *apart[n_apart:]][:n_starts]
+            near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in separate)
+            (again if near else separate).append(one)
+        n_separate = max(1, n_starts - 1)
+        return [*separate[:n_separate], *again, *separate[n_separate:]][:n_starts]
 
     def widened(self, ratio: float) -> FloatArray:
         """Return where searches in ever wider bands lead from the median of the prior.

@@ -161,8 +161,8 @@ class HealthyValues:
         deviations = dict.fromkeys(names, 0.0)
         known = generator.distribution
         if known is not None:
-            told = zip(known.names, known.mean, known.deviations.tolist(), strict=True)
-            for full, mean, deviation in told:
+            numbers = zip(known.names, known.mean, known.deviations.tolist(), strict=True)
+            for full, mean, deviation in numbers:
                 name = full.removeprefix(HEALTHY)
                 if full.startswith(HEALTHY) and name in values:
                     values[name] *= math.exp(mean)

@@ -63,7 +63,7 @@ def feature_information(
     -------
     array of shape (n_vehicles, n_parameters, n_parameters)
         With respect to ratios to healthy; NaN where a feature is missing from the noise-free
-        curve, from one beside it or from too many of the noisy ones.
+        curve, from one next to it or from too many of the noisy ones.
 
     Raises
     ------

@@ -112,7 +112,7 @@ def regress(
 def corrected(
     method: FittedMethod, observer: Observer, predicted: FloatArray, n_steps: int = 1
 ) -> FloatArray:
-    """Return estimates without the regression's own error at the vehicles they tell of.
+    """Return estimates without the regression's own error at the vehicles that they describe.
 
     With g(p) what the regression g makes of the noise-free curve of vehicle p, and p_0 its estimate
     of the observed curve, each step is p <- p p_0 / g(p): towards the p with g(p) = p_0, indirect
@@ -169,7 +169,7 @@ def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
     for name, column in zip(task.outputs, deviations.T, strict=True):
         if not np.isfinite(column).all():
             raise ValueError(
-                f"refine=true needs curves that tell {name}, and these of protocol "
+                f"refine=true needs curves that identify {name}, and these of protocol "
                 f"{task.protocol!r} do not: see python evaluate.py "
                 f"study=identifiability protocol={task.protocol}"
             )

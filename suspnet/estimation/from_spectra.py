@@ -54,7 +54,7 @@ vehicles, but in far fewer of those of a vehicle whose draw is bad."""
 UNWORN = {"k_p": 0.003, "c_p": 0.05}
 """Standard deviation of the share of a healthy vehicle's stiffness and damping that does not wear.
 Dry friction in a primary suspension acts as a damper does where it slips and as a spring where it
-sticks, and no healthy trip tells them apart."""
+sticks, and no healthy trip distinguishes them."""
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""
 
@@ -131,7 +131,7 @@ def estimate_with_noise(
 def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
     """Return what damping and stiffness that do not wear cost the logarithm of each output.
 
-    A damper at the ratio r beside a share u of the healthy damping that stays as it is reads as
+    A damper at the ratio r next to a share u of the healthy damping that stays as it is reads as
     (1 - u) r + u: wrong by u (1 - r) / r of r, which is nothing where nothing is worn.
 
     Parameters

@@ -97,14 +97,14 @@ class HealthyMisfit:
         ]
 
     def posterior(self, found: OptimizeResult) -> tuple[LogNormal, float]:
-        """Return the posterior of the numbers, and the mean square of what is left."""
+        """Return the posterior of the numbers, and the mean square of the residuals."""
         n = len(self.prior.names)
         residuals = torch.cat(self.parts(row_of(found.x), 0.0), dim=1)[0]
         expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
         mean_square = float(residuals.square().mean()) / expected
-        told = self.jacobian(found.x, 0.0)[: len(residuals)]
+        slopes = self.jacobian(found.x, 0.0)[: len(residuals)]
         prior = np.diag(self._prior_deviations() ** -2)
-        information = told.T @ told / max(mean_square, 1.0) + prior
+        information = slopes.T @ slopes / max(mean_square, 1.0) + prior
         spread = np.linalg.inv(information)[:n, :n]
         factor = self.every.factor.numpy()
         covariance = factor @ spread @ factor.T

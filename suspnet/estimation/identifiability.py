@@ -360,5 +360,5 @@ def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> s
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as a list in words: a, b and c."""
+    """Return names as a list in a sentence: a, b and c."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

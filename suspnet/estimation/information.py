@@ -224,8 +224,8 @@ def best_possible(
 ) -> dict[str, dict[str, float]]:
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the least errors of a task.
 
-    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be told from the
-    suspension (abs(G_s) alone), the least error under that ambiguity.
+    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be separated from
+    the suspension (abs(G_s) alone), the least error under that ambiguity.
 
     Parameters
     ----------

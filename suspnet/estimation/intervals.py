@@ -2,7 +2,7 @@
 
 The width of an interval is proportional to the curve's residual scale. For a refined estimate this
 is the standard deviation that Gauss-Newton gives. For any other method it is learnt: an MSVR from
-the features to the logarithm of the absolute residual, on curves kept apart from those that give
+the features to the logarithm of the absolute residual, on other curves than those that give
 the scores.
 """
 

@@ -1,6 +1,6 @@
 """Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
-Six kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
+Six kinds of flags, each with its reason as text: a peak is missing; the features lie beyond the
 cloud of the training curves; a parameter lies outside the range of the training curves; the
 generator, with whatever parameters, does not explain the curve; it did not explain the healthy
 trips that it was commissioned on (`suspnet.estimation.physics`, which sets that flag); or left and
@@ -24,7 +24,7 @@ from suspnet.estimation.refine import Refined
 from suspnet.ground.types import BoolArray, FloatArray
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
-"""Number of training features that the detector keeps, and of the nearest neighbours whose mean
+"""Number of training features that the detector stores, and of the nearest neighbours whose mean
 distance is compared with the threshold."""
 FALSE_ALARMS = 1e-4
 """False-alarm rate of the distance of features, on curves like the training curves."""

@@ -107,7 +107,7 @@ class Unexplained:
 
     @property
     def words(self) -> str:
-        """The finding in words; empty if the physics is complete."""
+        """The finding as a sentence; empty if the physics is complete."""
         if not self.is_incomplete:
             return ""
         return (

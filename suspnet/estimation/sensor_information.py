@@ -18,9 +18,9 @@ input both steps have a closed form; q = |a|^2 and u_i the part of da_i perpendi
 
     I_ij - I_is I_sj / I_ss = n / r sum over bins of 2 q / (1 + q) Re(u_i^H u_j)
 
-What moves all sensors alike, in size or in phase, cannot be told from the track: no part of u.
+What moves all sensors alike, in size or in phase, is not separable from the track: no part of u.
 
-Sensors on the body tell nothing beyond ``body_high_hz``, where G_s is not used: A is 0 there.
+Sensors on the body do not count beyond ``body_high_hz``, where G_s is not used: A is 0 there.
 
 A generator's uncertain numbers are further unknowns, about the median of their distribution, with
 that as prior: see `without_uncertain`.

@@ -33,10 +33,10 @@ from suspnet.spectra.speeds import Speeds
 LONGEST_S, STEP_S = 0.25, 1e-3
 """Longest delay that is looked for, and step of the search before Newton's method, [s]."""
 NEWTON_STEPS = 3
-TOLD_S = 0.003
-"""Delay from which on it is told, [s], as that of clocks that run apart."""
+REPORTED_S = 0.003
+"""Least delay that is reported, [s], as that of clocks that drift."""
 EXPLAINED = 0.8
-"""Least share of what the model leaves unexplained that a delay must explain to be told.
+"""Least share of what the model leaves unexplained that a delay must explain to be reported.
 
 A delay of 5 ms and more explains 99 %, the physics that a model lacks looks like a delay of up to
 9 ms but explains at most 66 % (trips of richer trains, tests/rich_trips.py)."""
@@ -67,15 +67,15 @@ def delay_words(
     delays_s, shares = find_delays(
         spectra.responses(kind), fitted.responses(kind), deviations, observer.frequencies_hz
     )
-    told = []
+    late_channels = []
     for i, (delay_s, share) in enumerate(zip(delays_s.tolist(), shares.tolist(), strict=True)):
-        if abs(delay_s) >= TOLD_S and share >= EXPLAINED:
+        if abs(delay_s) >= REPORTED_S and share >= EXPLAINED:
             late = "late" if delay_s > 0 else "early"
-            told.append(
+            late_channels.append(
                 f"{CHANNELS[i + 1]} looks {1e3 * abs(delay_s):.3g} ms {late} against {CHANNELS[i]} "
                 "all along: do they share one clock, is `start_s` right?"
             )
-    return "; ".join(told)
+    return "; ".join(late_channels)
 
 
 def find_delays(
@@ -124,7 +124,7 @@ STEP = 1e-4
 CERTAIN = 4.0
 """A difference is named if it exceeds this multiple of its standard deviation: of four parts, by
 chance on one of 4,000 trips."""
-UNEXPLAINED = "left and right differ, but which part and side is weaker cannot be told"
+UNEXPLAINED = "left and right differ, but which part and side is weaker is unknown"
 LEAST = 0.1
 """A difference is named if the weaker side has at least this share less than the other one."""
 LARGEST_MISFIT = 2.0
@@ -135,9 +135,9 @@ named."""
 def with_sides(
     estimate: Estimate, bins: Sequence[SpeedBin], recording: Recording
 ) -> tuple[Estimate, str]:
-    """Return a trip's estimate, flagged where its sides differ, and how they differ in words.
+    """Return a trip's estimate, flagged where its sides differ, and how they differ as text.
 
-    The largest speed bin tells. The words are empty where nothing stands out.
+    The largest speed bin decides. The text is empty where no difference is clear.
 
     Parameters
     ----------
@@ -147,8 +147,8 @@ def with_sides(
     words = spoken_sides(weaker_sides(largest(bins), recording, estimate.values[0]))
     if not words:
         return estimate, ""
-    told = f"both sides are taken as equal, but {words}"
-    return replace(estimate, flags=estimate.flags.with_kind("sides", told)), words
+    text = f"both sides are taken as equal, but {words}"
+    return replace(estimate, flags=estimate.flags.with_kind("sides", text)), words
 
 
 def weaker_sides(
@@ -222,7 +222,7 @@ def bounce_of(
 
 
 def spoken_sides(found: SideDifference | None) -> str:
-    """Return which side of which part is weaker, by how much; empty if nothing stands out."""
+    """Return which side of which part is weaker, by how much; empty if no difference is clear."""
     if found is None:
         return ""
     if found.misfit > LARGEST_MISFIT:

@@ -1,6 +1,6 @@
 """What a model's files must hold: each number, shape and name, checked before the model is used.
 
-The hash in model.json tells damage, not forgery: whoever changes a file can change its hash too.
+The hash in model.json shows damage, not forgery: whoever changes a file can change its hash too.
 """
 
 from __future__ import annotations

@@ -227,7 +227,7 @@ def ablation_markdown(records: Sequence[Record]) -> str:
 
 
 def ablation_caption(records: Sequence[Record]) -> str:
-    """Return in words what a table of one protocol and group shows."""
+    """Return what a table of one protocol and group shows."""
     first = next((r for r in records if r["ablation"] == BASELINE), records[0])
     seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
     return (
@@ -243,16 +243,16 @@ def ablation_caption(records: Sequence[Record]) -> str:
 def _records(
     run: Mapping[str, Any], baseline: Mapping[str, Any] | None, changed: Mapping[str, Any] | None
 ) -> list[Record]:
-    told = None
+    change = None
     if changed is not None:
-        told = " ".join(f"{key}={_shown(value)}" for key, value in changed.items())
+        change = " ".join(f"{key}={_shown(value)}" for key, value in changed.items())
     usual = {} if baseline is None else baseline["rms_ratio"]
     return [
         {
             "protocol": run["protocol"],
             "group": run["group"],
             "ablation": run["ablation"],
-            "change": told,
+            "change": change,
             "output": output,
             "rms_ratio": ratio,
             "to_baseline": _over(ratio, usual.get(output)),

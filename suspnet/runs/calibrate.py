@@ -75,7 +75,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
 def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
     """Return a model that knows the cost of what its healthy trips leave unexplained.
 
-    Estimates of noise-free vehicles like the training ones, made anew from curves times
+    Estimates of noise-free vehicles like the training ones, made again from curves times
     exp(+-residual).
 
     Raises
@@ -115,7 +115,7 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
 
     Only estimates from trips are corrected, and only where they are all that is unknown: then they
     are a whole vehicle, with a curve. It does not pay where a regression shrinks what it cannot
-    tell towards the mean.
+    determine towards the mean.
     """
     task = model.task
     if (

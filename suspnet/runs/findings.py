@@ -39,7 +39,7 @@ class Findings:
     directions : list of Direction
         Of `now` at the healthy vehicle, weakest first.
     guess_percent : float or None
-        Where stiffness cannot be told from mass, the MAPE of the best guess within the range.
+        Where stiffness cannot be separated from mass, the MAPE of the best guess within the range.
     """
 
     vehicle: Vehicle

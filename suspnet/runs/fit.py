@@ -49,7 +49,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     title = f"search of settings for {name}"
     with progress_bar(title, n_settings, unit="setting", shown=problem.progress) as bar:
 
-        def told(setting: Mapping[str, Any], rmse: float) -> None:
+        def report(setting: Mapping[str, Any], rmse: float) -> None:
             run_log.scalars("search", {"rmse": rmse}, int(bar.n))
             bar.update()
 
@@ -59,7 +59,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
             inputs.apply(data.inputs),
             outputs.apply(data.outputs),
             outputs,
-            told,
+            report,
         )
 
 

@@ -1,6 +1,6 @@
 """The reliability study: whether intervals hold the truth and what is out of range is flagged.
 
-Everything is measured on curves made anew: intervals on curves like the training curves, over all
+Everything is measured on fresh curves: intervals on curves like the training curves, over all
 and by slices of each parameter; flags on these and on curves that a model was not trained for.
 """
 

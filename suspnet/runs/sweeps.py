@@ -123,8 +123,8 @@ class Table5(_Summary):
         edges = []
         for run in runs:
             if "search" in run:
-                told = run["search"]["edges"].values()
-                edges += [f"{run['group']}, {run['model']}: {words}" for words in told]
+                warnings = run["search"]["edges"].values()
+                edges += [f"{run['group']}, {run['model']}: {words}" for words in warnings]
                 best = run["search"]["best"].items()
                 numbers = {key: value for key, value in best if isinstance(value, int | float)}
                 tuned.setdefault(run["group"], {})[run["model"]] = numbers
@@ -187,7 +187,7 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
         for name, part in by_protocol.items():
             figure = "table6" if len(by_protocol) == 1 else f"table6_{name}"
             run_log.figure(figure, plots.table6(part), folder)
-    log.info("Table VI, published beside measured\n\n%s\n-> %s/table6.*", text, folder)
+    log.info("Table VI, published and measured\n\n%s\n-> %s/table6.*", text, folder)
 
 
 def _search_record(run: Run) -> dict[str, Any]:

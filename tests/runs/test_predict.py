@@ -265,9 +265,9 @@ def test_trips_have_intervals_and_flags_too():
 def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
     problem = problem_of("secondary", "paper")
     model = replace(fit(problem, LinearRegression(), None), refined=True)
-    with pytest.raises(ValueError, match="refine=true needs curves that tell k_s"):
+    with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         calibrated(problem, model)
-    with pytest.raises(ValueError, match="refine=true needs curves that tell k_s"):
+    with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         predict_stream(problem, model, TEST)
 
 
