@@ -26,12 +26,10 @@ from suspnet.ground.storage import (
     content_hash,
     dump_arrays,
     read_json,
-    write_atomically,
-    write_json,
 )
 from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import in_digits, mean_known, records_csv
-from suspnet.report.tensorboard import RunLog
+from suspnet.report.table6 import in_digits, mean_known
+from suspnet.runs.study_files import write_study
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256
@@ -62,12 +60,7 @@ def write_ablation(folder: Path) -> list[Record]:
         for key in dict.fromkeys((r["protocol"], r["group"]) for r in records)
     ]
     text = "\n".join(f"{ablation_caption(part)}\n\n{ablation_markdown(part)}\n" for part in parts)
-    write_json(folder / "ablation.json", records)
-    write_atomically(folder / "ablation.csv", records_csv(records))
-    write_atomically(folder / "ablation.md", text)
-    with RunLog(folder) as run_log:
-        run_log.text("ablation", text)
-        run_log.figure("ablation", figure(records), folder)
+    write_study(folder, "ablation", text, records, records, {"ablation": figure(records)})
     log.info("Ablation: where accuracy is lost\n\n%s\n-> %s/ablation.*", text, folder)
     return records
 

@@ -28,11 +28,9 @@ from suspnet.estimation.information import scale_ambiguity_bound
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.checks import check_number
-from suspnet.ground.storage import write_atomically, write_json
 from suspnet.report.plots import OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import records_csv
-from suspnet.report.tensorboard import RunLog
 from suspnet.runs.findings import Findings, group_markdown, plain, records
+from suspnet.runs.study_files import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 
@@ -88,15 +86,10 @@ def write_identifiability(
         "verdict_thresholds_percent": {word: threshold for threshold, word in VERDICTS},
         "groups": {part.task.group: plain(part) for part in found},
     }
-    write_json(folder / "identifiability.json", report)
     rows = [record for part in found for record in records(part)]
-    write_atomically(folder / "identifiability.csv", records_csv(rows))
-    write_atomically(folder / "identifiability.md", text)
     figure = identifiability_figure(found)
     figure.suptitle(title, fontsize="medium")
-    with RunLog(folder) as run_log:
-        run_log.text("identifiability", text)
-        run_log.figure("identifiability", figure, folder)
+    write_study(folder, "identifiability", text, report, rows, {"identifiability": figure})
     log.info("%s\n-> %s/identifiability.*", text, folder)
     return report
 

@@ -30,15 +30,14 @@ from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.metrics import covers, interval_scores
 from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import MODEL_TITLES, records_csv
-from suspnet.report.tensorboard import RunLog
+from suspnet.report.table6 import MODEL_TITLES
 from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import LEVEL, label
+from suspnet.runs.study_files import write_study
 from suspnet.spectra.observation import MOST_CURVES
 
 log = logging.getLogger(__name__)
@@ -93,12 +92,9 @@ def write_reliability(
         problem = fresh.problem(model, path)
         found.append(measure(problem, model, others, n_odd))
     text = "\n".join(markdown(one) for one in found)
-    write_json(folder / "reliability.json", {one.name: vars(one) for one in found})
-    write_atomically(folder / "reliability.csv", records_csv(list(records(found))))
-    write_atomically(folder / "reliability.md", text)
-    with RunLog(folder) as run_log:
-        run_log.text("reliability", text)
-        run_log.figure("reliability", reliability_figure(found), folder)
+    content = {one.name: vars(one) for one in found}
+    figures = {"reliability": reliability_figure(found)}
+    write_study(folder, "reliability", text, content, list(records(found)), figures)
     log.info("%s\n-> %s/reliability.*", text, folder)
     return found
 
