@@ -164,10 +164,12 @@ def commission(
     with bar("search of the vehicle", unit="step", shown=progress) as steps:
         target = _Search(generator, settings, groups)
         target.on_step = steps.update
+        # the model is allowed errors first: searches at once end in valleys far off
         first = target.first_searches(n_starts)
         rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
         order = np.argsort([found.cost for found in rough], kind="stable")
         best = target.search(rough[order[0]].x, SPREADS[-1:])
+        # the others show whether the best vehicle is the only one
         posterior, mean_square = target.posterior(best)
         others = [target.search(rough[i].x, SPREADS[-1:]) for i in order[1:]]
     agree = [target.distance(best.x, other.x, posterior) < AGREEMENT for other in others]

@@ -93,6 +93,7 @@ def estimate_with_noise(
     inputs, reasons = method.features(observer.for_features(responses), observer.frequencies_hz)
     if not np.isfinite(inputs).all():
         raise MissingFeaturesError(task.extractor.missing(reasons[0]))
+    # the regression learnt at one speed and noise: the trip's own move its estimate
     predicted = corrected(method, observer, method.predict(inputs), CORRECTIONS)
     unknown = np.full(len(outputs), np.nan)
     if method.intervals is None and not method.refined:
@@ -106,6 +107,7 @@ def estimate_with_noise(
     flags = method.flags(inputs, reasons, seen)
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
     ratios = torch.as_tensor(complete_ratios(task, predicted))
+    # the noise is the trip's own; what lasts from trip to trip is that of the calibration
     if method.refined:
         values, deviation = (part[0] for part in refined.of(outputs))
         noise = refined.noise_of(outputs)[0]

@@ -68,10 +68,7 @@ class Option:
     def percent(self, ratios: FloatArray) -> FloatArray:
         """Return the bounds relative to each vehicle's own values, (n_vehicles, n_unknown), [%].
 
-        Parameters
-        ----------
-        ratios : array of shape (n_vehicles, 5), [-]
-            Those of the information.
+        `ratios` (n_vehicles, 5) are those of the information.
         """
         columns = [PARAMETERS.index(name) for name in self.unknown]
         return np.asarray(100 * cramer_rao(self.information) / ratios[:, columns])
@@ -91,10 +88,7 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     Of curves: one of them, both, and further ones of the same signal-to-noise ratio. Of trips: the
     recordings of fewer and of more sensors, of pairs and of one side where the vehicle rolls, and
     the estimate that is made of three. Of either: the car-body mass, and twice the sensors.
-
-    Parameters
-    ----------
-    ratios : array of shape (n_vehicles, 5), [-]
+    `ratios` has the shape (n_vehicles, 5).
     """
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
@@ -250,10 +244,7 @@ def with_healthy(ratios: FloatArray) -> FloatArray:
 def bounds(option: Option, ratios: FloatArray) -> list[Bound]:
     """Return the bound of each unknown parameter of an option.
 
-    Parameters
-    ----------
-    ratios : array of shape (1 + n_vehicles, 5), [-]
-        Those of the information, from `with_healthy`.
+    `ratios` (1 + n_vehicles, 5) are those of the information, from `with_healthy`.
     """
     percent = option.percent(ratios)
     spread = np.quantile(percent[1:], PERCENTILES, axis=0, method="inverted_cdf")
@@ -336,10 +327,7 @@ def directions(information: FloatArray, parameters: Sequence[str]) -> list[Direc
 def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
     """Return one sentence that names, for each parameter, the addition that lowers its bound most.
 
-    Parameters
-    ----------
-    table : sequence of (Option, its bounds)
-        The baseline first. Medians over the range are compared.
+    `table` holds options with their bounds, the baseline first; medians over the range count.
     """
     parts = []
     for now in table[0][1]:

@@ -74,9 +74,7 @@ class Task:
             ("outputs", PARAMETERS),
             ("responses", RESPONSES),
         ):
-            chosen = getattr(self, name)
-            if not chosen or set(chosen) - set(allowed) or len(set(chosen)) < len(chosen):
-                raise ValueError(f"`{name}` must be from {allowed}, each once, got {chosen!r}")
+            _known(getattr(self, name), allowed, name)
         check_choice("sampling", self.sampling, ("grid", "sobol"))
         for low, high in (("lower", "upper"), ("mass_lower", "mass_upper")):
             check_number(low, getattr(self, low), above=0, most=100)
@@ -238,21 +236,18 @@ class Protocol:
     curve: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_choice("sampling", self.sampling, ("grid", "sobol"))
         check_choice("feature_set", self.feature_set, ("peaks", "curve"))
         check_number("lower", self.lower, above=0, below=1)
         check_number("upper", self.upper, above=1, most=100)
         low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
         check_number("mass_upper", high, above=1, most=100)
-        check_number("step", self.step, above=0, most=100)
-        check_number("mass_step", self.mass_step, above=0, most=100)
-        for name in ("mass_known", "estimate_mass", "log_ratios"):
-            check_flag(name, getattr(self, name))
+        check_flag("mass_known", self.mass_known)
+        check_flag("estimate_mass", self.estimate_mass)
         if self.mass_known and self.estimate_mass:
             raise ValueError("the car-body mass is either known or estimated, not both")
         for group in self.groups:
-            self.task(group)
+            self.task(group)  # which checks all else
 
     def task(self, group: str) -> Task:
         """Return the learning problem of a group.
@@ -277,7 +272,7 @@ class Protocol:
             group=group,
             varied=(*outputs, "M_s"),
             outputs=(*outputs, "M_s") if self.estimate_mass else outputs,
-            responses=tuple(_known(entry["responses"], RESPONSES, "responses")),
+            responses=tuple(entry["responses"]),
             extractor=self._extractor(entry),
             sampling=self.sampling,
             lower=self.lower,
