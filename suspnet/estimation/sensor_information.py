@@ -57,11 +57,6 @@ def sensor_places(generator: ResponseGenerator) -> tuple[str, ...]:
     return THREE_SENSORS + generator.further_places
 
 
-def _on_body(generator: ResponseGenerator) -> Tensor:
-    """Return which of `sensor_places` are on the body, bool (n_places,)."""
-    return torch.tensor([place.startswith("body") for place in sensor_places(generator)])
-
-
 def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
     """Return the sampling rate of each place from those of axle box, bogie and body, [Hz]."""
     axle_box, bogie, body = three
@@ -120,7 +115,8 @@ def recording_information(
     noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
     track = torch.as_tensor(observer.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
-    level = level.masked_fill(_on_body(generator)[:, None] & observer.beyond[1], 0.0)
+    on_body = torch.tensor([place.startswith("body") for place in sensor_places(generator)])
+    level = level.masked_fill(on_body[:, None] & observer.beyond[1], 0.0)
     per_bin = settings.n_averages / settings.welch.correlated_bins
     uncertain = every_direction(generator)
     blocks = []

@@ -14,7 +14,6 @@ from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import WORN, Residual, Unexplained
 from suspnet.estimation.problem import CALIBRATE, TRAIN, FeatureData, Problem
-from suspnet.ground.types import FloatArray
 from suspnet.runs.predict import refine_stream, regress_stream
 from suspnet.spectra.estimate_observer import EstimateObserver
 
@@ -103,11 +102,8 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
             "no curve keeps its features when it is off by what the healthy trips leave "
             "unexplained: the vehicle file, the sensors' places or the band are wrong"
         )
-    return replace(model, unexplained=Unexplained(residual.misfit, WORN * _rms(known)))
-
-
-def _rms(values: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+    costs = WORN * np.sqrt(np.mean(known**2, axis=0))
+    return replace(model, unexplained=Unexplained(residual.misfit, costs))
 
 
 def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> bool:
