@@ -1,4 +1,4 @@
-"""Result of a model for some curves or one recording: values, intervals and flags."""
+"""Estimates for curves or a recording: values, intervals, flags, and what they are relative to."""
 
 from __future__ import annotations
 

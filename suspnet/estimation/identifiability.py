@@ -1,4 +1,8 @@
-"""Options of measurement: choices of curves, sensors and masses, with the information of each."""
+"""What could be measured, and how well it would identify each parameter.
+
+All bounds are relative standard deviations in percent, Cramer-Rao: no unbiased estimator has less;
+a Gaussian error has a MAPE of 0.8 times that. They are infinite where nothing can be identified.
+"""
 
 from __future__ import annotations
 

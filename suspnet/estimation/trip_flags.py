@@ -1,9 +1,13 @@
-"""A delay between two channels that is the same all along, by the phases of their response.
+"""Flags of one trip: a constant delay between two channels, and sides that differ.
 
-With G_f what a trip shows in bin f, H_f what the model gives at the estimate, u_f the phase factor
-of G_f / H_f and s_f the standard deviation of log |G_f|, the second channel comes later by the tau
-that makes the sum of Re u_f exp(j omega_f tau) / s_f^2 largest. Estimates rest on magnitudes more
-than on phases: a delay of 50 ms moves them by 5 % at most, and is found to 1 ms.
+The delay is found by the phases of their response. With G_f what a trip shows in bin f, H_f what
+the model gives at the estimate, u_f the phase factor of G_f / H_f and s_f the standard deviation of
+log |G_f|, the second channel comes later by the tau that makes the sum of
+Re u_f exp(j omega_f tau) / s_f^2 largest. Estimates rest on magnitudes more than on phases: a delay
+of 50 ms moves them by 5 % at most, and is found to 1 ms.
+
+Estimates take left and right as equal: where sensors on both sides show that one is clearly weaker,
+they are flagged.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The scores of one run next to the Cramer-Rao bound, and the table that reports them."""
+"""The scores of one run next to the Cramer-Rao bound, as a table and as figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Train: from a problem and a method to a run folder with scores, model, figures and logs."""
+"""Train: from a problem and a method to a run folder with scores, model, figures and logs.
+
+A range of speeds is covered by several models, each in a folder of its own.
+"""
 
 from __future__ import annotations
 
