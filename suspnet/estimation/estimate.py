@@ -15,6 +15,7 @@ from suspnet.dynamics.vehicle import UNITS
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 
+KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 ENDS = ("value", "low", "high")
 SHOWN = 10
 """Number of rows that the readable form shows."""
@@ -203,9 +204,6 @@ class HealthyValues:
         half = np.hypot(half_widths, self.half_widths(level))
         with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
             return values, values * np.exp(-half), values * np.exp(half)
-
-
-KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 
 
 @dataclass(frozen=True)

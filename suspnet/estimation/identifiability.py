@@ -202,8 +202,6 @@ TAKES_PART = 0.3
 """Least component of a parameter that takes part in a direction, relative to the largest."""
 SINGULAR = 1e-12
 """Eigenvalue relative to the largest below which a direction has no information."""
-WORTH_HAVING = 0.9
-"""Largest ratio of bounds, after over before, at which an addition counts as helpful."""
 
 
 @dataclass(frozen=True)
@@ -326,29 +324,6 @@ def directions(information: FloatArray, parameters: Sequence[str]) -> list[Direc
         deviation = 100 / math.sqrt(eigenvalue) if informative else math.inf
         found.append(Direction(names, components, deviation))
     return found
-
-
-def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
-    """Return one sentence that names, for each parameter, the addition that lowers its bound most.
-
-    `table` holds options with their bounds, the baseline first; medians over the range count.
-    """
-    parts = []
-    for now in table[0][1]:
-        additions = [
-            (bound.median_percent, option.title.removeprefix("+ "))
-            for option, found in table
-            for bound in found
-            if option.kind == "more" and bound.parameter == now.parameter
-        ]
-        least, title = min(additions)
-        if least <= WORTH_HAVING * now.median_percent and math.isfinite(least):
-            before = now.median_percent
-            was = f"{before:.2g}" if math.isfinite(before) else "not identified"
-            parts.append(f"{now.parameter}, {title} ({was} to {least:.2g} %)")
-        else:
-            parts.append(f"{now.parameter}, nothing listed")
-    return f"What lowers each bound most: {'; '.join(parts)}."
 
 
 def listed(names: Sequence[str]) -> str:

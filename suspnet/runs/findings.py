@@ -10,17 +10,12 @@ from typing import Any
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.estimation.identifiability import (
-    UNIDENTIFIED,
-    Bound,
-    Direction,
-    Option,
-    best_addition_sentence,
-    listed,
-)
+from suspnet.dynamics.vehicle import UNITS
+from suspnet.estimation.identifiability import UNIDENTIFIED, Bound, Direction, Option, listed
 from suspnet.estimation.protocols import Task
 
-UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+WORTH_HAVING = 0.9
+"""Largest ratio of bounds, after over before, at which an addition counts as helpful."""
 
 
 @dataclass(frozen=True)
@@ -208,3 +203,26 @@ def _percent(value: float) -> str:
 
 def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
+    """Return one sentence that names, for each parameter, the addition that lowers its bound most.
+
+    `table` holds options with their bounds, the baseline first; medians over the range count.
+    """
+    parts = []
+    for now in table[0][1]:
+        additions = [
+            (bound.median_percent, option.title.removeprefix("+ "))
+            for option, found in table
+            for bound in found
+            if option.kind == "more" and bound.parameter == now.parameter
+        ]
+        least, title = min(additions)
+        if least <= WORTH_HAVING * now.median_percent and math.isfinite(least):
+            before = now.median_percent
+            was = f"{before:.2g}" if math.isfinite(before) else "not identified"
+            parts.append(f"{now.parameter}, {title} ({was} to {least:.2g} %)")
+        else:
+            parts.append(f"{now.parameter}, nothing listed")
+    return f"What lowers each bound most: {'; '.join(parts)}."

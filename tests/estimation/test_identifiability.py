@@ -27,7 +27,6 @@ from suspnet.estimation.identifiability import (
     Bound,
     Direction,
     Option,
-    best_addition_sentence,
     bounds,
     directions,
     listed,
@@ -38,7 +37,7 @@ from suspnet.estimation.information import cramer_rao, fisher_information, scale
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import RESPONSES
 from suspnet.estimation.sensor_information import recording_information
-from suspnet.runs.findings import group_markdown
+from suspnet.runs.findings import best_addition_sentence, group_markdown
 from suspnet.runs.identifiability import identifiability_figure, identify
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
