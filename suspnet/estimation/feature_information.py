@@ -16,7 +16,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao, output_bounds
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import Task, columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observer
@@ -74,7 +74,7 @@ def feature_information(
     least = int(np.ceil((n_features + 2) / LEAST_FOUND))
     if n_draws < least:
         raise ValueError(f"`n_draws` must be >= {least} for {n_features} features, got {n_draws}")
-    columns = [PARAMETERS.index(name) for name in parameters]
+    columns = columns_of(parameters)
     blocks = torch.as_tensor(ratios).split(max(1, ROWS // n_draws))
     seeds = np.random.SeedSequence(seed).generate_state(len(blocks))
     information = [

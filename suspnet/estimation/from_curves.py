@@ -16,7 +16,6 @@ from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Misfit, Observer
 
-MASS = PARAMETERS.index("M_s")
 ONE_SIGMA = 0.6827
 """Level of an interval whose half width is one standard deviation of a normal error."""
 ROWS = 256

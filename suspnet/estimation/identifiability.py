@@ -21,7 +21,7 @@ from suspnet.estimation.information import (
     joint_information,
     without_uncertain,
 )
-from suspnet.estimation.protocols import RESPONSES, Task
+from suspnet.estimation.protocols import RESPONSES, Task, columns_of
 from suspnet.estimation.sensor_information import (
     THREE_SENSORS,
     recording_information,
@@ -74,7 +74,7 @@ class Option:
 
         `ratios` (n_vehicles, 5) are those of the information.
         """
-        columns = [PARAMETERS.index(name) for name in self.unknown]
+        columns = columns_of(self.unknown)
         return np.asarray(100 * cramer_rao(self.information) / ratios[:, columns])
 
 

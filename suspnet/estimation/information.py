@@ -16,7 +16,7 @@ from scipy.special import erfcx
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.estimation.protocols import RESPONSES, Task
+from suspnet.estimation.protocols import MASS, RESPONSES, Task, columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.directions import Directions
 from suspnet.spectra.observation import Misfit, Observer
@@ -84,7 +84,7 @@ def joint_information(
     array of shape (n_vehicles, n_parameters + n_z, n_parameters + n_z)
     """
     directions = observer.directions if directions is None else directions
-    columns = [PARAMETERS.index(name) for name in parameters]
+    columns = columns_of(parameters)
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
     for rows in torch.as_tensor(ratios).split(ROWS):
@@ -185,7 +185,7 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
         Over which the errors are averaged.
     """
     levels = task.levels("M_s")
-    mass = ratios[:, PARAMETERS.index("M_s")]
+    mass = ratios[:, MASS]
     stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
     candidates = levels[:, None]
     low, high = task.lower - 1e-9, task.upper + 1e-9

@@ -18,6 +18,13 @@ from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
+MASS = PARAMETERS.index("M_s")
+"""Column of the car-body mass in arrays ordered as ``PARAMETERS``."""
+
+
+def columns_of(parameters: Sequence[str]) -> list[int]:
+    """Return the columns of some parameters in arrays ordered as ``PARAMETERS``."""
+    return [PARAMETERS.index(name) for name in parameters]
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,7 @@ class Task:
     @property
     def output_indices(self) -> list[int]:
         """Columns of the outputs in arrays ordered as ``PARAMETERS``."""
-        return [PARAMETERS.index(name) for name in self.outputs]
+        return columns_of(self.outputs)
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -154,7 +161,7 @@ class Task:
         if ratios is None:
             ratios = self._grid(n_curves, seed, stream)
         full = np.ones((len(ratios), len(PARAMETERS)))
-        full[:, [PARAMETERS.index(name) for name in self.varied]] = ratios
+        full[:, columns_of(self.varied)] = ratios
         return full
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:

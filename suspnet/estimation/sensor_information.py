@@ -42,6 +42,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.estimation.information import without_uncertain
+from suspnet.estimation.protocols import columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.directions import Directions, every_direction
 from suspnet.spectra.estimate_observer import EstimateObserver
@@ -142,7 +143,7 @@ def _slopes(
     """
     n_columns = len(PARAMETERS)
     start = torch.cat([rows, rows.new_zeros(len(rows), uncertain.n)], dim=1)
-    columns = [PARAMETERS.index(name) for name in parameters]
+    columns = columns_of(parameters)
     slopes: list[Tensor] = []
     for column in [*columns, *range(n_columns, n_columns + uncertain.n)]:
         tangent = torch.zeros_like(start)

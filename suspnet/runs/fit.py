@@ -107,7 +107,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         start = time.perf_counter()
-        with _Told(estimator, name, run_log, problem.progress), _spread(estimator):
+        with _FitProgress(estimator, name, run_log, problem.progress), _distributed(estimator):
             estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
         training["seconds"] = time.perf_counter() - start
         training |= {"n_train": n_made, "n_train_complete": n_kept}
@@ -129,7 +129,7 @@ def _count(rows: FloatArray) -> int:
 
 
 @contextmanager
-def _spread(estimator: Any) -> Iterator[None]:
+def _distributed(estimator: Any) -> Iterator[None]:
     """Let MSVR take its samples as one rank's where there are several."""
     if not ranks.is_distributed():
         yield
@@ -150,7 +150,7 @@ def _summary(estimator: Any) -> dict[str, Any]:
     return {"fitted": fitted, "parameters": parameters(estimator)}
 
 
-class _Told:
+class _FitProgress:
     """A progress bar and a log of the values that a fit passes to its callback."""
 
     def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
@@ -160,14 +160,14 @@ class _Told:
 
     def __enter__(self) -> None:
         if self._active:
-            self._estimator.set_params(callback=self._tell)
+            self._estimator.set_params(callback=self._report)
 
     def __exit__(self, *_: object) -> None:
         if self._active:
             self._estimator.set_params(callback=None)
         self._bar.close()
 
-    def _tell(self, info: Any) -> None:
+    def _report(self, info: Any) -> None:
         self._bar.update()
         if self._log is not None and is_dataclass(info) and not isinstance(info, type):
             values = asdict(info)

@@ -13,13 +13,13 @@ from torch import Tensor
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import (
-    MASS,
     identified,
     refine_curves,
     regress,
     residual_scales,
 )
 from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, FeatureData, Problem, pool_of
+from suspnet.estimation.protocols import MASS
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray

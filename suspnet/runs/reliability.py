@@ -24,9 +24,9 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.estimate import KINDS
-from suspnet.estimation.from_curves import MASS, estimate_curves
+from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import BLOCK, TEST, Problem
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import MASS, Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
