@@ -19,6 +19,8 @@ KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 ENDS = ("value", "low", "high")
 SHOWN = 10
 """Number of rows that the readable form shows."""
+HEALTHY = "healthy_"
+"""Prefix of the uncertain numbers of a generator that its healthy values are multiplied by."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,10 +129,6 @@ class Estimate:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-HEALTHY = "healthy_"
-"""Prefix of the uncertain numbers of a generator that its healthy values are multiplied by."""
 
 
 @dataclass(frozen=True)

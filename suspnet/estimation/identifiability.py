@@ -40,6 +40,15 @@ ONE_SIDE = "one sensor at each place, 1 m off the middle"
 ONE_SIDE_M = (1.0, 1.0, 1.0)
 """Lateral places [m] of sensors on axle box, frame and body on one side."""
 Kind = Literal["baseline", "less", "more", "other", "estimate"]
+VERDICTS = ((1.0, "well"), (5.0, "fairly"), (20.0, "poorly"))
+"""Thresholds of the bounds' 95th percentile over the range, [%]; above all of them the verdict is
+"not"."""
+UNIDENTIFIED = "not"
+PERCENTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+TAKES_PART = 0.3
+"""Least component of a parameter that takes part in a direction, relative to the largest."""
+SINGULAR = 1e-12
+"""Eigenvalue relative to the largest below which a direction has no information."""
 
 
 @dataclass(frozen=True)
@@ -191,17 +200,6 @@ _OPTIONS: dict[str, Callable[..., list[Option]]] = {
     EstimateSettings.kind: _from_recordings,
 }
 """Function that lists the options, by the kind of the observation."""
-
-
-VERDICTS = ((1.0, "well"), (5.0, "fairly"), (20.0, "poorly"))
-"""Thresholds of the bounds' 95th percentile over the range, [%]; above all of them the verdict is
-"not"."""
-UNIDENTIFIED = "not"
-PERCENTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-TAKES_PART = 0.3
-"""Least component of a parameter that takes part in a direction, relative to the largest."""
-SINGULAR = 1e-12
-"""Eigenvalue relative to the largest below which a direction has no information."""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,19 @@ EXPLAINED = 0.8
 
 A delay of 5 ms and more explains 99 %, the physics that a model lacks looks like a delay of up to
 9 ms but explains at most 66 % (trips of richer trains, tests/rich_trips.py)."""
+SPOKEN = ("primary spring", "primary damper", "secondary spring", "secondary damper")
+"""Parts with a left and a right one, in the order of ``SIDE_PARAMETERS``."""
+STEP = 1e-4
+"""Half the step of a central difference along the logarithm of a parameter."""
+CERTAIN = 4.0
+"""A difference is named if it exceeds this multiple of its standard deviation: of four parts, by
+chance on one of 4,000 trips."""
+UNEXPLAINED = "left and right differ, but which part and side is weaker is unknown"
+LEAST = 0.1
+"""A difference is named if the weaker side has at least this share less than the other one."""
+LARGEST_MISFIT = 2.0
+"""Above this misfit the sides differ in a way that the equations do not explain, so that no part is
+named."""
 
 
 def delay_words(
@@ -119,21 +132,6 @@ def find_delays(
         (weights * (logs + (1 - phases).abs() ** 2)).sum(dim=1) for phases in (turned, straight)
     )
     return delays, torch.where(before > 0, 1 - after / before, 0.0)
-
-
-SPOKEN = ("primary spring", "primary damper", "secondary spring", "secondary damper")
-"""Parts with a left and a right one, in the order of ``SIDE_PARAMETERS``."""
-STEP = 1e-4
-"""Half the step of a central difference along the logarithm of a parameter."""
-CERTAIN = 4.0
-"""A difference is named if it exceeds this multiple of its standard deviation: of four parts, by
-chance on one of 4,000 trips."""
-UNEXPLAINED = "left and right differ, but which part and side is weaker is unknown"
-LEAST = 0.1
-"""A difference is named if the weaker side has at least this share less than the other one."""
-LARGEST_MISFIT = 2.0
-"""Above this misfit the sides differ in a way that the equations do not explain, so that no part is
-named."""
 
 
 def with_sides(

@@ -35,6 +35,12 @@ log = logging.getLogger(__name__)
 N_VEHICLES = 256
 """Test vehicles over which the bounds of features are averaged."""
 TICKS, WIDE_TICKS = (1, 1.2, 1.5, 2, 3, 4), (1, 2, 3, 5, 10, 20, 50, 100)
+BASELINE = "baseline"
+"""Name of the ablation that changes nothing."""
+IGNORED = ("ablation_name",)
+PARTS = ("protocol", "data", "model")
+"""Order in which settings are listed, by the first word of their key."""
+Record = dict[str, Any]
 
 
 def write_ablation(folder: Path) -> list[Record]:
@@ -126,15 +132,6 @@ def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
         "config": yaml.safe_load(read_plain(folder / "config.yaml")),
         "features_ratio": {name: None if math.isnan(v) else v for name, v in lost.items()},
     }
-
-
-BASELINE = "baseline"
-"""Name of the ablation that changes nothing."""
-IGNORED = ("ablation_name",)
-PARTS = ("protocol", "data", "model")
-"""Order in which settings are listed, by the first word of their key."""
-
-Record = dict[str, Any]
 
 
 def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

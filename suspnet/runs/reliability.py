@@ -45,6 +45,9 @@ N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
 """Ratios to healthy outside the range of every protocol."""
 IN_RANGE = "in range"
+Record = dict[str, Any]
+NOMINAL, TOLERANCE = 90.0, 1.5
+"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
 
 
 def write_reliability(
@@ -209,9 +212,6 @@ def _shares(found: BoolArray) -> dict[str, float]:
     return {"any": 100 * float(found.any(axis=1).mean())} | shares
 
 
-Record = dict[str, Any]
-
-
 @dataclass(frozen=True)
 class Reliability:
     """Coverage and flags measured of one model.
@@ -272,10 +272,6 @@ def markdown(one: Reliability) -> str:
     header = ["curves", "flagged %", "peak missing", "beyond cloud", "out of range", "misfit"]
     second = tabulate(flags, header, tablefmt="github", floatfmt=".2f")
     return f"## {one.name}\n\n{first}\n\n{second}\n"
-
-
-NOMINAL, TOLERANCE = 90.0, 1.5
-"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
 
 
 def reliability_figure(found: Sequence[Reliability]) -> Figure:
