@@ -16,7 +16,7 @@ from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
-from suspnet.live.suspensions import read_suspensions
+from suspnet.live.suspension import read_suspensions
 
 log = logging.getLogger(__name__)
 

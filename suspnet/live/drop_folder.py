@@ -15,8 +15,7 @@ from typing import BinaryIO, Literal
 import pyarrow as pa
 
 from suspnet.ground.checks import check_choice, check_flag, check_number
-from suspnet.live.framing import CONTINUATION, Splitter
-from suspnet.live.source import Kind, print_result
+from suspnet.live.source import CONTINUATION, Kind, Splitter, print_result
 from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 
 log = logging.getLogger(__name__)

@@ -22,9 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from suspnet.live.journal import Journal, JournalError
+from suspnet.live.journal import Journal, JournalError, StateError
 from suspnet.live.source import Source
-from suspnet.live.stream_state import StateError
 from suspnet.live.suspension import Due, Job, LiveSuspension, Made, Told
 from suspnet.recordings.frames import FrameError, decode
 

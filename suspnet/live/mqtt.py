@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import logging
+import re
 import threading
 import time
 from collections import Counter, deque
@@ -13,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from suspnet.ground.checks import check_number
 from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
-from suspnet.live.sharding import is_in_part, read_part
 from suspnet.live.source import Kind, plain_json
 from suspnet.recordings.frames import MOST_BYTES
 
@@ -47,7 +48,7 @@ class Mqtt:
     client_id : str
         Name by which the broker keeps the session; that of the part is added.
     part : str
-        "K/N" for the Kth of N processes that share a broker; see `suspnet.live.sharding`.
+        "K/N" for the Kth of N processes that share a broker; see `suspnet.live.mqtt`.
     in_flight : int
         Number of frames that may be on the way to the monitor.
     session_h : float, [h]
@@ -246,3 +247,24 @@ class Mqtt:
             where = self.broker.where
             log.warning("the broker at %s: %s; it is tried again until it answers", where, words)
         self._is_away = True
+
+
+def read_part(text: str) -> tuple[int, int]:
+    """Return K and N of the text "K/N"; ValueError unless 1 <= K <= N <= 1000."""
+    found = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text) if isinstance(text, str) else None
+    part, n_parts = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= part <= n_parts <= 1000:
+        raise ValueError(f'`part` must be "K/N" with 1 <= K <= N <= 1000, got {text!r}')
+    return part, n_parts
+
+
+def is_in_part(suspension: str, part: int, n_parts: int) -> bool:
+    """Return whether a suspension belongs to a part of the processes: by SHA-256 of its name.
+
+    Examples
+    --------
+    >>> [k for k in (1, 2, 3) if is_in_part("train 1, car 2", k, 3)]
+    [1]
+    """
+    digest = hashlib.sha256(suspension.encode()).digest()
+    return int.from_bytes(digest[:8], "big") % n_parts == part - 1

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from suspnet.ground.checks import check_number
-from suspnet.live.standing import Standing
+from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS

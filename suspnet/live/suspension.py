@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
@@ -14,15 +16,19 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
 from suspnet.history.records import TripResult
+from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
-from suspnet.live.stream_state import dump_state, load_state
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame
-from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.frames import MOST_CHARACTERS, Frame
+from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest_files import read_live_manifest
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.grouping import find_groups
+from suspnet.trips.models import models_of
 from suspnet.trips.trip import evaluate_recording
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -342,3 +348,54 @@ def _distance_km(recording: Recording) -> float:
     speeds = recording.speed_m_per_s
     known = speeds[np.isfinite(speeds)]
     return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0
+
+
+def read_suspensions(
+    folder: Path, models: Sequence[TrainedModel], settings: FleetSettings, live: LiveSettings
+) -> list[LiveSuspension]:
+    """Return each suspension that a folder has manifests of.
+
+    Parameters
+    ----------
+    folder : Path
+        As `evaluate_fleet` takes it: of one suspension's trips, of several, or with subfolders.
+        Data files need not be there.
+    models : sequence of TrainedModel
+    settings : FleetSettings
+    live : LiveSettings
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no manifest.
+    TripError
+        If a manifest is faulty, is of another vehicle, lacks the unit of a sensor's range, or has a
+        name that frames cannot have.
+    ModelFileError
+        If a suspension has no model, or the limits do not go together.
+    """
+    found = []
+    for group in find_groups(folder):
+        if group.error:
+            raise TripError(f"{group.folder}: {group.error}")
+        manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        name = str(manifest.place)
+        if not name.isprintable() or len(name) > MOST_CHARACTERS:
+            raise TripError(
+                f"{manifest.path}: frames cannot name the suspension {name[:80]!r}; a name is "
+                f"plain text of at most {MOST_CHARACTERS} characters"
+            )
+        fitting = models_of(models, group.place)
+        settings.limits_of(fitting)
+        if (vehicle := fitting[0].vehicle.name) != manifest.vehicle:
+            raise TripError(
+                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, the model was "
+                f"trained for {vehicle!r}"
+            )
+        found.append(LiveSuspension(manifest, fitting, settings.trips, live))
+    return found
+
+
+def _km(manifest: TripManifest) -> float:
+    """Return the mileage of a manifest; one without is before all others."""
+    return -1.0 if math.isnan(manifest.mileage_km) else manifest.mileage_km

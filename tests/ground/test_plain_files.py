@@ -13,10 +13,18 @@ import pytest
 
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.ground import plain_files
+from suspnet.ground import storage as plain_files
 from suspnet.ground.cache import Cache
-from suspnet.ground.plain_files import NotPlainError, open_plain, read_plain, stored_bytes
-from suspnet.ground.storage import DamagedFileError, content_hash, read_arrays, read_json
+from suspnet.ground.storage import (
+    DamagedFileError,
+    NotPlainError,
+    content_hash,
+    open_plain,
+    read_arrays,
+    read_json,
+    read_plain,
+    stored_bytes,
+)
 from suspnet.recordings.core_yaml import parse_yaml
 from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import read_manifest

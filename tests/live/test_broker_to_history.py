@@ -15,7 +15,7 @@ from suspnet.live.broker import Broker
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.mqtt import Mqtt
-from suspnet.live.recorded import trip_clock, trip_frames
+from suspnet.live.replay import trip_clock, trip_frames
 from suspnet.live.results import Results
 from suspnet.live.sinks import MqttSink
 from suspnet.live.suspension import LiveSettings, LiveSuspension

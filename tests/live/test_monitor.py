@@ -19,8 +19,7 @@ from suspnet.live.journal import Journal, JournalError
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
 from suspnet.live.sections import MOST_OPEN
-from suspnet.live.suspension import Job, LiveSettings, LiveSuspension
-from suspnet.live.suspensions import read_suspensions
+from suspnet.live.suspension import Job, LiveSettings, LiveSuspension, read_suspensions
 from suspnet.recordings import read_manifest
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, decode, encode

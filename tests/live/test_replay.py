@@ -14,8 +14,7 @@ from live_frames import frame
 from trip_fixtures import changed, signal, write_trips
 
 from suspnet.live import replay as replay_module
-from suspnet.live.recorded import trip_clock, trip_frames
-from suspnet.live.replay import Pace, Replay
+from suspnet.live.replay import Pace, Replay, trip_clock, trip_frames
 from suspnet.recordings import load_recording, read_manifest
 from suspnet.recordings.frames import end_ns
 from suspnet.recordings.running import Running

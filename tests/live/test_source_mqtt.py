@@ -15,8 +15,7 @@ import pytest
 from live_frames import Mosquitto, encoded, frame, numbers, received, until
 
 from suspnet.live.broker import Broker
-from suspnet.live.mqtt import Mqtt
-from suspnet.live.sharding import is_in_part, read_part
+from suspnet.live.mqtt import Mqtt, is_in_part, read_part
 from suspnet.live.sinks import MqttSink
 from suspnet.recordings.frames import MOST_SAMPLES, encode
 

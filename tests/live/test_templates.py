@@ -17,8 +17,7 @@ from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
-from suspnet.live.suspension import LiveSettings
-from suspnet.live.suspensions import read_suspensions
+from suspnet.live.suspension import LiveSettings, read_suspensions
 from suspnet.recordings.frames import encode
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.manifest_files import read_manifest
