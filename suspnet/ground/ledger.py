@@ -1,4 +1,4 @@
-"""Ledger of a folder: what this package wrote there, so that no other file is replaced or removed.
+"""Which files are ours: no other file is replaced, removed or opened for work.
 
 A folder of results holds ``written.jsonl``. Before a file is written below that folder, its name
 relative to the folder and the SHA-256 of its content are appended. A file is ours only if it is a
@@ -6,8 +6,11 @@ regular file whose bytes have a hash that the ledger lists for its name. A forge
 exposes no file whose content its author does not know, and names that lead elsewhere (absolute
 ones, ``..``, links) match no file of the folder.
 
-Logs and TensorBoard's events grow, and Hydra writes its own files, so these have no hash: they may
-be there, but are never opened again.
+Logs and TensorBoard's events grow, and Hydra writes its own files; these have no hash: they may be
+there, but are never opened again.
+
+SQLite writes to whatever it opens: a change of the journal mode, a merged write-ahead log, files
+next to it. A database is therefore recognised by its header before it is opened for work.
 """
 
 from __future__ import annotations
@@ -33,21 +36,21 @@ else:
 LEDGER = "written.jsonl"
 """Name of the ledger in a folder of results."""
 HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a temporary name."\n'
-"""First line of a ledger; a file of that name without it is somebody else's."""
+"""First line of a ledger; a file of that name without it is not ours."""
 MAX_BYTES = 2**28
-"""Size beyond which a file is no ledger: a million files take half of it."""
+"""Largest size of a ledger that is read, [bytes]: a million files take half of it."""
 UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
 UNTOUCHED_FOLDERS = (".hydra", ".submitit")
 """Files and folders of ours without a hash."""
 MULTIRUN = "multirun.yaml"
-"""File that Hydra writes once more, not atomically, so that an empty one may be left of it."""
+"""File that Hydra writes again, not atomically: after a kill it may be empty."""
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 Listed = dict[str, set[str]]
 """Hashes by name; a temporary name has none."""
 
 
 def begin(folder: Path) -> bool:
-    """Make a folder for results, or go on in one that holds nothing but results.
+    """Make a folder for results, or go on in one that holds only results.
 
     Returns
     -------
@@ -82,7 +85,7 @@ def begin(folder: Path) -> bool:
 
 
 def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
-    """Enter a file that is going to be written, if its folder or one above has a ledger.
+    """Enter a file into the ledger before it is written, if its folder or one above has a ledger.
 
     Parameters
     ----------
@@ -107,7 +110,7 @@ def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
     entry = [hashlib.sha256(content).hexdigest(), _name(path, root), token]
     handle = os.open(root / LEDGER, os.O_APPEND | os.O_WRONLY | NO_LINKS)
     with os.fdopen(handle, "wb") as stream:
-        if HAS_LOCKS:  # network file systems append at the end that they know of
+        if HAS_LOCKS:  # network file systems may append at an old end
             lock(stream.fileno())
         stream.write(b"\n" + json.dumps(entry).encode())  # whole after a line that was cut off
         stream.flush()
@@ -122,7 +125,7 @@ def remove(path: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Remove the ledger of a folder in which nothing is written any more."""
+    """Remove the ledger of a finished folder."""
     if _root(folder) == _absolute(folder):
         (folder / LEDGER).unlink()
 
@@ -193,7 +196,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file is one that may be there, but is never opened again."""
+    """Return whether a regular file may be there without a hash."""
     name = _name(path, root)
     return stat.S_ISREG(path.lstat().st_mode) and (
         any(fnmatch(path.name, pattern) for pattern in UNTOUCHED_FILES)
@@ -203,7 +206,7 @@ def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
 
 
 def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file holds what a ledger lists."""
+    """Return whether a regular file has a hash that a ledger lists for it."""
     hashes = listed.get(_name(path, root))
     state = path.lstat()
     if not hashes or not stat.S_ISREG(state.st_mode):
@@ -220,7 +223,6 @@ def _name(path: Path, root: Path) -> str:
 
 
 def _absolute(path: Path) -> Path:
-    """Return an absolute path without ``..``."""
     return Path(os.path.abspath(path))
 
 
@@ -232,11 +234,11 @@ USER_VERSION = slice(60, 64)
 
 ACTING = "SELECT name FROM sqlite_master WHERE IFNULL(rootpage, 0) = 0"
 """Query of what runs when tables are read or written: views, triggers and virtual tables. Files of
-this program have none; in one of somebody else's they need never come to an end."""
+this program have none; in a foreign file they may run without end."""
 
 
 def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
-    """Raise an error if a file is somebody else's; a missing and an empty one can be used.
+    """Raise an error if a file is not ours; a missing and an empty one can be used.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
-"""What a monitor must not lose: each suspension's last saved state, and its frames since then.
+"""Journal of a monitor: each suspension's last saved state, and its frames since then.
 
-All of it is one SQLite file, whose transactions are whole or not there, also after a power cut.
-A state takes the place of the frames that it was made from, so that the file stays bounded and a
-start is quick. Frames come back in the order in which they were taken. Those of a suspension have
-neighbouring numbers and so lie side by side: when they go, whole pages become free, and none is
-written again for the sake of a frame of one among hundreds of suspensions.
+The journal is one SQLite file, whose transactions are whole or not there, also after a power cut.
+A state replaces the frames that it was made from: the file stays bounded and a restart is quick.
+Frames come back in the order in which they were taken. Those of a suspension have neighbouring
+numbers and lie side by side in the file: deleting them frees whole pages, and rewrites none that
+hold frames of other suspensions.
+
+A state is JSON-able values with arrays among them, as one safetensors file.
 """
 
 from __future__ import annotations
@@ -52,14 +54,14 @@ class JournalError(ValueError):
 
 @dataclass(frozen=True)
 class Batch:
-    """What was added and saved since the batch before, to be written together.
+    """Frames and states since the batch before, to be written together.
 
     Attributes
     ----------
     new : list of (int, str)
         Numbers and names of suspensions that the journal has not known.
     states : dict of bytes
-        By suspension, in place of the frames that are written already.
+        By suspension; each replaces the frames that are written already.
     frames : dict of list of (int, bytes)
         By suspension, after its state; with their numbers.
     """
@@ -75,12 +77,12 @@ class Batch:
 class Journal:
     """States and frames of the suspensions of one process; a context manager.
 
-    What is added is written batch by batch, by any one thread, while more is added by another.
+    One thread may write a batch while another adds to the next one.
 
     Parameters
     ----------
     path : Path
-        Made anew where there is nothing yet.
+        Made where there is nothing yet.
 
     Attributes
     ----------
@@ -123,7 +125,7 @@ class Journal:
         """Lock the file for this process, and make the tables where there are none."""
         run = self._connection.execute
         run(f"PRAGMA page_size = {PAGE_BYTES}")
-        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what goes
+        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what is deleted
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")
@@ -158,7 +160,7 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file once a batch that is being written is; what was not is gone."""
+        """Close the file after the batch that is being written; what was not written is lost."""
         with self._writing:
             self._connection.close()
 
@@ -184,14 +186,14 @@ class Journal:
         ]
 
     def add(self, suspension: str, frame: bytes) -> None:
-        """Keep a frame with the next batch."""
+        """Add a frame to the next batch."""
         self._number(suspension)
         self._last[suspension] += 1
         self._batch.frames.setdefault(suspension, []).append((self._last[suspension], frame))
         self.n_bytes[suspension] += len(frame)
 
     def save(self, suspension: str, state: bytes) -> None:
-        """Keep a state with the next batch, in place of all frames of the suspension so far."""
+        """Add a state to the next batch, in place of all frames of the suspension so far."""
         self._number(suspension)
         self._batch.states[suspension] = state
         self._batch.frames.pop(suspension, None)
@@ -223,7 +225,6 @@ class Journal:
             self._write(batch)
 
     def _write(self, batch: Batch) -> None:
-        """Write a batch."""
         run = self._connection.execute
         try:
             run("BEGIN")

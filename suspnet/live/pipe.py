@@ -20,7 +20,7 @@ class Pipe:
     """Source of the frames on standard input.
 
     What was read cannot be read again: after a kill, the sender must send again what was not yet
-    kept. Reading stops while the buffer is full, so that a sender that is too fast waits.
+    stored. Reading stops while the buffer is full: a sender that is too fast waits.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Pipe:
         return Counter(self._splitter.counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Begin to read; all suspensions are this process's. See `Source`."""
+        """Start to read; all suspensions are this process's. See `Source`."""
         if sys.stdin is None:
             raise ValueError("source=stdin needs a standard input, which is closed")
         self._awake, self._wake = os.pipe()
@@ -109,14 +109,13 @@ class Inbox:
         self._has_ended = False
 
     def put(self, frame: bytes) -> None:
-        """Add a frame as soon as there is room; after `end` it is forgotten."""
+        """Add a frame as soon as there is room, which one frame always has; none after `end`."""
         with self._changed:
             self._changed.wait_for(
                 lambda: (
                     self._has_ended
-                    or self._n_bytes + len(frame) <= self.most_bytes
-                    # one frame always has room
                     or not self._frames
+                    or self._n_bytes + len(frame) <= self.most_bytes
                 )
             )
             if not self._has_ended:

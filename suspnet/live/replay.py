@@ -1,4 +1,7 @@
-"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a pace."""
+"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a pace.
+
+Frames hold the raw samples of each sensor, with the times at which they were taken.
+"""
 
 from __future__ import annotations
 
@@ -37,11 +40,21 @@ from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
 PAUSE_S = 3600
-"""Time between the end of a trip and the begin of the next one of the same suspension, where
+"""Time between the end of a trip and the start of the next one of the same suspension, where
 neither manifests nor files say when they were recorded, [s]."""
 
 LONGEST_WAIT_S = 60.0
 """Longest time without any frame [s] that a replay at a pace waits for, in recorded time."""
+
+
+MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
+"""Sensor and unit of the frames of one sample at the start of a trip."""
+
+SLOW_HZ = 1.0
+"""Rate of these frames, which no sample follows."""
+
+UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
+"""Unit of frames where the manifest leaves it to the file, and the known ones."""
 
 
 @dataclass
@@ -57,7 +70,7 @@ class Replay:
     frame_s : float, [s]
         Length of a frame.
     start : str, optional
-        Begin of the first trip of each suspension whose manifests and files do not say when they
+        Start of the first trip of each suspension whose manifests and files do not say when they
         were recorded, in ISO 8601; its other trips follow after ``PAUSE_S``.
     zone : str
         Time zone of times that name none: "UTC", "+02:00" or "Europe/Berlin".
@@ -65,7 +78,7 @@ class Replay:
     Attributes
     ----------
     n_suspensions, n_trips : int
-        Number of suspensions, and of trips that were begun.
+        Number of suspensions, and of trips that were started.
     problems : list of str
         Why trips are missing, or end early.
 
@@ -103,7 +116,7 @@ class Replay:
             for trip in trips:
                 by_name.setdefault(str(trip.place), []).append(trip)
             if group.error:
-                self._tell(f"{group.folder}: {group.error}")
+                self._report(f"{group.folder}: {group.error}")
         self.n_suspensions = len(by_name)
         self._trips = list(by_name.values())
 
@@ -112,34 +125,32 @@ class Replay:
         yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
 
     def _read(self, path: Path) -> TripManifest | None:
-        """Return a manifest; None if it has mistakes, which are told."""
         try:
             return read_manifest(path)
         except TripError as error:
-            self._tell(str(error))
+            self._report(str(error))
             return None
 
     def _suspension(self, trips: Sequence[TripManifest]) -> Iterator[Frame]:
-        """Yield the frames of one suspension, trip by trip."""
         numbers: Counter[str] = Counter()
         last_ns: int | None = None
         for trip in _in_order(trips, self._zone):
             try:
-                clock = trip_clock(trip, self._zone)
-                zero_ns = self._undated(trip, last_ns) if clock.zero_ns is None else clock.zero_ns
+                dated_ns, offsets = trip_clock(trip, self._zone)
+                zero_ns = self._undated(trip, last_ns) if dated_ns is None else dated_ns
                 self.n_trips += 1
                 before_ns = last_ns
-                for frame in trip_frames(trip, zero_ns, clock.offsets_s, numbers, self.frame_s):
+                for frame in trip_frames(trip, zero_ns, offsets, numbers, self.frame_s):
                     if before_ns is not None and frame.time_ns < before_ns:
-                        self._tell(f"{trip.path}: begins before the trip before it has ended")
+                        self._report(f"{trip.path}: begins before the trip before it has ended")
                     before_ns = None
                     last_ns = max(end_ns(frame), last_ns or 0)
                     yield frame
             except TripError as error:
-                self._tell(str(error))
+                self._report(str(error))
 
     def _undated(self, trip: TripManifest, last_ns: int | None) -> int:
-        """Return when a trip begins that does not say so; TripError if `start` is not given."""
+        """Return when a trip without a date starts; TripError if `start` is not given."""
         if self._start_ns is None:
             raise TripError(
                 f"{trip.path}: neither `start` nor the data files say when the trip was recorded; "
@@ -149,8 +160,8 @@ class Replay:
             return self._start_ns
         return math.ceil(last_ns / SECOND_NS + PAUSE_S) * SECOND_NS
 
-    def _tell(self, problem: str) -> None:
-        """Keep and log what is wrong with a trip; the others go on."""
+    def _report(self, problem: str) -> None:
+        """Log what is wrong with a trip; the others go on."""
         self.problems.append(problem)
         log.warning("%s", problem)
 
@@ -178,8 +189,7 @@ class Pace:
     def wait(self, frame: Frame) -> None:
         """Wait until a frame is due: as long after the one before as it was recorded later.
 
-        Without any frame in ``LONGEST_WAIT_S`` no longer than that. Delays of the other side are
-        caught up.
+        It waits at most ``LONGEST_WAIT_S`` of recorded time, and catches up delays of the receiver.
         """
         if self.times is None:
             return
@@ -193,9 +203,9 @@ class Pace:
 
 
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
-    """Return trips by their start if all of them say it, else by mileage."""
+    """Return trips by their start if all of them have one, else by mileage."""
     starts = [trip.start for trip in trips]
-    known = [nanoseconds(start, zone) for start in starts if start is not None]
+    known = [_nanoseconds(start, zone) for start in starts if start is not None]
     if len(known) == len(trips):
         order = sorted(range(len(trips)), key=lambda k: known[k])
         return [trips[k] for k in order]
@@ -203,42 +213,15 @@ def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]
 
 
 def _parsed(text: str, zone: tzinfo) -> int:
-    """Return a date and time in nanoseconds since 1970; ValueError if it is none."""
     try:
-        return nanoseconds(datetime.fromisoformat(text), zone)
+        return _nanoseconds(datetime.fromisoformat(text), zone)
     except (TypeError, ValueError):
         raise ValueError(
             f"`start` must be a date and time like 2026-03-01T06:00:00Z, got {text!r}"
         ) from None
 
 
-MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
-"""Sensor and unit of the frames of one sample at the begin of a trip."""
-
-SLOW_HZ = 1.0
-"""Rate of these frames, which no sample follows."""
-
-UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
-"""Unit of frames where the manifest leaves it to the file, and the known ones."""
-
-
-@dataclass(frozen=True)
-class TripClock:
-    """When a trip was recorded.
-
-    Attributes
-    ----------
-    zero_ns : int or None, [ns]
-        Zero of the trip's clock, since 1970 in UTC; None if neither manifest nor files say it.
-    offsets_s : mapping of float, [s]
-        For each sensor and the speed, what is added to its times.
-    """
-
-    zero_ns: int | None
-    offsets_s: Mapping[str, float]
-
-
-def sources_of(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
+def _sources(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
     """Return kind and source of each sensor, and of the speed if it is recorded."""
     found: dict[str, tuple[str, Source]] = {
         name: ("acceleration", one) for name, one in manifest.sensors().items()
@@ -248,33 +231,28 @@ def sources_of(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
     return found
 
 
-def trip_clock(manifest: TripManifest, zone: tzinfo = UTC) -> TripClock:
+def trip_clock(
+    manifest: TripManifest, zone: tzinfo = UTC
+) -> tuple[int | None, Mapping[str, float]]:
     """Return when a trip was recorded.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    zone : tzinfo
-        Of a `start` and of time stamps that name none.
-
-    Raises
-    ------
-    TripError
-        If a file cannot be read, or clocks cannot be aligned.
+    First the zero of its clock [ns] since 1970 in UTC, None if neither manifest nor files give it;
+    then, for each sensor and the speed, the time [s] that is added to its own times. TripError if a
+    file cannot be read, or clocks cannot be aligned.
     """
     zeros = {
         name: zero_of(manifest, source, _source_name(manifest, name), kind)
-        for name, (kind, source) in sources_of(manifest).items()
+        for name, (kind, source) in _sources(manifest).items()
     }
     offsets = offsets_s(manifest, zeros)
     dated = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
     for name, ns in dated.items():
         zero_ns = ns - round(offsets[name] * SECOND_NS)
-        return TripClock(zero_ns - _ahead_ns(zero_ns, zeros[name], zone), offsets)
-    return TripClock(None if manifest.start is None else nanoseconds(manifest.start, zone), offsets)
+        return zero_ns - _ahead_ns(zero_ns, zeros[name], zone), offsets
+    return None if manifest.start is None else _nanoseconds(manifest.start, zone), offsets
 
 
-def nanoseconds(moment: datetime, zone: tzinfo) -> int:
+def _nanoseconds(moment: datetime, zone: tzinfo) -> int:
     """Return a date and time, in a zone if it names none, in nanoseconds since 1970 in UTC."""
     aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
     return (aware - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
@@ -291,28 +269,14 @@ def trip_frames(
 
     Samples have the unit of the manifest and are as in the file: not cleaned, filtered or turned.
     They are float32 where that holds them exactly, else float64. A sample that is missing (NaN,
-    infinite or absurd) or whose time is missing ends a frame. A block of each sensor is in memory.
-
-    Parameters
-    ----------
-    manifest : TripManifest
-    zero_ns : int, [ns]
-    offsets : mapping of float, [s]
-        As of `TripClock`.
-    numbers : Counter
-        Sequence number of the next frame of each sensor, which goes on.
-    frame_s : float, [s]
-        Length of a frame; none has more than ``MOST_SAMPLES``.
-
-    Raises
-    ------
-    TripError
-        If a file cannot be read or contradicts the manifest.
+    infinite or absurd) or whose time is missing ends a frame; so does sample ``MOST_SAMPLES``. A
+    block of each sensor is in memory. `zero_ns` and `offsets` are those of `trip_clock`; `numbers`
+    holds the sequence number of the next frame of each sensor, and grows.
     """
     suspension = str(manifest.place)
     streams = [
         _sensor_frames(manifest, name, zero_ns + round(offsets[name] * SECOND_NS), numbers, frame_s)
-        for name in sources_of(manifest)
+        for name in _sources(manifest)
     ]
     merged = heapq.merge(*streams, key=end_ns)
     for first in merged:
@@ -330,7 +294,7 @@ def _sensor_frames(
     manifest: TripManifest, name: str, zero_ns: int, numbers: Counter[str], frame_s: float
 ) -> Iterator[Frame]:
     """Yield the frames of one sensor; `zero_ns` is what its times are counted from."""
-    kind, source = sources_of(manifest)[name]
+    kind, source = _sources(manifest)[name]
     where, suspension = _source_name(manifest, name), str(manifest.place)
     with open_source(manifest, source, where, kind) as opened:
         timeline = None if opened.times is None else Timeline(where, opened.rate_hz)
@@ -342,7 +306,7 @@ def _sensor_frames(
         first_ns = zero_ns + round(first_s * SECOND_NS)
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
         whole = chain([first_block], blocks)
-        del first_block  # it is as large as all else that is held of a sensor
+        del first_block  # it is as large as all other memory of a sensor
         for at, values in _recut(whole, size):
             for start, stop in zip(*runs(~find_gaps(values)), strict=True):
                 time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)
@@ -352,7 +316,7 @@ def _sensor_frames(
 
 
 def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, FloatArray]]:
-    """Yield pieces of `size` samples of a signal, the last one shorter, and where they begin."""
+    """Yield pieces of `size` samples of a signal, the last one shorter, and where they start."""
     at, rest = 0, np.empty(0)
     for block in blocks:
         rest = np.concatenate([rest, block])
@@ -366,7 +330,7 @@ def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, Float
 
 
 def _unit(kind: str, source: Source, opened: OpenSource) -> tuple[str, float]:
-    """Return the unit of a source's frames, and what the numbers in its file are in it."""
+    """Return the unit of a source's frames, and the size of the file's numbers in it."""
     usual, sizes = UNITS[kind]
     unit = source.unit or usual
     return unit, abs(opened.size) / sizes[unit]
@@ -386,7 +350,7 @@ def _next(numbers: Counter[str], name: str) -> int:
 
 
 def _ahead_ns(local_ns: int, zero: Zero, zone: tzinfo) -> int:
-    """Return what a clock is ahead of UTC, [ns]: nothing if its zone is known."""
+    """Return how far a clock is ahead of UTC, [ns]: 0 if its times have a zone."""
     if zero.is_zoned:
         return 0
     naive = datetime(1970, 1, 1) + timedelta(seconds=local_ns // SECOND_NS)
@@ -396,6 +360,5 @@ def _ahead_ns(local_ns: int, zero: Zero, zone: tzinfo) -> int:
 
 
 def _source_name(manifest: TripManifest, name: str) -> str:
-    """Return how errors name a source."""
     named = "`speed`" if name == "speed" else f"channel {name!r}"
     return f"{manifest.path}: {named}"

@@ -1,4 +1,11 @@
-"""What the monitor asks of a source of frames: standard input, a folder, a broker."""
+"""What the monitor asks of a source of frames, and how a stream of bytes is divided into frames.
+
+Frames are found by Arrow's own framing: an encapsulated message of the Arrow IPC format is
+0xFFFFFFFF, the length of its metadata (a little-endian int32, a multiple of 8), the metadata (a
+flatbuffer, which holds the length of the body) and the body. A frame is the message of a schema,
+that of one record batch, and the mark of the end, 0xFFFFFFFF 0x00000000. The content of a frame is
+checked later, by `suspnet.recordings.frames.decode`.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +27,12 @@ class Source(Protocol):
 
     A source is made from its settings, which it checks, and opens nothing before `subscribe`. All
     methods are called by one thread. A frame is given at least once: what was received but not
-    confirmed comes again after a restart, as far as the sender keeps it.
+    confirmed comes again after a restart, as far as the sender stores it.
     """
 
     @property
     def counts(self) -> Counter[str]:
-        """What was no frame, and what happened on the way, by its reason in one word."""
+        """Counts of what was no frame and of what happened on the way, by reason in one word."""
         ...
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
@@ -52,14 +59,11 @@ class Source(Protocol):
         ...
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Say that the next so many of the frames received are kept: the source may forget them.
-
-        None: all that were received so far.
-        """
+        """Let the source forget the next `n_frames` that it gave; None: all so far."""
         ...
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
-        """Tell a result, a JSON object, of one suspension; never waits for a network."""
+        """Publish a result, a JSON object, of one suspension; never waits for a network."""
         ...
 
     def close(self) -> None:
@@ -77,8 +81,8 @@ def plain_json(payload: bytes) -> dict[str, Any]:
 
 def print_result(kind: Kind, suspension: str, payload: bytes) -> None:
     """Write a result to standard output, as one line of JSON with these two names first."""
-    told = {"kind": kind, "suspension": suspension, **plain_json(payload)}
-    sys.stdout.write(json.dumps(told) + "\n")
+    row = {"kind": kind, "suspension": suspension, **plain_json(payload)}
+    sys.stdout.write(json.dumps(row) + "\n")
     sys.stdout.flush()
 
 
@@ -100,21 +104,21 @@ SCHEMA, RECORD_BATCH = 1, 3
 
 
 class Splitter:
-    """Cuts a stream of bytes, however it comes in pieces, into encoded frames.
+    """Divides a stream of bytes, in whatever pieces it comes, into encoded frames.
 
-    After bytes that are no frame it goes on at the next place where a frame begins, even inside of
-    a frame that was begun and never ended. It holds at most ``MOST_BYTES`` and one piece.
+    After bytes that are no frame it goes on at the next place where a frame starts, even inside a
+    frame that started and never ended. It holds at most ``MOST_BYTES`` and one piece.
 
     Attributes
     ----------
     counts : Counter
         Stretches of bytes between two frames that are none, by the first reason: "foreign",
-        "size" (larger than any frame), "truncated" (begun, but not as long as it says).
+        "size" (larger than any frame), "truncated" (shorter than it says).
 
     Examples
     --------
     >>> import numpy as np
-    >>> from suspnet.stream import Frame, encode
+    >>> from suspnet.recordings.frames import Frame, encode
     >>> one = encode(Frame("car 2", "body", 7, 0, 100.0, "g", np.zeros(100)))
     >>> splitter = Splitter()
     >>> splitter.push(b"noise" + one + one[:50]) == [one], splitter.push(one[50:]) == [one]
@@ -134,11 +138,11 @@ class Splitter:
         return self._frames(at_end=False)
 
     def finish(self) -> list[bytes]:
-        """Return the frames that are left where the stream ends; count one that is cut off."""
+        """Return the frames that are left at the end of the stream; count one that is cut off."""
         return self._frames(at_end=True)
 
     def _frames(self, at_end: bool) -> list[bytes]:
-        """Return the frames in the buffer and take them off."""
+        """Take the whole frames out of the buffer."""
         found: list[bytes] = []
         at = 0
         while len(self._buffer) - at >= PREFIX_BYTES:  # each round goes on by a byte or more
@@ -177,12 +181,12 @@ class Splitter:
         self._is_lost = True
 
     def _length(self, start: int) -> int | None:
-        """Return the length of the frame that begins somewhere; None if it is not yet whole.
+        """Return the length of the frame that starts at a place; None if it is not yet whole.
 
         Raises
         ------
         FrameError
-            If no frame begins there.
+            If no frame starts there.
         """
         end = start
         for kind in (SCHEMA, RECORD_BATCH):

@@ -67,7 +67,7 @@ def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
         with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
             suspension = LiveSuspension(manifest, [model_at()], SETTINGS.trips, LIVE)
             results = Results(store, SETTINGS, source.publish)
-            monitor = Monitor([suspension], source, journal, results.tell)
+            monitor = Monitor([suspension], source, journal, results.report)
             thread.start()
             monitor.run()
             results.close()

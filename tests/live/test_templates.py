@@ -77,7 +77,7 @@ def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fl
     source = ListSource([encode(frame) for frame in frames])
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
         results = Results(store, SETTINGS, source.publish)
-        monitor = Monitor([one], source, journal, results.tell)
+        monitor = Monitor([one], source, journal, results.report)
         monitor.run()
         (found,) = store.read(manifest.vehicle, manifest.place)
     assert monitor.counts == {"taken": len(frames)}
