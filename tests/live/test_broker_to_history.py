@@ -43,8 +43,7 @@ def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
 ):
     path = small_fleet(tmp_path_factory)[0]
     manifest = read_manifest(path)
-    clock = trip_clock(manifest)
-    frames = list(trip_frames(manifest, clock.zero_ns, clock.offsets_s, Counter()))
+    frames = list(trip_frames(manifest, *trip_clock(manifest), Counter()))
     broker = Mosquitto(tmp_path).start()
     settings = Broker(port=broker.port)
     source, sink = Ending(settings, in_flight=300), MqttSink(settings)
