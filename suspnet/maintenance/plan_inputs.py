@@ -19,7 +19,7 @@ MOST_DAYS = 36_525.0
 MAX_DATES = 1000
 """Largest number of possible dates before the horizon."""
 WINDOW_DAYS = 180
-"""Number of days whose trips, the newest, tell how far a train runs in a day."""
+"""Number of days, the newest, whose trips show how far a train runs in a day."""
 LEAST_DAYS = 14
 """Least number of days between the first and the last of these trips."""
 
@@ -142,7 +142,7 @@ class Part:
     Parameters
     ----------
     train, suspension, parameter : str
-        Which one, together with `car`.
+        With `car`, its place.
     samples_km : array of shape (n_samples,), [km]
         Equally likely mileages from the last trip until a limit is passed, as of
         ``Life.samples_km``; inf: never, 0: it has been already.
@@ -152,8 +152,8 @@ class Part:
         Of its alarm.
     car : str
     unknown : str
-        Why its remaining life is unknown, or not to be relied on; empty if it is known. Its visits
-        are then those of its alarm, unless there are samples.
+        Why its remaining life is unknown or unreliable; empty if it is known. Without samples only
+        the severity of its alarm decides on its visits.
     """
 
     train: str
@@ -182,11 +182,11 @@ class Part:
 
     @property
     def is_passed(self) -> bool:
-        """Whether the limit is passed already, for sure."""
+        """Whether the limit is passed already, with certainty."""
         return bool((self.samples_km == 0).all())
 
     def __str__(self) -> str:
-        """Return where it is, in words."""
+        """Return train, car, suspension and parameter as text."""
         car = f"car {self.car}" if self.car else ""
         return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
 
@@ -194,7 +194,7 @@ class Part:
 def km_per_day(
     starts: Sequence[str] | NDArray[np.datetime64], mileages_km: ArrayLike, default: float
 ) -> float:
-    """Return how far a train runs in a day, from the begins and mileages of its newest trips.
+    """Return how far a train runs in a day, from starts and mileages of its newest trips.
 
     Parameters
     ----------
@@ -228,7 +228,6 @@ def km_per_day(
 
 
 def _ordinals(starts: Sequence[str] | NDArray[np.datetime64]) -> FloatArray:
-    """Return the days of time stamps as numbers, NaN where there is none."""
     if isinstance(starts, np.ndarray) and starts.dtype.kind == "M":
         days = starts.astype("datetime64[D]").astype(float)
         return np.where(np.isnat(starts), np.nan, days)
@@ -236,7 +235,6 @@ def _ordinals(starts: Sequence[str] | NDArray[np.datetime64]) -> FloatArray:
 
 
 def _ordinal(start: str) -> float:
-    """Return the day of a time stamp as a number, NaN if there is none."""
     if not start:
         return np.nan
     try:
