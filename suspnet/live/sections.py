@@ -59,7 +59,7 @@ class _Open:
     cut_ns : int or None, [ns]
         Where it ends before its full length, as the train stood.
     n_tried : int
-        Number of checks whether the train stood.
+        Number of checks for that.
     """
 
     section: Running
@@ -120,6 +120,8 @@ class Sections:
         self.manifest, self.section_s, self.late_s = manifest, section_s, late_s
         self.rate_hz, self.cleaning, self.pause_s = rate_hz, cleaning, pause_s
         self.order = OrderSettings() if order is None else order
+        self._pause_ns, self._late_ns = round(pause_s * SECOND_NS), round(late_s * SECOND_NS)
+        self._short_s = min(max(SHORT * section_s, SHORT_S), section_s)
         self.counts: Counter[str] = Counter()
         self._open: dict[int, _Open] = {}
         self._next_ns = 0
@@ -212,14 +214,6 @@ class Sections:
     def _keys(self) -> list[int]:
         return sorted(self._open, key=lambda k: self._open[k].section.begin_ns)
 
-    @property
-    def _pause_ns(self) -> int:
-        return round(self.pause_s * SECOND_NS)
-
-    @property
-    def _short_s(self) -> float:
-        return min(max(SHORT * self.section_s, SHORT_S), self.section_s)
-
     def _begun(self, zero_ns: int) -> Running:
         longest_s = self.section_s + self.pause_s + 1
         settings = self.rate_hz, self.cleaning, self.order, longest_s, float(self.pause_s)
@@ -238,13 +232,12 @@ class Sections:
         Only speeds that must have come by then count: those older than `late_s`.
         """
         first_ns = self._full_ns(one.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
-        late_ns = round(self.late_s * SECOND_NS)
         while one.cut_ns is None:  # ends: each round advances by a minute
             at_ns = first_ns + one.n_tried * TRIED_NS
             if time_ns <= at_ns:
                 return
             one.n_tried += 1
-            if self._standing.stood(at_ns - late_ns - self._pause_ns, at_ns - late_ns):
+            if self._standing.stood(at_ns - self._late_ns - self._pause_ns, at_ns - self._late_ns):
                 one.cut_ns = at_ns
 
     def _end_ns(self, one: _Open) -> int:
@@ -282,15 +275,14 @@ class Sections:
             one.after[part.sensor] = one.after[part.sensor] + 1 if has_passed else 0
         if part.sensor == "speed":
             self._standing.take(part)
-            kept_ns = 2 * self._pause_ns + round(2 * self.late_s * SECOND_NS) + TRIED_NS
-            self._standing.forget(part.time_ns - kept_ns)
+            needed_ns = 2 * (self._pause_ns + self._late_ns) + TRIED_NS
+            self._standing.forget(part.time_ns - needed_ns)
 
     def _over_ns(self, one: _Open) -> int:
         """Return the time from which on frames show that a section is over."""
-        wait_s = max(self.late_s, self._short_s)
-        goes_on_ns = self._border_ns(one) + round(wait_s * SECOND_NS)
-        pause_ns = self._pause_ns + round(self.late_s * SECOND_NS)
-        return min(goes_on_ns, one.section.end_ns + pause_ns)
+        wait_ns = max(self._late_ns, round(self._short_s * SECOND_NS))
+        pause_ns = one.section.end_ns + self._pause_ns + self._late_ns
+        return min(self._border_ns(one) + wait_ns, pause_ns)
 
     def _after(self, key: int) -> int | None:
         """Return the key of the section that follows in the same trip."""
