@@ -218,7 +218,6 @@ def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
 
 
 def _name(path: Path, root: Path) -> str:
-    """Return the name of a file relative to the folder of the ledger."""
     return _absolute(path).relative_to(root).as_posix()
 
 

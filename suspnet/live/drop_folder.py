@@ -163,7 +163,6 @@ class DropFolder:
             self._reading = None
 
     def _look(self) -> None:
-        """Find files that are new, in the order of the times of their first frames."""
         try:
             with os.scandir(self.folder) as entries:
                 found = {
@@ -186,7 +185,6 @@ class DropFolder:
         self._waiting.extend(sorted(plain, key=_first_time))
 
     def _frames(self, path: Path) -> Generator[list[bytes], None, None]:
-        """Yield the frames of a file, piece by piece."""
         splitter, problem, last = Splitter(), "", list[bytes]()
         try:
             with _opened(path) as file:
@@ -264,7 +262,7 @@ class DropFolder:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a plain file: follow no link, and wait for nobody who writes into a FIFO.
+    """Open a plain file: follow no link, and do not wait for a writer of a FIFO.
 
     OSError says why not.
     """

@@ -200,7 +200,6 @@ class Journal:
         del self.n_bytes[suspension]
 
     def _number(self, suspension: str) -> None:
-        """Give a suspension a number if it has none."""
         if suspension not in self._numbers:
             number = len(self._numbers) + 1
             self._numbers[suspension], self._last[suspension] = number, number * RANGE
@@ -306,7 +305,6 @@ def _without_arrays(value: Any, arrays: dict[str, NDArray[Any]], name: str) -> A
 
 
 def _with_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
-    """Return what `_without_arrays` was given."""
     if isinstance(value, dict):
         if set(value) == {"array"}:
             return arrays[value["array"]]

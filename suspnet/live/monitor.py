@@ -153,7 +153,9 @@ class Monitor:
                     one.take(decode(data), is_known=True)
                 except FrameError as error:  # a part of it was of a section that is over
                     log.debug("%s: %s", name, error)
-                self._add(one, one.due())  # as when they came: only so many sections may be open
+                self._add(
+                    one, one.due()
+                )  # as when they came: the number of open sections is limited
         return n_frames
 
     def run(self) -> None:
@@ -193,7 +195,6 @@ class Monitor:
             self._executor.shutdown(cancel_futures=True)
 
     def _wait_s(self) -> float:
-        """Return how long to wait for frames, [s]."""
         if self._due and self._making is None:
             return 0.0
         if self._writing is not None:

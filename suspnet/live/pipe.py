@@ -124,7 +124,7 @@ class Inbox:
                 self._changed.notify_all()
 
     def end(self) -> None:
-        """Say that there will be no more frames."""
+        """End the queue: there will be no more frames."""
         with self._changed:
             self._has_ended = True
             self._changed.notify_all()

@@ -110,8 +110,8 @@ class Replay:
             for name in {str(trip.place) for trip in trips}:
                 if name in by_name:
                     raise ValueError(
-                        f"{group.folder} holds trips of {name!r}, as another folder does; tell "
-                        "them apart by `train` and `car` in the manifests"
+                        f"{group.folder} holds trips of {name!r}, as another folder does; "
+                        "distinguish them by `train` and `car` in the manifests"
                     )
             for trip in trips:
                 by_name.setdefault(str(trip.place), []).append(trip)
@@ -142,7 +142,7 @@ class Replay:
                 before_ns = last_ns
                 for frame in trip_frames(trip, zero_ns, offsets, numbers, self.frame_s):
                     if before_ns is not None and frame.time_ns < before_ns:
-                        self._report(f"{trip.path}: begins before the trip before it has ended")
+                        self._report(f"{trip.path}: starts before the end of the trip before it")
                     before_ns = None
                     last_ns = max(end_ns(frame), last_ns or 0)
                     yield frame
@@ -161,7 +161,6 @@ class Replay:
         return math.ceil(last_ns / SECOND_NS + PAUSE_S) * SECOND_NS
 
     def _report(self, problem: str) -> None:
-        """Log what is wrong with a trip; the others go on."""
         self.problems.append(problem)
         log.warning("%s", problem)
 

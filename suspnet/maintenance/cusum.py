@@ -180,7 +180,7 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
 
     ``N_SIMULATED`` healthy histories, each with a reference of its own, are made by a normal
     autoregressive process. The rate is that of the first false alarms for each trip monitored, and
-    it is kept over each of ``HORIZONS``. As the CUSUM of standardised residuals does not depend on
+    it holds over each of ``HORIZONS``. As the CUSUM of standardised residuals does not depend on
     level and spread of the trips, that is a parametric bootstrap of any suspension's reference,
     with the least favourable correlation instead of its own, which `n_reference` trips do not
     determine well enough. At least ``CLIP``, so that no trip raises an alarm alone. Below the
@@ -266,7 +266,6 @@ def _posterior_mean(lagged: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def _outer(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products of the elements of each two rows."""
     return left[..., :, None] * right[..., None, :]
 
 

@@ -167,9 +167,9 @@ def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> F
     r = np.maximum(rho[..., None], 1e-9)
     g = (1 - r**m) / (m * (1 - r))
     end = blocks.first + blocks.size - 1
-    apart = np.abs(blocks.first[None, :] - end[:, None])
-    apart = np.where(np.arange(m.size)[:, None] < np.arange(m.size), apart, apart.T)
-    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** apart
+    between = np.abs(blocks.first[None, :] - end[:, None])
+    between = np.where(np.arange(m.size)[:, None] < np.arange(m.size), between, between.T)
+    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** between
     own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
     index = np.arange(m.size)
     covariance[..., index, index] = own

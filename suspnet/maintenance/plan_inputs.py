@@ -43,7 +43,7 @@ class PlanSettings:
     notice_days : float
         Within which a notice is looked at where no passing of a limit is predicted.
     km_per_day : float
-        Of trains whose trips do not tell it.
+        Of trains whose trips do not show it.
     plan_again_risk : float
         A part without a visit is planned again before the probability that its limit is passed
         exceeds this.

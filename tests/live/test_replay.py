@@ -230,14 +230,14 @@ def test_trips_that_overlap_are_told(trips, tmp_path):
     for _ in replay.frames():
         pass
     (problem,) = replay.problems
-    assert problem.endswith("trip_002.yaml: begins before the trip before it has ended")
+    assert problem.endswith("trip_002.yaml: starts before the end of the trip before it")
 
 
 def test_suspensions_of_one_name_are_a_mistake(trips, tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         changed(trips[0], tmp_path / name)
-    with pytest.raises(ValueError, match="tell them apart by `train` and `car`"):
+    with pytest.raises(ValueError, match="distinguish them by `train` and `car`"):
         Replay(tmp_path)
 
 
