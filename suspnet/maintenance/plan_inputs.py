@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import date, datetime
+from datetime import date
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
@@ -191,15 +191,13 @@ class Part:
         return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
 
 
-def km_per_day(
-    starts: Sequence[str] | NDArray[np.datetime64], mileages_km: ArrayLike, default: float
-) -> float:
+def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
     """Return how far a train runs in a day, from starts and mileages of its newest trips.
 
     Parameters
     ----------
-    starts : sequence of str, or array of datetime64, of shape (n_trips,)
-        ISO 8601, or empty or NaT where it is not known.
+    starts : array of datetime64 of shape (n_trips,)
+        NaT where it is not known.
     mileages_km : array of shape (n_trips,), [km]
         NaN where it is not known.
     default : float
@@ -208,36 +206,18 @@ def km_per_day(
     Raises
     ------
     ValueError
-        If a start is no date, or the lengths differ.
+        If the lengths differ.
     """
-    mileages = np.asarray(mileages_km, dtype=float)
-    if mileages.shape != (len(starts),):
+    if mileages_km.shape != starts.shape:
         raise ValueError(
             f"`mileages_km` must be one for each of {len(starts)} starts, "
-            f"got shape {mileages.shape}"
+            f"got shape {mileages_km.shape}"
         )
-    days = _ordinals(starts)
-    known = np.isfinite(days) & np.isfinite(mileages)
-    days, mileages = days[known], mileages[known]
+    known = ~np.isnat(starts) & np.isfinite(mileages_km)
+    days, mileages = starts[known].astype("datetime64[D]").astype(float), mileages_km[known]
     if not days.size:
         return default
     new = days >= days.max() - WINDOW_DAYS
     span = np.ptp(days[new])
     run = mileages[new][days[new].argmax()] - mileages[new][days[new].argmin()]
     return float(run / span) if span >= LEAST_DAYS and run > 0 else default
-
-
-def _ordinals(starts: Sequence[str] | NDArray[np.datetime64]) -> FloatArray:
-    if isinstance(starts, np.ndarray) and starts.dtype.kind == "M":
-        days = starts.astype("datetime64[D]").astype(float)
-        return np.where(np.isnat(starts), np.nan, days)
-    return np.array([_ordinal(start) for start in starts], dtype=float)
-
-
-def _ordinal(start: str) -> float:
-    if not start:
-        return np.nan
-    try:
-        return float(datetime.fromisoformat(start).toordinal())
-    except ValueError:
-        raise ValueError(f"`starts` must be ISO 8601 or empty, got {start!r}") from None
