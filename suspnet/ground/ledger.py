@@ -32,7 +32,6 @@ except ImportError:  # not a POSIX system
     HAS_LOCKS = False
 else:
     HAS_LOCKS = True
-
 LEDGER = "written.jsonl"
 """Name of the ledger in a folder of results."""
 HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a temporary name."\n'
@@ -230,7 +229,6 @@ HEADER_BYTES = 100
 APPLICATION_ID = slice(68, 72)
 USER_VERSION = slice(60, 64)
 """Places of two numbers in the header, which their owner chooses; 0 by default."""
-
 ACTING = "SELECT name FROM sqlite_master WHERE IFNULL(rootpage, 0) = 0"
 """Query of what runs when tables are read or written: views, triggers and virtual tables. Files of
 this program have none; in a foreign file they may run without end."""

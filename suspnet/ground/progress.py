@@ -13,7 +13,6 @@ from typing import Any
 from tqdm import tqdm
 
 log = logging.getLogger(__name__)
-
 INTERVAL_S = 30.0
 """Time between two lines of one step, [s]."""
 

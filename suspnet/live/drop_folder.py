@@ -22,19 +22,14 @@ from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 log = logging.getLogger(__name__)
 TAKEN = "taken"
 """Name of the subfolder for files that were read."""
-
 MOST_LOST = 4 * MOST_BYTES
 """Number of bytes in a row without a frame after which a file is not read further."""
-
 MOST_REPORTED = 100
 """Number of files that are named in the log because they are left where they are."""
-
 PIECE_BYTES, BATCH_BYTES = 2**18, 2**23
 """Number of bytes that are read at once, and number given at once."""
-
 HEAD_BYTES = 2**12
 """Number of bytes at the start of a file that hold the time of its first frame."""
-
 UNFINISHED = (".part", ".tmp")
 """Ends of the names of files that are still being written."""
 

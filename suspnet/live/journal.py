@@ -27,23 +27,17 @@ from suspnet.ground.ledger import ACTING, check_own
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT = "suspnet-journal-2"
-
 APPLICATION_ID = 0x7375736A
 """Number in the header of a journal's file, by which it is recognised."""
-
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
 """Query that returns a row of any journal."""
-
 RANGE = 2**40
 """Numbers that the frames of a suspension may have; with four frames a second they last for 8,000
 years."""
-
 READ_AT_ONCE = 256
 """Number of frames that are read back at once."""
-
 WRITTEN_AT_ONCE = 32
 """Number of frames that are written by one statement; during it other threads can run."""
-
 PAGE_BYTES = 2**14
 """Size of a page of a new journal: a frame of 1 s takes one or two."""
 

@@ -28,26 +28,20 @@ from suspnet.live.suspension import Due, Estimate, Job, LiveSuspension
 from suspnet.recordings.frames import FrameError, decode
 
 log = logging.getLogger(__name__)
-
 WAIT_S, PAUSE_S, WRITING_S = 1.0, 0.1, 0.01
 """Longest waits for frames [s]: usually; if some have come, which are written after a pause of this
 length or after ``MOST_PENDING`` frames; and while a batch is being written."""
-
 MOST_PENDING, MOST_UNWRITTEN = 256, 1024
 """Number of frames after which a batch is written; and number of frames after which, if the batch
 before is still being written, no more are taken until it is."""
-
 MOST_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
 first suspension half of it, for others in between, so that hundreds are not saved at once."""
-
 MOST_WAITING = 4 * MOST_JOURNAL
 """Size of a suspension's frames in the journal above which no frame is taken until the estimate of
 its last section is reported: a state does not hold sections that are over, [bytes]."""
-
 MOST_REPORTED = 1000
 """Number of sensors and reasons for which a frame that cannot be used is named in the log."""
-
 NICENESS = 10
 """Niceness of the thread that makes estimates: on a core that both share it gets a tenth of the
 time while there are frames to take."""

@@ -25,7 +25,6 @@ log = logging.getLogger(__name__)
 MOST_UNACKNOWLEDGED = 20
 """Largest number of results that the broker has not acknowledged; of the others the latest of each
 topic waits."""
-
 CLOSING_S = 5.0
 """Longest time that `close` waits for the broker to take the results, [s]."""
 

@@ -14,14 +14,11 @@ from suspnet.recordings.units import size_of
 STEP_NS = 10 * SECOND_NS
 """Steps of time for each of which one value is stored, [ns]: in it a train runs less than a
 kilometre."""
-
 MOST_KEPT = 10_000
 """Largest number of steps that are stored, those of a day. The latest are dropped first: they are
 of wrong times, as sections are at most a day long."""
-
 MOST_IN_FRAME = 1000
 """Number of samples of a frame of mileages or temperatures that are looked at."""
-
 LEAST_M_PER_S = 1.0
 """Speed below which a train stands, [m/s]: more than the noise of what measures it."""
 

@@ -42,17 +42,14 @@ log = logging.getLogger(__name__)
 PAUSE_S = 3600
 """Time between the end of a trip and the start of the next one of the same suspension, where
 neither manifests nor files say when they were recorded, [s]."""
-
 LONGEST_WAIT_S = 60.0
 """Longest time without any frame [s] that a replay at a pace waits for, in recorded time."""
 
 
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
-
 SLOW_HZ = 1.0
 """Rate of these frames, which no sample follows."""
-
 UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
 """Unit of frames where the manifest leaves it to the file, and the known ones."""
 

@@ -22,11 +22,9 @@ from suspnet.report.tensorboard import RunLog
 from suspnet.trips.fleet import FleetSettings
 
 log = logging.getLogger(__name__)
-
 LEAST_KM = 0.5
 """A section without an estimate is stored only if the train ran so far in it: a train that stands
 all night leaves no trips."""
-
 WAIT_S = 5.0
 """Time until a store that cannot be written is tried again, [s]."""
 

@@ -31,17 +31,13 @@ MOST_OPEN = 5
 """Largest number of open sections. Three are enough where clocks are right: one that is over, the
 rest of its trip, and the next trip. The others are for frames of wrong times, none of which may
 close a section that still runs."""
-
 SHORT, SHORT_S = 1 / 4, 120.0
 """Part of the length of a section, and length [s], below which the last one of a trip joins the one
 before: twice what a recording needs."""
-
 TRIED_NS = 60 * SECOND_NS
 """Time between two checks whether the train stood, [ns]."""
-
 AHEAD_NS = 86_400 * SECOND_NS
 """Frames so much before a section that was over [ns] are not late: then a clock was wrong."""
-
 BORDER_SAMPLES = 1e-3
 """A sample this close before a border [samples] counts as on it, as times are whole nanoseconds."""
 

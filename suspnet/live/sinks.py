@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 NUMBERED = re.compile(r"\d{9}", re.ASCII)
 """Names of the files that a `Folder` writes, without their suffix."""
-
 MOST_FILE_BYTES = 2**23
 """Size of a file of frames, [bytes], beyond which the next one is started."""
-
 ANSWER_S = 10.0
 """Longest time that a broker may take to answer the first request to connect, [s]."""
 

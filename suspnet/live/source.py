@@ -89,7 +89,6 @@ def print_result(kind: Kind, suspension: str, payload: bytes) -> None:
 CONTINUATION = b"\xff\xff\xff\xff"
 END = CONTINUATION + bytes(4)
 PREFIX_BYTES = len(END)
-
 BEGIN = re.compile(
     CONTINUATION
     + rb"(?!\x00\x00)["
@@ -98,7 +97,6 @@ BEGIN = re.compile(
     re.DOTALL,
 )
 """Beginning of a message with less than 64 KiB of metadata."""
-
 SCHEMA, RECORD_BATCH = 1, 3
 """Numbers of the types of messages in Arrow's Message.fbs."""
 
