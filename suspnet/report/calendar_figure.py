@@ -71,6 +71,13 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
             _draw_visit(axis, row, visit)
     if not shown:
         axis.text(0.5, 0.5, "nothing to be done", ha="center", transform=axis.transAxes)
+    _label(axis, plan, shown, len(names))
+    _legend(figure, axis, plan.level)
+    return figure
+
+
+def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
+    """Name trains, days and the numbers of visits; every other train is shaded."""
     axis.set_ylim(max(len(shown), LEAST_ROWS) - 0.5, -0.5)
     names_in_lines = ["\n".join(wrap(name, LONGEST_LINE)[:2]) for name in shown]
     axis.set_yticks(range(len(shown)), names_in_lines, fontsize="small")
@@ -92,11 +99,9 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     )
     if plan.unknown:
         title += f", {count(len(plan.unknown), 'part')} unknown"
-    if len(names) > len(shown):
-        title += f"\n{len(shown)} trains of {len(names)}, the most urgent"
+    if n_trains > len(shown):
+        title += f"\n{len(shown)} trains of {n_trains}, the most urgent"
     axis.set_title(title, fontsize="medium")
-    _legend(figure, axis, plan.level)
-    return figure
 
 
 def _urgency(visits: Sequence[Visit], jobs: Sequence[Job], name: str) -> tuple[Any, ...]:
