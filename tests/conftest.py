@@ -1,6 +1,5 @@
 """Fixtures shared by the tests: the AM96 and the protocols, as shipped."""
 
-import copy
 import gc
 import os
 from collections.abc import Callable
@@ -8,8 +7,8 @@ from collections.abc import Callable
 import pytest
 import torch
 from cli_runner import blank_figures
+from composed_once import composed_once
 from hypothesis import settings
-from omegaconf import OmegaConf
 from protocols import shipped_protocol
 from threadpoolctl import threadpool_limits
 from vehicles import AM96
@@ -57,24 +56,8 @@ def _one_thread():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _configurations_read_once():
-    """Read each text of a configuration once: Hydra reads the same 20 files in each composition.
-
-    What cannot be read is tried again each time, so that errors are those of the file.
-    """
-    load, known = OmegaConf.load, {}
-
-    def load_once(file_):
-        if not hasattr(file_, "read"):
-            return load(file_)
-        begin, text = file_.tell(), file_.read()
-        if text not in known:
-            file_.seek(begin)
-            known[text] = load(file_)
-        return copy.deepcopy(known[text])
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(OmegaConf, "load", staticmethod(load_once))
+def _configurations_composed_once():
+    with composed_once():
         yield
 
 
