@@ -20,7 +20,8 @@ from suspnet.ground.wording import span
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
-from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
+from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
+from suspnet.report.images import as_png
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -25,9 +22,6 @@ CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
 SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
-SVG_LIMIT = 400_000
-"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
-PNG_DPI = 130
 
 
 def trip_signals(result: TripResult) -> Figure:
@@ -184,26 +178,3 @@ def say(axis: Axes, text: str, keep_x: bool = False) -> None:
     axis.set_yticks([])
     if not keep_x:
         axis.set_xticks([])
-
-
-def as_png(figure: Figure, dpi: float = PNG_DPI) -> bytes:
-    """Return a figure as PNG."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi)
-    return stream.getvalue()
-
-
-def as_svg(figure: Figure) -> bytes:
-    """Return a figure as SVG; the same figure gives the same bytes."""
-    stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "suspnet"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue()
-
-
-def data_uri(figure: Figure) -> str:
-    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
-    kind, image = "svg+xml", as_svg(figure)
-    if len(image) > SVG_LIMIT:
-        kind, image = "png", as_png(figure)
-    return f"data:image/{kind};base64,{base64.b64encode(image).decode()}"

@@ -25,7 +25,7 @@ from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
-from suspnet.report.figures import as_png, data_uri
+from suspnet.report.images import as_png, data_uri
 from suspnet.report.overview import REPORT, Evaluated, FleetView, finding
 from suspnet.report.report import Report, write_report
 from suspnet.report.templates import render

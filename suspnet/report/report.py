@@ -21,7 +21,7 @@ from suspnet.maintenance.assessment import joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
-from suspnet.report.figures import data_uri
+from suspnet.report.images import data_uri
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 from suspnet.report.trip_table import trip_table
 

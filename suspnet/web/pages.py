@@ -162,7 +162,7 @@ def state() -> ResponseReturnValue:
 @functools.lru_cache(maxsize=2)
 def _calendar(plan: Plan) -> bytes:
     from suspnet.report.calendar_figure import plan_calendar  # matplotlib, for this picture alone
-    from suspnet.report.figures import as_svg
+    from suspnet.report.images import as_svg
 
     with _drawing:
         return as_svg(plan_calendar(plan))

@@ -298,6 +298,8 @@ one = "/suspension/" + name_of(board.view, FAILED)
 for address in ("/", "/plan", one, one + "/trend.json", one + "/responses.json"):
     assert client.get(address, base_url="http://127.0.0.1").status_code == 200, address
 print(*sorted({"torch", "matplotlib", "hydra", "sklearn"} & sys.modules.keys()))
+assert client.get("/plan/calendar.svg", base_url="http://127.0.0.1").status_code == 200
+assert "torch" not in sys.modules
 """
 
 
