@@ -13,16 +13,19 @@ from suspnet.estimation.delays import delay_words
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
-from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
 from suspnet.estimation.sides import with_sides
-from suspnet.estimation.speed_bin import SpeedBin, combined
-from suspnet.estimation.speed_groups import (
+from suspnet.estimation.steady_parts import (
+    GroupSpectra,
+    SpeedBin,
+    combined,
+    group_spectra,
     group_speed,
     groups_of,
     groups_to_read,
     no_group_words,
     readable_words,
     reads_at_any_speed,
+    speed_of,
 )
 from suspnet.ground.checks import check_flag, check_number
 from suspnet.recordings.manifest import CHANNELS, TripError

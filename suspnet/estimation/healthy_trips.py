@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.estimation.from_recording import TripSettings, unrepaired_words
-from suspnet.estimation.group_spectra import group_spectra, speed_of
-from suspnet.estimation.speed_groups import groups_to_read
+from suspnet.estimation.steady_parts import group_spectra, groups_to_read, speed_of
 from suspnet.ground.progress import bar
 from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import find_manifests, read_manifest

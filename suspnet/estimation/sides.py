@@ -14,7 +14,7 @@ import torch
 from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.refine import complete_ratios
-from suspnet.estimation.speed_bin import SpeedBin, largest
+from suspnet.estimation.steady_parts import SpeedBin, largest
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import SIDES
 from suspnet.recordings.recording import Recording

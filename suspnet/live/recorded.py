@@ -24,8 +24,7 @@ from suspnet.recordings.manifest import (
     TripManifest,
 )
 from suspnet.recordings.recording import even_values, known_rate
-from suspnet.recordings.sources import OpenSource, open_source, zero_of
-from suspnet.recordings.timeline import Timeline
+from suspnet.recordings.sources import OpenSource, Timeline, open_source, zero_of
 
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the begin of a trip."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.columns import size_of
 from suspnet.recordings.frames import Frame, end_ns
-from suspnet.recordings.units import size_of
 
 STEP_NS = 10 * SECOND_NS
 """Steps of time for which it is kept whether the train moved, [ns]."""

@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from suspnet.recordings.bounds import MOST_CHUNK_BYTES, check_samples
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
+    MOST_CHUNK_BYTES,
     Block,
     Column,
     OpenFile,
     Take,
+    check_samples,
     is_vector,
     needed,
     slices,
 )
-from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest import CsvDialect, TripError
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")

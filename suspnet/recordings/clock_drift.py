@@ -17,9 +17,8 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import get_window
 
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
 from suspnet.recordings.speed import STANDING_M_PER_S
 
 WINDOW_S = 20.0

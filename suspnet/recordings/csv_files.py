@@ -15,10 +15,9 @@ import pyarrow.compute
 import pyarrow.csv
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block
 from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
-from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest import CsvDialect, TripError
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 such blocks ahead."""

@@ -15,8 +15,15 @@ from scipy.io.matlab import MatReadError
 
 from suspnet.ground.plain_files import NotPlainError, open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
-from suspnet.recordings.bounds import check_samples
-from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, as_block, choose
+from suspnet.recordings.columns import (
+    BLOCK,
+    Block,
+    Column,
+    OpenFile,
+    as_block,
+    check_samples,
+    choose,
+)
 from suspnet.recordings.csv_files import open_csv, to_float
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
 from suspnet.recordings.manifest import CsvDialect, TripError

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.io import wavfile
 
-from suspnet.recordings.bounds import check_samples
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
     BLOCK,
     Block,
@@ -23,10 +21,11 @@ from suspnet.recordings.columns import (
     OpenFile,
     Take,
     as_block,
+    check_samples,
     needed,
     slices,
 )
-from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest import CsvDialect, TripError
 
 _WAV = Lock()
 """Filters of warnings are of the process; sensors are read in threads."""

@@ -16,7 +16,6 @@ from zoneinfo import ZoneInfo
 from suspnet.dynamics import PARAMETERS
 from suspnet.ground.plain_files import NotPlainError, read_plain
 from suspnet.ground.storage import printable, read_json, write_atomically
-from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.dates import date_problem
 from suspnet.recordings.manifest import (
@@ -32,11 +31,14 @@ from suspnet.recordings.manifest import (
     TEMPERATURES_C,
     TIME_UNITS,
     Channel,
+    CheckedMapping,
     CsvDialect,
     Pair,
     Place,
     SpeedSource,
+    TripError,
     TripManifest,
+    all_of,
 )
 
 

@@ -15,9 +15,8 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
-from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest import CsvDialect, TripError
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 

@@ -33,11 +33,9 @@ from typing import IO, Any
 import numpy as np
 
 from suspnet.ground.plain_files import open_plain, stored_bytes
-from suspnet.recordings.bounds import memory_bytes, step_s
-from suspnet.recordings.checked_mapping import TripError
-from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile
+from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, memory_bytes, step_s
 from suspnet.recordings.confinement import confine
-from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest import CsvDialect, TripError
 
 Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
 

@@ -18,16 +18,14 @@ import numpy as np
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.loose import find_loose
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest, all_of
 from suspnet.recordings.resampling import Resampler, decimate
-from suspnet.recordings.sources import OpenSource, open_source, zero_of
+from suspnet.recordings.sources import OpenSource, Timeline, open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
-from suspnet.recordings.timeline import Timeline
 
 MOST_AT_ONCE = 2
 """Number of sensors that are read at the same time, which bounds the memory that this takes."""
@@ -357,3 +355,85 @@ def _common(
         )
     first = max(stream.first for stream in streams)
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
+
+
+def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
+    """Return a recording that goes on with another one of the same sensors.
+
+    Between the last instant of the first and the first of the second nothing is usable: a moment at
+    least, as filters need samples on both sides.
+
+    Parameters
+    ----------
+    one, other : Recording
+    offset_s : float, [s]
+        Zero of the second one's clock on that of the first.
+    """
+    end = round(one.start_s * one.rate_hz) + len(one.usable)
+    n_gap = round((other.start_s + offset_s) * one.rate_hz) - end
+    n_skip = max(-n_gap, 0)  # a rate that is no whole number may let them overlap by an instant
+    n_gap = max(n_gap, 0)
+    usable = [one.usable, np.zeros(n_gap, dtype=np.bool_), other.usable[n_skip:]]
+    speeds = [one.speed_m_per_s, np.full(n_gap, np.nan), other.speed_m_per_s[n_skip:]]
+    signals = [one.signals, np.zeros((len(one.signals), n_gap)), other.signals[:, n_skip:]]
+    pairs = [
+        one.differences,
+        np.zeros((len(one.differences), n_gap)),
+        other.differences[:, n_skip:],
+    ]
+    later = (replace(fault, first_s=fault.first_s + offset_s) for fault in other.faults)
+    words = dict.fromkeys(filter(None, (one.words, other.words)))
+    return replace(
+        one,
+        signals=np.concatenate(signals, axis=1),
+        usable=np.concatenate(usable),
+        speed_m_per_s=np.concatenate(speeds),
+        faults=(*one.faults, *later),
+        duration_s=sum(map(len, usable)) / one.rate_hz,
+        differences=np.concatenate(pairs, axis=1),
+        words="; ".join(words),
+    )
+
+
+WINDOWS = 600
+"""Largest number of windows, about as many as a figure has pixels across."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overview:
+    """Range and mean of the signals of a recording in windows of equal length.
+
+    Attributes
+    ----------
+    times_s : array of shape (n_windows,), [s]
+        Begin of each window, from the first sample on.
+    low, high, mean : arrays of shape (3, n_windows), [m/s^2]
+        Least, largest and mean value of axle box, bogie and body.
+    speed_m_per_s : array of shape (n_windows,), [m/s]
+        Mean speed; NaN where it is unknown in part.
+    faulty : bool array of shape (n_windows,), optional
+        Where some sample cannot be used; None if that is not known.
+    """
+
+    times_s: FloatArray
+    low: FloatArray
+    high: FloatArray
+    mean: FloatArray
+    speed_m_per_s: FloatArray
+    faulty: BoolArray | None = None
+
+
+def overview(recording: Recording) -> Overview:
+    """Return the signals of a recording in at most ``WINDOWS`` windows."""
+    n_windows = min(WINDOWS, recording.signals.shape[1])
+    size = recording.signals.shape[1] // n_windows
+    windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)
+    speed = recording.speed_m_per_s[: n_windows * size].reshape(n_windows, size)
+    return Overview(
+        times_s=np.arange(n_windows) * size / recording.rate_hz,
+        low=windows.min(axis=2),
+        high=windows.max(axis=2),
+        mean=windows.mean(axis=2),
+        speed_m_per_s=speed.mean(axis=1),
+        faulty=np.any(~recording.usable[: n_windows * size].reshape(n_windows, size), axis=1),
+    )

@@ -31,11 +31,10 @@ import numpy as np
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.assembler import Assembler, OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS, Zero
-from suspnet.recordings.frames import Frame, FrameError, end_ns
-from suspnet.recordings.joining import followed
+from suspnet.recordings.columns import size_of
+from suspnet.recordings.frames import Assembler, Frame, FrameError, OrderSettings, end_ns
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     SPEED_UNITS,
@@ -44,12 +43,10 @@ from suspnet.recordings.manifest import (
     TripError,
     TripManifest,
 )
-from suspnet.recordings.recording import HIGHEST_HZ, Recording, joined
-from suspnet.recordings.running_sensor import RunningSensor
-from suspnet.recordings.sources import RATE_TOLERANCE
+from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
+from suspnet.recordings.sensor import RunningSensor
+from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
-from suspnet.recordings.timeline import RATE_TOLERANCE as TIMES_TOLERANCE
-from suspnet.recordings.units import size_of
 
 UNITS = {"acceleration": "m/s2", "speed": "m/s"}
 """Units in which samples are kept where the manifest leaves them to the file."""

@@ -9,13 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
 from suspnet.recordings.faults import paint, runs
-from suspnet.recordings.manifest import SpeedSource, TripManifest
-from suspnet.recordings.sources import OpenSource, open_source
-from suspnet.recordings.timeline import GAP_STEPS, check_rate, check_rising
+from suspnet.recordings.manifest import SpeedSource, TripError, TripManifest
+from suspnet.recordings.sources import GAP_STEPS, OpenSource, check_rate, check_rising, open_source
 
 LARGEST_SPEED_M_PER_S = 150.0
 """Largest speed of a train [m/s]; a larger value counts as unknown."""

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from suspnet.ground.storage import write_atomically
-from suspnet.recordings.overview import overview
-from suspnet.recordings.recording import Recording
+from suspnet.recordings.recording import Recording, overview
 from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
 from suspnet.spectra.cross_spectra import CrossSpectra
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from suspnet.ground.types import FloatArray
 from suspnet.history.records import OK, TripCurves, TripResult
-from suspnet.recordings.overview import Overview
+from suspnet.recordings.recording import Overview
 from suspnet.report.plots import SUSPENSIONS
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")

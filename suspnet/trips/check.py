@@ -14,12 +14,16 @@ from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
-from suspnet.estimation.speed_groups import groups_to_read, readable_words
+from suspnet.estimation.steady_parts import (
+    GroupSpectra,
+    group_spectra,
+    groups_to_read,
+    readable_words,
+    speed_of,
+)
 from suspnet.estimation.trained import TrainedModel
 from suspnet.history.records import ERROR, OK
-from suspnet.recordings.checked_mapping import all_of
-from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest, all_of
 from suspnet.recordings.manifest_files import parse_manifest, read_content
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.report.check_figures import trip_figure, write_picture

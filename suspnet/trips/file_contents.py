@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.clocks import Times, Zero, header_date
-from suspnet.recordings.columns import Column, OpenFile
+from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
-from suspnet.recordings.units import size_of, unit_in_name
+from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source, TripError
 from suspnet.trips import column_guess as guess
 
 ACCELERATION, SPEED = "acceleration", "speed"

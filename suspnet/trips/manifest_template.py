@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from suspnet.recordings.clocks import first_moment
+from suspnet.recordings.columns import size_of
 from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
-from suspnet.recordings.units import size_of
 from suspnet.trips import column_guess as guess
 from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.speed_groups import speed_range
+from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
 from suspnet.recordings.manifest import Place
 from suspnet.spectra.speeds import range_words

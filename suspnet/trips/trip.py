@@ -17,14 +17,13 @@ from torch import Tensor
 from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.sides import with_sides
-from suspnet.estimation.speed_bin import SpeedBin, combined, largest
+from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.storage import printable
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 from suspnet.recordings.manifest import Place, TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.overview import overview
-from suspnet.recordings.recording import Recording, load_recording
+from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.transfer_estimate import SegmentSpectra
 from suspnet.spectra.welch import Welch

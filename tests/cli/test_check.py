@@ -24,9 +24,8 @@ from suspnet.cli.configs import CONFIGS, read_vehicles
 from suspnet.ground.ledger import LEDGER
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.overview import WINDOWS
 from suspnet.recordings.reader_process import LIMIT, apart
-from suspnet.recordings.recording import load_recording
+from suspnet.recordings.recording import WINDOWS, load_recording
 from suspnet.report.check_figures import trip_figure
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE
 from suspnet.spectra.welch import Welch

@@ -15,8 +15,7 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.from_curves import corrected
 from suspnet.estimation.from_spectra import estimate_spectra
 from suspnet.estimation.ood import Flags
-from suspnet.estimation.speed_bin import combined
-from suspnet.estimation.speed_groups import same_speed
+from suspnet.estimation.steady_parts import combined, same_speed
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimate_observer import SPEED
 from suspnet.spectra.estimates import EstimateSettings

@@ -9,12 +9,12 @@ from recording_files import WRITERS
 from scipy.io import savemat, wavfile
 
 from suspnet.recordings.array_files import open_hdf5
+from suspnet.recordings.columns import size_of, unit_in_name
 from suspnet.recordings.formats import READERS, open_columns, open_file
 from suspnet.recordings.logger_files import open_uff
 from suspnet.recordings.manifest import Channel, SpeedSource, TripError, TripManifest
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.sources import open_source
-from suspnet.recordings.units import size_of, unit_in_name
 
 STATING = (".h5", ".tdms", ".mf4", ".uff")
 """Formats in which unit and rate may stand."""
