@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from suspnet.learning.least_squares import CurveFit
     from suspnet.learning.msvr import MSVR
     from suspnet.learning.mvgpr import MVGPR
-    from suspnet.recordings.manifest import TripError
     from suspnet.recordings.manifest_files import read_manifest
+    from suspnet.recordings.manifest_keys import TripError
     from suspnet.recordings.recording import Recording, load_recording
     from suspnet.runs.train import train
     from suspnet.spectra.components import CurveFeatures
@@ -69,7 +69,7 @@ _HOMES = {
     "suspnet.learning.least_squares": ("CurveFit",),
     "suspnet.learning.msvr": ("MSVR",),
     "suspnet.learning.mvgpr": ("MVGPR",),
-    "suspnet.recordings.manifest": ("TripError",),
+    "suspnet.recordings.manifest_keys": ("TripError",),
     "suspnet.recordings.manifest_files": ("read_manifest",),
     "suspnet.recordings.recording": (
         "Recording",

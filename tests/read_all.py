@@ -12,7 +12,7 @@ import numpy as np
 
 from suspnet.recordings import reader_process as apart
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 
 def cpu_s() -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 from suspnet.cli import program
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest import TripError, all_of
+from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
 

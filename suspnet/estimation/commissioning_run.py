@@ -14,6 +14,7 @@ from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report import commissioning_summary as words
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -30,7 +31,7 @@ def commission_folder(
     settings: EstimateSettings,
     trips: TripSettings,
     *,
-    paths: Sequence[Path] | None = None,
+    paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
     progress: bool = False,
 ) -> tuple[HealthyTrips, Commissioned]:
@@ -44,7 +45,7 @@ def commission_folder(
         distribution the prior of its parts.
     settings : EstimateSettings
     trips : TripSettings
-    paths : sequence of Path, optional
+    paths : sequence of ManifestFile, optional
         Manifests of one suspension, where the folder holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.

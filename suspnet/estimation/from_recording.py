@@ -28,7 +28,8 @@ from suspnet.estimation.steady_parts import (
     speed_of,
 )
 from suspnet.ground.checks import check_flag, check_number
-from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (

@@ -9,8 +9,9 @@ from pathlib import Path
 from suspnet.estimation.from_recording import TripSettings, unrepaired_words
 from suspnet.estimation.steady_parts import group_spectra, groups_to_read, speed_of
 from suspnet.ground.progress import bar
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import find_manifests, read_manifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_files import ManifestFile, find_manifests
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
@@ -77,7 +78,7 @@ def read_healthy(
     trips: TripSettings,
     *,
     bogie: str | None = None,
-    paths: Sequence[Path] | None = None,
+    paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
     progress: bool = False,
 ) -> HealthyTrips:
@@ -94,7 +95,7 @@ def read_healthy(
     trips : TripSettings
     bogie : {"leading", "trailing"}, optional
         The bogie that manifests must name which name one; None is any.
-    paths : sequence of Path, optional
+    paths : sequence of ManifestFile, optional
         Manifests of the folder that are read, where it holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.
@@ -109,7 +110,7 @@ def read_healthy(
         differ, if a recording is faulty, or if fewer than three trips have a stretch that can be
         used.
     """
-    manifests = [read_manifest(path) for path in paths or find_manifests(folder)]
+    manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     manifests = manifests[:n_first]
     _check_same(folder, manifests, vehicle, bogie)

@@ -15,9 +15,11 @@ from pathlib import Path
 from suspnet.ground.checks import check_number
 from suspnet.live.recorded import nanoseconds, trip_clock, trip_frames
 from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import time_zone
 from suspnet.recordings.frames import Frame, end_ns
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import read_manifest, time_zone
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
@@ -78,7 +80,7 @@ class Replay:
             self._start_ns = _parsed(self.start, self._zone)
         by_name: dict[str, list[TripManifest]] = {}
         for group in find_groups(self.folder):
-            trips = [found for path in group.manifests if (found := self._read(path))]
+            trips = [found for file in group.manifests if (found := self._read(file))]
             for name in {str(trip.place) for trip in trips}:
                 if name in by_name:
                     raise ValueError(
@@ -96,10 +98,10 @@ class Replay:
         """Yield the frames of all suspensions in the order in which they would be complete."""
         yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
 
-    def _read(self, path: Path) -> TripManifest | None:
+    def _read(self, file: ManifestFile) -> TripManifest | None:
         """Return a manifest; None if it has mistakes, which are told."""
         try:
-            return read_manifest(path)
+            return file.trip
         except TripError as error:
             self._tell(str(error))
             return None

@@ -9,8 +9,8 @@ from pathlib import Path
 from suspnet.estimation.trained import TrainedModel
 from suspnet.live.suspension import LiveSettings, LiveSuspension
 from suspnet.recordings.frames import MOST_CHARACTERS
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.grouping import find_groups
 from suspnet.trips.models import models_of
@@ -44,7 +44,7 @@ def read_suspensions(
     for group in find_groups(folder):
         if group.error:
             raise TripError(f"{group.folder}: {group.error}")
-        manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        manifest = max((file.live_trip for file in group.manifests), key=_km)
         name = str(manifest.place)
         if not name.isprintable() or len(name) > MOST_CHARACTERS:
             raise TripError(

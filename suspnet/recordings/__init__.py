@@ -9,13 +9,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from suspnet.recordings.manifest import TripError, TripManifest
+    from suspnet.recordings.manifest import TripManifest
     from suspnet.recordings.manifest_files import read_manifest, write_manifest
+    from suspnet.recordings.manifest_keys import TripError
     from suspnet.recordings.recording import Recording, load_recording
 
 _HOMES = {
     "Recording": "recording",
-    "TripError": "manifest",
+    "TripError": "manifest_keys",
     "TripManifest": "manifest",
     "load_recording": "recording",
     "read_manifest": "manifest_files",

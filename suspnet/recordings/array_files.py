@@ -25,7 +25,8 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Column, size_of
-from suspnet.recordings.dates import date_problem, read_date
-from suspnet.recordings.manifest import TIME_UNITS, Source, TripError, TripManifest
-from suspnet.recordings.manifest_files import time_zone
+from suspnet.recordings.dates import date_problem, read_date, time_zone
+from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
+from suspnet.recordings.manifest_keys import TripError
 
 SECOND_NS = 10**9
 DATED_S = (3.15e8, 4.1e9)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.plain_files import open_plain, stored_bytes
-from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS, TripError
+from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS
+from suspnet.recordings.manifest_keys import TripError
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""

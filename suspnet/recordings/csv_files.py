@@ -17,7 +17,8 @@ import pyarrow.csv
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block
 from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 such blocks ahead."""

@@ -26,7 +26,8 @@ from suspnet.recordings.columns import (
 )
 from suspnet.recordings.csv_files import open_csv, to_float
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.reader_process import Reader, apart
 

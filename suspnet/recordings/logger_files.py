@@ -25,7 +25,8 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 _WAV = Lock()
 """Filters of warnings are of the process; sensors are read in threads."""

@@ -16,7 +16,8 @@ import numpy as np
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 

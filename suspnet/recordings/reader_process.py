@@ -35,7 +35,8 @@ import numpy as np
 from suspnet.ground.plain_files import open_plain, stored_bytes
 from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, memory_bytes, step_s
 from suspnet.recordings.confinement import confine
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
 

@@ -22,7 +22,8 @@ from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.loose import find_loose
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest, all_of
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.resampling import Resampler, decimate
 from suspnet.recordings.sources import OpenSource, Timeline, open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at

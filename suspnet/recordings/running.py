@@ -40,9 +40,9 @@ from suspnet.recordings.manifest import (
     SPEED_UNITS,
     Source,
     SpeedSource,
-    TripError,
     TripManifest,
 )
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
 from suspnet.recordings.sensor import RunningSensor
 from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE

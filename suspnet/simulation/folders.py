@@ -14,8 +14,8 @@ from typing import Any
 from suspnet._version import __version__
 from suspnet.ground import ledger
 from suspnet.ground.storage import content_hash, locked, read_json, write_json
-from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.simulation.fleet import Fleet
 from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.trains import Aboard, Trains

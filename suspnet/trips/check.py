@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,8 +24,10 @@ from suspnet.estimation.steady_parts import (
 )
 from suspnet.estimation.trained import TrainedModel
 from suspnet.history.records import ERROR, OK
-from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest, all_of
-from suspnet.recordings.manifest_files import parse_manifest, read_content
+from suspnet.recordings.formats import open_columns
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.report.check_figures import trip_figure, write_picture
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
@@ -37,7 +40,6 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.transfer_estimate import SegmentSpectra
-from suspnet.trips.checked_manifests import Opened, check_columns
 from suspnet.trips.commissionings import models_at
 from suspnet.trips.models import models_of
 from suspnet.trips.trip import evaluate_recording
@@ -46,6 +48,10 @@ log = logging.getLogger(__name__)
 
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
+
+
+Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
+"""Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +93,8 @@ def check_trip(
     opened = {} if opened is None else opened
     result = TripCheck(path)
     try:
-        content = read_content(path)
-        manifest, _ = all_of(
-            [partial(parse_manifest, path, content), partial(check_columns, path, content, opened)]
-        )
+        file = ManifestFile(path)
+        manifest, _ = all_of([lambda: file.trip, lambda: _check_columns(file, opened)])
         result = _described(result, manifest)
         recording = load_recording(manifest, settings.trips.rate_hz)
         return _inspected(result, recording, settings, picture)
@@ -100,6 +104,39 @@ def check_trip(
         log.debug("trip %s failed", path, exc_info=True)
         told = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
     return _with_problems(result, told)
+
+
+def _check_columns(file: ManifestFile, opened: Opened) -> None:
+    """Raise TripError if a column that a manifest names cannot be opened, whatever else is wrong.
+
+    Only the first block is read. A missing file is reported by the check of the manifest.
+    """
+    problems: dict[str, None] = {}
+    for source in file.sources.values():
+        data, time, column = (
+            file.path.parent / source["file"],
+            source.get("time"),
+            source.get("column"),
+        )
+        named = all(one is None or isinstance(one, str) for one in (time, column))
+        if not named or source.get("csv") is not None or not os.path.isfile(data):
+            continue  # how a CSV file is written is known only when the manifest is parsed
+        key = (data, time, column)
+        if key not in opened:
+            opened[key] = _opening(data, [column] if time is None else [time, column])
+        problems |= dict.fromkeys(opened[key])
+    if problems:
+        raise TripError(*problems)
+
+
+def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
+    """Return why some columns of a file cannot be opened; empty if they can."""
+    try:
+        for _ in open_columns(file, columns):
+            return ()
+    except TripError as error:
+        return error.problems
+    return ()
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:

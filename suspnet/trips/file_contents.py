@@ -13,7 +13,8 @@ from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source, TripError
+from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips import column_guess as guess
 
 ACCELERATION, SPEED = "acceleration", "speed"

@@ -39,7 +39,7 @@ from suspnet.maintenance.limits import Limits, Severity, read_limits
 from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
 from suspnet.maintenance.watch import Watched, detector_words
 from suspnet.maintenance.watching import watch_trips
-from suspnet.recordings.manifest_files import partial_words, read_manifest
+from suspnet.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.report.output import summary, write_pages, write_tables
 from suspnet.report.overview import Evaluated, write_overview
 from suspnet.trips.commissionings import (
@@ -347,7 +347,7 @@ def _report(
 
 
 def _evaluated(
-    paths: Sequence[Path],
+    files: Sequence[ManifestFile],
     models: Sequence[TrainedModel],
     output: Path,
     settings: FleetSettings,
@@ -357,45 +357,46 @@ def _evaluated(
     """Return the result of every trip: kept by an earlier evaluation, or read in parallel now."""
     finished = FinishedTrips(output, models, settings.trips)
     results, made_from = [], {}
-    bar = progress_bar(title, len(paths), unit="trip", shown=progress)
+    bar = progress_bar(title, len(files), unit="trip", shown=progress)
     with bar, warnings.catch_warnings():
         # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
-        for path in paths:
-            path = path.absolute()
+        for file in [one.absolute() for one in files]:
             try:
-                made_from[path] = finished.made_from(read_manifest(path))
-                result = finished.read(made_from[path])
+                made_from[file] = finished.made_from(file)
+                result = finished.read(made_from[file])
             except Exception:  # `evaluate_trip` says what is wrong, which needs no worker
-                result = evaluate_trip(path, models, settings.trips)
+                result = evaluate_trip(file, models, settings.trips)
             if result is not None:
-                made_from.pop(path, None)
+                made_from.pop(file, None)
                 results.append(result)
                 bar.update()
         if results and made_from:
             log.info("%d trips are finished already, %d are to be read", bar.n, len(made_from))
         read = functools.partial(evaluate_trip, models=models, settings=settings.trips)
-        for path, one in _read_by_workers(read, list(made_from), settings):
+        for file, one in _read_by_workers(read, list(made_from), settings):
             if isinstance(one, LostWorkerError):
-                results.append(lost_trip(path, str(one)))
+                results.append(lost_trip(file.path, str(one)))
             else:
                 results.append(one)
-                finished.write(made_from[path], one)
+                finished.write(made_from[file], one)
             bar.update()
     return results
 
 
 def _read_by_workers(
-    read: Callable[[Path], TripResult], paths: Sequence[Path], settings: FleetSettings
-) -> Iterator[tuple[Path, TripResult | LostWorkerError]]:
+    read: Callable[[ManifestFile], TripResult],
+    files: Sequence[ManifestFile],
+    settings: FleetSettings,
+) -> Iterator[tuple[ManifestFile, TripResult | LostWorkerError]]:
     """Yield trips with their results as they are read, in local processes or on a dask cluster."""
     if settings.cluster is None:
-        yield from each(read, paths, settings.workers)
+        yield from each(read, files, settings.workers)
         return
     address = None if settings.cluster == "local" else settings.cluster
     options = {} if address else {"n_workers": settings.workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:
-        trips = {client.submit(read, path, pure=False, retries=1): path for path in paths}
+        trips = {client.submit(read, file, pure=False, retries=1): file for file in files}
         for future in distributed.as_completed(trips):
             try:
                 yield trips[future], future.result()

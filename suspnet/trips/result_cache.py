@@ -13,9 +13,9 @@ from suspnet.estimation.checkpoint import fingerprint
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.cache import Cache, code_hash
-from suspnet.ground.plain_files import read_plain
 from suspnet.history.records import ERROR, Quality, TripCurves, TripResult
-from suspnet.recordings.manifest import Place, TripManifest
+from suspnet.recordings.manifest import Place
+from suspnet.recordings.manifest_files import ManifestFile
 
 FOLDER = "finished_trips"
 """Name of the folder, in that of an evaluation, that holds its trips' results."""
@@ -45,19 +45,22 @@ class FinishedTrips:
             "code": code_hash(),
         }
 
-    def made_from(self, manifest: TripManifest) -> dict[str, Any]:
+    def made_from(self, file: ManifestFile) -> dict[str, Any]:
         """Return all that a trip's result depends on, as JSON-able values.
 
         Raises
         ------
+        TripError
+            If the manifest is faulty.
         OSError
             If one of its files has just gone.
         """
+        manifest = file.trip
         sources = [*manifest.sensors().values(), manifest.speed]
-        files = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
-        states = {str(file): file.stat() for file in files}
+        data = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
+        states = {str(one): one.stat() for one in data}
         return self._common | {
-            "manifest": [str(manifest.path), read_plain(manifest.path).hex()],
+            "manifest": [str(manifest.path), file.data.hex()],
             "files": {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()},
         }
 

@@ -23,14 +23,13 @@ from suspnet.cli import check, init
 from suspnet.cli.configs import CONFIGS, read_vehicles
 from suspnet.ground.ledger import LEDGER
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_files import find_trips, read_manifest
 from suspnet.recordings.reader_process import LIMIT, apart
 from suspnet.recordings.recording import WINDOWS, load_recording
 from suspnet.report.check_figures import trip_figure
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.checked_manifests import find_trips
 
 BROKEN = 10_000
 """Number of broken manifests of the slow test."""

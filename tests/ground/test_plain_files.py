@@ -18,8 +18,8 @@ from suspnet.ground.cache import Cache
 from suspnet.ground.plain_files import NotPlainError, open_plain, read_plain, stored_bytes
 from suspnet.ground.storage import DamagedFileError, content_hash, read_arrays, read_json
 from suspnet.recordings.core_yaml import parse_yaml
-from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_keys import TripError
 
 SECONDS = 5.0
 

@@ -19,7 +19,7 @@ from suspnet.recordings.columns import (
     step_s,
 )
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 RATE_HZ, MINUTES = 5000, 20
 

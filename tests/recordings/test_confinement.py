@@ -15,7 +15,7 @@ from misbehaving_readers import attempts, open_misbehaving
 from suspnet.recordings import confinement, formats
 from suspnet.recordings import reader_process as apart
 from suspnet.recordings.formats import open_file
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 HAS_LANDLOCK = platform.system() == "Linux" and (
     ctypes.CDLL(None, use_errno=True).syscall(confinement._CREATE_RULESET, None, 0, 1) > 0

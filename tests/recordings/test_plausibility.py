@@ -15,7 +15,8 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.journey import steady_journey
 from suspnet.dynamics.quantities import PARTS
 from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.simulation.scatter import scattered
 from suspnet.simulation.writing import profile_length_m, simulate_trip
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra

@@ -15,7 +15,7 @@ from suspnet.recordings import formats
 from suspnet.recordings import reader_process as apart
 from suspnet.recordings.columns import Column
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))
 

@@ -194,11 +194,11 @@ def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
 ):
     seen = []
 
-    def interrupted(path, *arguments, **options):
-        seen.append(path.stem)
+    def interrupted(file, *arguments, **options):
+        seen.append(file.path.stem)
         if seen == ["a", "b"]:
             raise KeyboardInterrupt("stop")
-        return evaluate_trip(path, *arguments, **options)
+        return evaluate_trip(file, *arguments, **options)
 
     monkeypatch.setattr(fleet, "evaluate_trip", interrupted)
     with pytest.raises(KeyboardInterrupt, match="stop"):
@@ -645,8 +645,8 @@ def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monk
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",
-        lambda path, *_, **__: replace(
-            evaluate_trip(path, [model], TRIPS), flags="odd" if path == manifests[1] else ""
+        lambda file, *_, **__: replace(
+            evaluate_trip(file, [model], TRIPS), flags="odd" if file.path == manifests[1] else ""
         ),
     )
     settings = replace(
