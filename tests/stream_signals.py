@@ -93,7 +93,13 @@ def manifest_in(folder, rates_hz=RATES_HZ):
     channels["body"] = Channel(unit="m/s2", range=50.0, **sources["body"])
     speed = SpeedSource(unit="m/s", **sources["speed"]) if "speed" in sources else 70.0
     return TripManifest(
-        folder / "trip.yaml", "trip", "train", "front left", 1.0, None, speed, channels
+        path=folder / "trip.yaml",
+        name="trip",
+        vehicle="train",
+        suspension="front left",
+        mileage_km=1.0,
+        speed=speed,
+        channels=channels,
     )
 
 

@@ -23,8 +23,7 @@ from suspnet.recordings.manifest import (
     SpeedSource,
     TripManifest,
 )
-from suspnet.recordings.recording import even_values, known_rate
-from suspnet.recordings.sources import OpenSource, Timeline, open_source, zero_of
+from suspnet.recordings.sources import OpenSource, open_source, zero_of
 
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the begin of a trip."""
@@ -147,12 +146,11 @@ def _sensor_frames(
     kind, source = sources_of(manifest)[name]
     where, suspension = _where(manifest, name), str(manifest.place)
     with open_source(manifest, source, where, kind) as opened:
-        timeline = None if opened.times is None else Timeline(where, opened.rate_hz)
         unit, factor = _unit(kind, source, opened)
-        blocks = even_values(opened, timeline)
+        blocks = opened.even()
         first_block = next(blocks)
-        rate_hz = known_rate(where, opened.rate_hz, timeline)
-        first_s = source.start_s + (0.0 if timeline is None else timeline.first_s)
+        rate_hz = opened.known_rate_hz
+        first_s = source.start_s + opened.first_s
         first_ns = zero_ns + round(first_s * SECOND_NS)
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
         whole = chain([first_block], blocks)

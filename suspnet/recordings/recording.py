@@ -6,8 +6,7 @@ its own. Half their sum is the channel, in which roll cancels; half their differ
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -24,8 +23,8 @@ from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
 from suspnet.recordings.manifest_keys import TripError, all_of
-from suspnet.recordings.resampling import Resampler, decimate
-from suspnet.recordings.sources import OpenSource, Timeline, open_source, zero_of
+from suspnet.recordings.sensor import Sensor, SensorSignal
+from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
 MOST_AT_ONCE = 2
@@ -82,29 +81,6 @@ class Recording:
     differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     words: str = ""
     started: datetime | None = None
-
-
-@dataclass(frozen=True)
-class SensorSignal:
-    """One sensor on the common clock, for as long as it recorded.
-
-    Attributes
-    ----------
-    start_s, end_s : float, [s]
-        Of the recording; the low-pass takes off a part of it.
-    first : int
-        Values are of the instants ``(first + arange(n)) / rate_hz``.
-    values, touched : arrays of shape (n,)
-    """
-
-    name: str
-    start_s: float
-    end_s: float
-    first: int
-    values: FloatArray
-    touched: BoolArray
-    faults: tuple[Fault, ...]
-    words: str
 
 
 def load_recording(
@@ -258,87 +234,22 @@ def _read_sensor(
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> SensorSignal:
-    """Read, clean and decimate one sensor as it streams by, and put it on the common clock."""
+    """Read one sensor as a stream, block by block, to the common clock."""
     where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
-        timeline = None if source.times is None else Timeline(where, source.rate_hz)
-        blocks = even_values(source, timeline)
-        first_block = next(blocks)
-        rate_hz = known_rate(where, source.rate_hz, timeline)
+        blocks = source.even()
+        first_block = next(blocks)  # time stamps say the rate, roughly, once it is read
+        rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
         if rate_hz > HIGHEST_HZ:
             raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
         cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
-        scaled = (source.size * block for block in chain([first_block], blocks))
-        decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
-    start_s = offset_s + channel.start_s + (0.0 if timeline is None else timeline.first_s)
-    rate_hz = known_rate(where, source.rate_hz, timeline)
-    second = Resampler(start_s, rate_hz, wanted_hz, decimated.first, decimated.factor)
-    first = second.next
-    resampled = second.push(decimated.values, decimated.touched)
-    return sensor_signal(where, cleaner, start_s, rate_hz, first, *resampled, source.words)
-
-
-def sensor_signal(
-    where: str,
-    cleaner: Cleaner,
-    start_s: float,
-    rate_hz: float,
-    first: int,
-    values: FloatArray,
-    touched: BoolArray,
-    words: str = "",
-) -> SensorSignal:
-    """Return one sensor on the common clock; TripError if it has no usable sample.
-
-    Parameters
-    ----------
-    where : str
-        Named in errors.
-    cleaner : Cleaner
-        Through which all samples have gone.
-    start_s : float, [s]
-        Of the first sample.
-    rate_hz : float, [Hz]
-        Of the sensor.
-    first, values, touched, words
-        As of `SensorSignal`.
-    """
-    faults = cleaner.faults(start_s)
-    _check_alive(where, cleaner, faults)
-    end_s = start_s + cleaner.n_samples / rate_hz
-    return SensorSignal(cleaner.channel, start_s, end_s, first, values, touched, faults, words)
-
-
-def even_values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
-    """Yield a sensor's values in its own unit, evenly sampled."""
-    if timeline is not None:
-        yield from timeline.even(source.blocks())
-    else:
-        for (block,) in source.blocks():
-            yield block
-
-
-def known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
-    """Return a sensor's rate as stated or by its time stamps, [Hz]."""
-    if timeline is None:
-        assert stated_hz is not None  # a source has times or a rate
-        return stated_hz
-    if math.isnan(timeline.rate_hz):
-        raise TripError(f"{where} has fewer than two samples; its rate is unknown")
-    return timeline.rate_hz
-
-
-def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
-    """Raise TripError if a sensor has no usable sample."""
-    if cleaner.n_bad < cleaner.n_samples:
-        return
-    n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
-    if n_constant == cleaner.n_samples and cleaner.lowest == cleaner.highest:
-        value = f"{cleaner.lowest:g}"
-        raise TripError(f"{where} is constant ({value}) throughout: is the sensor connected?")
-    raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
+        sensor = Sensor(where, cleaner, source.size, wanted_hz)
+        for block in chain([first_block], blocks):
+            sensor.push(block)
+    sensor.begin(offset_s + channel.start_s + source.first_s, source.known_rate_hz)
+    return replace(sensor.finish(), words=source.words)
 
 
 def _common(

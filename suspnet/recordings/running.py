@@ -31,7 +31,7 @@ import numpy as np
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.cleaning import CleaningSettings
+from suspnet.recordings.cleaning import Cleaner, CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS, Zero
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.frames import Assembler, Frame, FrameError, OrderSettings, end_ns
@@ -44,7 +44,7 @@ from suspnet.recordings.manifest import (
 )
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
-from suspnet.recordings.sensor import RunningSensor
+from suspnet.recordings.sensor import Sensor
 from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
 
@@ -123,7 +123,7 @@ class Running:
                     "it comes"
                 )
         self._orders: dict[str, Assembler] = {}
-        self._sensors: dict[str, RunningSensor] = {}
+        self._sensors: dict[str, Sensor] = {}
         self._speeds: list[FloatArray] = []
 
     @property
@@ -213,14 +213,12 @@ class Running:
         self._orders[name] = Assembler(rate_hz, self.order)
         channel = self.manifest.sensors().get(name)
         if channel is not None:
-            self._sensors[name] = RunningSensor(
-                f"{self.manifest.path}: channel {name!r}",
-                name,
-                replace(channel, rate_hz=rate_hz, unit=channel.unit or UNITS["acceleration"]),
-                self.rate_hz,
-                self.cleaning,
-                late=zlib.crc32(f"{self._name}, {name}".encode()) / 2**32,
-            )
+            unit = ACCELERATION_UNITS[channel.unit or UNITS["acceleration"]]
+            full_scale = None if channel.range is None else unit * channel.range
+            late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
+            where = f"{self.manifest.path}: channel {name!r}"
+            cleaner = Cleaner(name, rate_hz, full_scale, self.cleaning, late)
+            self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
         """Return why a sensor cannot have a rate; empty if it can."""
@@ -289,7 +287,8 @@ class Running:
             return
         sensor = self._sensors[name]
         if blocks and sensor.start_s is None:
-            sensor.begin(self._start_s(name, self._zero_ns(name)))
+            start_s = self._start_s(name, self._zero_ns(name))
+            sensor.begin(start_s, self._orders[name].rate_hz)
         for block in blocks:
             sensor.push(block)
 

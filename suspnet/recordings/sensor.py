@@ -1,80 +1,94 @@
-"""One sensor of a running recording: what a batch does with its file, as the samples come."""
+"""One sensor as its samples come, of a file or of a stream: cleaned, then on the common clock."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.cleaning import Cleaner, CleaningSettings
-from suspnet.recordings.manifest import ACCELERATION_UNITS, Channel
-from suspnet.recordings.recording import SensorSignal, sensor_signal
-from suspnet.recordings.resampling import Decimator, Resampler
+from suspnet.recordings.cleaning import Cleaner, Fault
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.resampling import Decimator, Growing, Resampler
 
 
-class RunningSensor:
+@dataclass(frozen=True)
+class SensorSignal:
+    """One sensor on the common clock, for as long as it recorded.
+
+    Attributes
+    ----------
+    start_s, end_s : float, [s]
+        Of the recording; the low-pass takes off a part of it.
+    first : int
+        Values are of the instants ``(first + arange(n)) / rate_hz``.
+    values, touched : arrays of shape (n,), [m/s2]
+        `touched` is True where a bad sample takes part.
+    words : str
+        How its file is read, where that had to be found out.
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+    first: int
+    values: FloatArray
+    touched: BoolArray
+    faults: tuple[Fault, ...]
+    words: str = ""
+
+
+class Sensor:
     """Cleans one sensor and puts it on the common clock, block by block.
+
+    Its result depends on the cut into blocks by no more than rounding (1e-12).
 
     Parameters
     ----------
     where : str
         Named in errors.
-    name : str
-    channel : Channel
-        With `unit` and `rate_hz`.
+    cleaner : Cleaner
+        With the sensor's name and its rate; roughly, if only time stamps say it.
+    size : float, [m/s2]
+        Of the samples' unit; negative where the sensor is upside down.
     rate_hz : float, [Hz]
         Of the common clock.
-    cleaning : CleaningSettings, optional
-    late : float, [-]
-        As of `Cleaner`.
 
     Attributes
     ----------
     start_s : float or None, [s]
-        Time of the first sample on the trip's clock; None before there is one.
+        Time of the first sample on the trip's clock; None before `begin`.
     """
 
-    def __init__(
-        self,
-        where: str,
-        name: str,
-        channel: Channel,
-        rate_hz: float,
-        cleaning: CleaningSettings | None = None,
-        late: float = 0.0,
-    ) -> None:
-        assert channel.rate_hz is not None
-        assert channel.unit is not None
-        self.where, self.channel, self.rate_hz = where, channel, rate_hz
-        self._input_rate_hz = channel.rate_hz
-        unit = ACCELERATION_UNITS[channel.unit]
-        self._size = unit * channel.sign
-        full_scale = None if channel.range is None else unit * channel.range
-        self._cleaner = Cleaner(name, channel.rate_hz, full_scale, cleaning, late)
-        self._first_stage = Decimator(channel.rate_hz, rate_hz)
+    def __init__(self, where: str, cleaner: Cleaner, size: float, rate_hz: float) -> None:
+        self.where, self.size, self.rate_hz = where, size, rate_hz
+        self._cleaner = cleaner
+        self._first_stage = Decimator(cleaner.rate_hz, rate_hz)
         self._second_stage: Resampler | None = None
-        self._signal = _Growing(np.empty(0), np.empty(0, dtype=np.bool_))
+        self._decimated, self._signal = Growing(), Growing()
 
     @property
     def start_s(self) -> float | None:
-        """Time of the first sample on the trip's clock, [s]; None before there is one."""
+        """Time of the first sample on the trip's clock, [s]; None before `begin`."""
         return None if self._second_stage is None else self._second_stage.start_s
 
-    def begin(self, start_s: float) -> None:
-        """Set the time of the first sample."""
+    def begin(self, start_s: float, input_rate_hz: float) -> None:
+        """Set the time of the first sample [s] and the exact rate [Hz], as soon as they are known.
+
+        Of a stream that is before its first sample, of a file with time stamps after its last.
+        Until then samples wait behind the first stage.
+        """
         first, factor = self._first_stage.first, self._first_stage.factor
-        self._second_stage = Resampler(start_s, self._input_rate_hz, self.rate_hz, first, factor)
+        self._second_stage = Resampler(start_s, input_rate_hz, self.rate_hz, first, factor)
         self._first = self._second_stage.next
 
     def push(self, values: FloatArray) -> None:
         """Take the next samples, in the sensor's unit."""
-        for block, bad in self._cleaner.push(self._size * values):
-            self._resample(block, bad)
+        self._take(self._cleaner.push(self.size * values))
 
-    def signal(self, shift_s: float = 0.0) -> SensorSignal:
-        """Return what the batch would make of the samples so far; they may go on.
+    def finish(self, shift_s: float = 0.0) -> SensorSignal:
+        """Return the sensor on the common clock; no sample may follow.
 
         Parameters
         ----------
@@ -86,25 +100,37 @@ class RunningSensor:
         TripError
             If no sample is usable.
         """
-        ended = copy.deepcopy(self)
-        for block, bad in ended._cleaner.finish():
-            ended._resample(block, bad)
-        start_s, signal = self.start_s, ended._signal
-        assert start_s is not None
-        return sensor_signal(
-            self.where,
-            ended._cleaner,
-            start_s - shift_s,
-            self._input_rate_hz,
+        self._take(self._cleaner.finish())
+        self._resample()
+        second = self._second_stage
+        assert second is not None
+        start_s = second.start_s - shift_s
+        faults = self._cleaner.faults(start_s)
+        _check_alive(self.where, self._cleaner, faults)
+        return SensorSignal(
+            self._cleaner.channel,
+            start_s,
+            start_s + self._cleaner.n_samples / second.input_rate_hz,
             self._first - round(shift_s * self.rate_hz),
-            signal.values,
-            signal.touched,
+            self._signal.values,
+            self._signal.touched,
+            faults,
         )
 
-    def _resample(self, values: FloatArray, bad: BoolArray) -> None:
-        """Take a cleaned block through both stages."""
-        assert self._second_stage is not None  # the first sample has a time
-        self._signal.append(*self._second_stage.push(*self._first_stage.push(values, bad)))
+    def signal(self, shift_s: float = 0.0) -> SensorSignal:
+        """Return what `finish` would of the samples so far; more may follow."""
+        return copy.deepcopy(self).finish(shift_s)
+
+    def _take(self, cleaned: Iterable[tuple[FloatArray, BoolArray]]) -> None:
+        for values, bad in cleaned:
+            self._decimated.append(*self._first_stage.push(values, bad))
+            if self._second_stage is not None:
+                self._resample()
+
+    def _resample(self) -> None:
+        assert self._second_stage is not None
+        waiting, self._decimated = self._decimated, Growing()
+        self._signal.append(*self._second_stage.push(waiting.values, waiting.touched))
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values that `restore` makes the same sensor of."""
@@ -117,41 +143,31 @@ class RunningSensor:
                 "at": [second.next, second.n_before],
                 "held": second.held,
                 "held_touched": second.held_touched,
-                "values": self._signal.values,
-                "touched": self._signal.touched,
+                "values": self._signal.values.copy(),  # the memory of the original moves
+                "touched": self._signal.touched.copy(),
             }
         return state
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state of the same sensor."""
+        """Continue from a state of the same sensor of a stream."""
         self._cleaner.restore(state["cleaner"])
         if state["start_s"] is None:
             return
-        self.begin(state["start_s"])
+        self.begin(state["start_s"], self._cleaner.rate_hz)
         second = self._second_stage
         assert second is not None
         self._first_stage.tail, self._first_stage.bad_tail = state["tail"], state["bad_tail"]
         second.next, second.n_before = state["at"]
         second.held, second.held_touched = state["held"], state["held_touched"]
-        self._signal = _Growing(state["values"], state["touched"])
+        self._signal.append(state["values"], state["touched"])
 
 
-class _Growing:
-    """Values and where they are touched, in blocks until somebody asks for them."""
-
-    def __init__(self, values: FloatArray, touched: BoolArray) -> None:
-        self._values, self._touched = [values], [touched]
-
-    def append(self, values: FloatArray, touched: BoolArray) -> None:
-        self._values.append(values)
-        self._touched.append(touched)
-
-    @property
-    def values(self) -> FloatArray:
-        self._values = [np.concatenate(self._values)]
-        return self._values[0]
-
-    @property
-    def touched(self) -> BoolArray:
-        self._touched = [np.concatenate(self._touched)]
-        return self._touched[0]
+def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
+    """Raise TripError if a sensor has no usable sample."""
+    if cleaner.n_bad < cleaner.n_samples:
+        return
+    n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
+    if n_constant == cleaner.n_samples and cleaner.lowest == cleaner.highest:
+        value = f"{cleaner.lowest:g}"
+        raise TripError(f"{where} is constant ({value}) throughout: is the sensor connected?")
+    raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")

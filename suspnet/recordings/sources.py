@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -53,6 +54,8 @@ class OpenSource:
     stated: Zero
     full_scale: float | None
     words: str
+    where: str
+    timeline: Timeline | None
 
     @property
     def zero(self) -> Zero:
@@ -68,6 +71,29 @@ class OpenSource:
                 yield block
             else:
                 yield self.times.seconds(block[0]), block[1]
+
+    def even(self) -> Iterator[FloatArray]:
+        """Yield values in its own unit, evenly sampled: NaN where its times leave samples out."""
+        if self.timeline is not None:
+            yield from self.timeline.even(self.blocks())
+        else:
+            for (block,) in self.blocks():
+                yield block
+
+    @property
+    def known_rate_hz(self) -> float:
+        """Rate as stated or by the times: roughly after the first even block, then exactly."""
+        if self.timeline is None:
+            assert self.rate_hz is not None  # a source has times or a rate
+            return self.rate_hz
+        if math.isnan(self.timeline.rate_hz):
+            raise TripError(f"{self.where} has fewer than two samples; its rate is unknown")
+        return self.timeline.rate_hz
+
+    @property
+    def first_s(self) -> float:
+        """Time of the first sample since `zero`, after the first even block, [s]."""
+        return 0.0 if self.timeline is None else self.timeline.first_s
 
 
 @contextmanager
@@ -124,6 +150,8 @@ def open_source(
             Zero(column.start_ns, is_stated=True, date=header_date(column)),
             full_scale,
             "; ".join(part for part in (file.words, words) if part),
+            where,
+            None if times is None else Timeline(where, rate_hz),
         )
 
 
