@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from suspnet.estimation.from_recording import TripSettings, unrepaired_words
-from suspnet.estimation.steady_parts import group_spectra, groups_to_read, speed_of
+from suspnet.estimation.from_recording import TripSettings, steady, unrepaired_words
+from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.ground.progress import bar
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
@@ -15,7 +15,7 @@ from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import in_band, recording_segments, segment_speeds
+from suspnet.spectra.segments import recording_segments, segment_speeds
 from suspnet.spectra.speeds import Speeds
 
 LEAST_TRIPS = 3
@@ -174,10 +174,10 @@ def _spectra(
     if not len(segments.values):
         return []
     speeds = segment_speeds(recording, segments)
-    band, found = in_band(segments, settings.frequencies_hz()), []
-    for group in groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s):
-        one = group_spectra(band, group, trips.min_coherence, settings)
-        if one.spectra is not None and one.n_averages >= trips.min_averages:
-            at = Speeds.of(*speed_of(speeds[one.chosen], segments))
-            found.append(HealthySpectra(trip, name, at, one.spectra))
-    return found
+    groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
+    # uncertain ones stay: the fit of the vehicle weighs each by its noise
+    return [
+        HealthySpectra(trip, name, Speeds.of(*part.speed), part.found.spectra)
+        for part in steady(segments, speeds, groups, settings, trips)
+        if part.found.spectra is not None and part.has_enough
+    ]

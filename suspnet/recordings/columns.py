@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.plain_files import open_plain, stored_bytes
-from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS
+from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS, CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
 BLOCK = 2**18
@@ -26,6 +27,9 @@ Block = tuple[NDArray[Any], ...]
 """One array (n_samples,) for each column: float64, or datetime64[ns] of time stamps."""
 
 Take = Callable[[slice], Any]
+
+SHARED_BYTES = 8 * 8 * BLOCK
+"""Size of the memory that a reading process shares with the one that asks: eight columns."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,10 @@ class OpenFile:
     def column(self, name: str) -> Column:
         """Return what the file says of one of its columns."""
         return next(column for column in self.columns if column.name == name)
+
+
+Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
+"""Opens a file of one format."""
 
 
 def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[str]:

@@ -14,13 +14,10 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.from_recording import Steady, TripSettings, steady
 from suspnet.estimation.steady_parts import (
-    GroupSpectra,
-    group_spectra,
     groups_to_read,
     readable_words,
-    speed_of,
 )
 from suspnet.estimation.trained import TrainedModel
 from suspnet.history.records import ERROR, OK
@@ -35,7 +32,6 @@ from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     difference_segments,
-    in_band,
     recording_segments,
     segment_speeds,
 )
@@ -242,26 +238,26 @@ def _with_parts(
         words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
         return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), [looked_at]
     speeds = segment_speeds(recording, segments)
-    band = in_band(segments, estimate.frequencies_hz())
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
-    groups = [
-        group_spectra(band, group, settings.min_coherence, estimate)
-        for group in groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    found = [
+        (one, _part(one))
+        for one in steady(segments, speeds, groups, estimate, settings)
+        if one.found.spectra is not None
     ]
-    found = [(one, _part(band, speeds, one)) for one in groups if one.spectra is not None]
-    kept = [one for one in found if one[0].n_averages >= settings.min_averages]
-    certain = [one for one in kept if one[0].deviation <= settings.max_deviation]
-    uncertain = [part for one, part in kept if one.deviation > settings.max_deviation]
+    kept = [(one, part) for one, part in found if one.has_enough]
+    certain = [(one, part) for one, part in kept if one.is_certain]
+    uncertain = [part for one, part in kept if not one.is_certain]
     words = _too_little([part for _, part in found], settings) if not kept else ""
     words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
     result = replace(
         result,
         state=READY if certain else TOO_LITTLE,
         parts=tuple(part for _, part in certain),
-        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
+        steady_percent=100 * sum(int(one.found.chosen.sum()) for one, _ in certain) / n_segments,
         remarks=(*result.remarks, *([words] if words else [])),
     )
-    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
+    return result, [one.found.chosen for one, _ in certain or found[:1]] or [looked_at]
 
 
 def _vehicle(
@@ -286,14 +282,14 @@ def _vehicle(
         return None, unknown, [f"vehicle {manifest.vehicle!r}: {error}"]
 
 
-def _part(band: SegmentSpectra, speeds: Tensor, group: GroupSpectra) -> SteadyPart:
+def _part(one: Steady) -> SteadyPart:
     """Return what a group of segments gives; G_s counts as far as an estimate uses it."""
     return SteadyPart(
-        speed_m_per_s=speed_of(speeds[group.chosen], band)[0],
-        n_averages=group.n_averages,
-        coherence_p=group.coherences[0],
-        coherence_s=group.coherences[1],
-        deviation_percent=100 * group.deviation,
+        speed_m_per_s=one.speed[0],
+        n_averages=one.found.n_averages,
+        coherence_p=one.found.coherences[0],
+        coherence_s=one.found.coherences[1],
+        deviation_percent=100 * one.found.deviation,
     )
 
 

@@ -25,7 +25,7 @@ from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.maintenance.watch import Watched
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.reader_process import LIMIT, apart
+from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.report import output
 from suspnet.report.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.report.tensorboard import RunLog
@@ -496,7 +496,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
 def test_file_that_kills_or_hangs_its_reader_costs_its_row(
     three, manifests, model, blank, monkeypatch
 ):
-    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setitem(READERS, ".mat", in_own_process(open_dying))
     monkeypatch.setenv(LIMIT, "2")
     for what in ("exit", "crash:1", "hang"):
         (three / f"{what}.mat").write_text(what)
