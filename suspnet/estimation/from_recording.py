@@ -247,7 +247,6 @@ def _speed_bin(
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> SpeedBin:
-    """Return a method's estimate from a group of segments."""
     found, chosen, doubts = part.found, part.found.chosen, ""
     n_candidates = int(found.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
@@ -284,7 +283,6 @@ def _too_few(
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> str:
-    """Return that a group of segments has too few averages, and what else the trip holds."""
     found, group = part.found, part.group
     if segments.welch.n_averages(len(group)) < settings.min_averages:
         return _too_short(recording, segments, settings)
@@ -300,7 +298,6 @@ def _too_few(
 
 
 def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
-    """Return that all of a recording, or what is free of faults, is too short."""
     n_segments, faults = len(segments.values), unrepaired_words(recording)
     return (
         f"{n_segments} segments without faults: {segments.welch.n_averages(n_segments):.1f} "

@@ -169,7 +169,6 @@ def _check_same(
 def _spectra(
     recording: Recording, trip: int, name: str, settings: EstimateSettings, trips: TripSettings
 ) -> list[HealthySpectra]:
-    """Return the spectra of each group of segments at one speed."""
     segments = recording_segments(recording, settings.welch)
     if not len(segments.values):
         return []

@@ -242,7 +242,6 @@ def _cross_spectra(
 
 
 def _band(n_fft: int, rate_hz: float) -> slice:
-    """Return the bins of the band."""
     low, high = (round(edge * n_fft / rate_hz) for edge in BAND_HZ)
     return slice(low, high + 1)
 

@@ -132,7 +132,6 @@ class Times:
         return round(early.total_seconds()) * SECOND_NS
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
-        """Find unit and zero of numbers."""
         numbers = times.astype(np.float64)
         known = numbers[np.isfinite(numbers)]
         first = float(known[0]) if len(known) else 0.0

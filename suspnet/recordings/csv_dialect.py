@@ -106,8 +106,6 @@ class Found:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """One way to read the rows at the end of the sample."""
-
     delimiter: str
     decimal: str
     n_columns: int
@@ -202,7 +200,6 @@ def _date_in_row(line: str, one: _Candidate) -> str | None:
 
 
 def _unreadable(path: Path, reason: str) -> TripError:
-    """Return the error that names what to give."""
     return TripError(
         f"{path}: {reason}; say how it is written in the manifest, beside its `file`, like "
         '`csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}`'
@@ -210,7 +207,6 @@ def _unreadable(path: Path, reason: str) -> TripError:
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:
-    """Return the encoding of a file by its first bytes, and whether it has a byte-order mark."""
     for bom, name in _BOMS:
         if sample.startswith(bom):
             return name, True
@@ -225,7 +221,6 @@ def _encoding(sample: bytes) -> tuple[str, bool]:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line."""
     if delimiter == " ":
         return line.split()
     if not delimiter:
@@ -239,7 +234,6 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
-    """Return the ways to read some rows, those with the fewest broken cells only."""
     delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
     found = []
     for delimiter in delimiters:

@@ -54,7 +54,6 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _parquet_column(field: Any) -> Column:
-    """Return what the schema of a Parquet file says of a column."""
     said = field.metadata or {}
     is_time = pa.types.is_timestamp(field.type)
     unit, rate = (said.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"rate_hz"))
@@ -89,7 +88,6 @@ def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
 
 
 def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
-    """Yield columns of a CSV file."""
     stamps = dict(zip(found.names, found.stamps, strict=True))
     types = {name: pa.string() if stamps[name] else pa.float64() for name in names}
     convert = pa.csv.ConvertOptions(
@@ -150,8 +148,6 @@ def _stamps(column: Any, kind: str) -> Any:
 
 @dataclass
 class _Collapsed(io.RawIOBase):
-    """A stream of lines whose cells are parted by single tabs instead of any blanks."""
-
     source: Any
     _rest: bytes = b""
     _done: bytes = field(default=b"")

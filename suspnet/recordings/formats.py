@@ -117,7 +117,6 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Turn what a reader raises on a damaged file into a TripError that names the file."""
     try:
         yield
     except TripError:

@@ -160,7 +160,6 @@ def decode(data: bytes) -> Frame:
 
 
 def _samples(reader: pa.BufferReader, schema: pa.Schema) -> FloatArray:
-    """Return the samples of the record batch that follows the schema."""
     try:
         message = pa.ipc.read_message(reader)
         if message.type != "record batch" or _is_compressed(bytes(message.metadata)):
@@ -206,7 +205,6 @@ def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
 
 
 def _described(metadata: dict[bytes, bytes]) -> dict[str, Any]:
-    """Return what the metadata of a schema say of a frame."""
     found: dict[str, Any] = {}
     kinds = {"sequence": ("sequence", int), "time_ns": ("time", int), "rate_hz": ("rate", float)}
     for name in ("suspension", "sensor", "unit", *kinds):
@@ -360,7 +358,6 @@ class Assembler:
         return ahead if is_drift else beyond
 
     def _due(self, at_once: bool = False) -> list[FloatArray]:
-        """Return the samples of the frames whose turn it is."""
         given: list[FloatArray] = []
         while self._held:  # each round takes a frame or makes the next one the lowest
             if self._next not in self._held:
@@ -379,7 +376,6 @@ class Assembler:
         return given
 
     def _placed(self, frame: Frame) -> list[FloatArray]:
-        """Return a frame's samples after those so far, with the gap before them."""
         if self.first_ns is None:
             self.first_ns = self._end_ns = frame.time_ns
         distance = self._distance(frame)

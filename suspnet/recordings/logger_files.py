@@ -64,7 +64,6 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _tdms_column(name: str, channel: Any) -> Column:
-    """Return what the properties of a TDMS channel say of it."""
     properties = channel.properties
     step_s = properties.get("wf_increment")
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
@@ -183,7 +182,6 @@ def _bext_date(path: Path) -> str | None:
 
 
 def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Return what a function of a package returns that may raise any error on damaged files."""
     try:
         return read(*arguments, **named)
     except MemoryError:

@@ -88,7 +88,6 @@ class Place:
 
 
 def _delimiter(value: Value) -> str:
-    """Return the delimiter itself, given as itself or by its name."""
     signs = DELIMITERS | {one: one for one in DELIMITERS.values()}
     return signs[one_of(list(signs))(value)]
 
@@ -239,7 +238,6 @@ def _sensor_of_pair(value: Value) -> Channel:
 
 
 def _sensors(value: Value) -> Channel | Pair:
-    """Return the one accelerometer of a channel, or the left and the right."""
     if not isinstance(value.content, list):
         return _sensor(value)
     if len(value.content) == 1:

@@ -100,8 +100,6 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
 
 class _Server:
-    """A process that forks others which read one file each, and buries them."""
-
     def __init__(self) -> None:
         code = (
             f"import sys; sys.path[:] = {[str(place) for place in sys.path]}; "
@@ -163,8 +161,6 @@ def end_all() -> None:
 
 
 class _Process:
-    """The process that reads a file."""
-
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False
@@ -235,7 +231,6 @@ class _Process:
         return answer, tuple(arrays)
 
     def _end_late(self) -> None:
-        """End the process because it takes too long."""
         self._is_late = True
         os.kill(self._pid, signal.SIGKILL)
 
@@ -268,7 +263,6 @@ class _Process:
 
 
 def _shared_memory() -> int:
-    """Return the descriptor of memory that cannot be made smaller by who shares it."""
     handle = os.memfd_create("block", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     os.ftruncate(handle, SHARED_BYTES)
     fcntl.fcntl(handle, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
@@ -276,7 +270,6 @@ def _shared_memory() -> int:
 
 
 def _state(path: Path) -> tuple[str, int, int]:
-    """Return what tells whether a file has changed."""
     found = path.stat()
     return str(path), found.st_size, found.st_mtime_ns
 

@@ -52,7 +52,6 @@ def serve() -> None:
 
 
 def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
-    """Return the number of a process that reads a file and never returns from here."""
     module, name = request["function"]
     reader = getattr(importlib.import_module(module), name)
     if request["library"] is not None:
@@ -87,7 +86,6 @@ def _end(pid: int, grace_s: float) -> int:
 
 
 def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) -> None:
-    """Answer requests on a file until there are no more."""
     with (
         os.fdopen(connection, "rb", closefd=False) as requests,
         os.fdopen(connection, "wb", closefd=False) as answers,
@@ -107,7 +105,6 @@ def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) 
 def _answers(
     reader: Reader, path: Path, requests: IO[bytes]
 ) -> Iterator[tuple[dict[str, Any], Block]]:
-    """Yield the answer to each request."""
     with ExitStack() as stack:
         file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
         for line in requests:
@@ -136,7 +133,6 @@ def _answers(
 
 
 def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks that fit into the shared memory."""
     for block in blocks:
         most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
         for start in range(0, len(block[0]), most):

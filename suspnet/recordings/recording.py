@@ -223,7 +223,6 @@ def _combined(
 
 
 def _where(manifest: TripManifest, name: str) -> str:
-    """Return how errors name a sensor."""
     return f"{manifest.path}: channel {name!r}"
 
 
@@ -234,7 +233,6 @@ def _read_sensor(
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> SensorSignal:
-    """Read one sensor as a stream, block by block, to the common clock."""
     where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
         blocks = source.even()
@@ -255,7 +253,6 @@ def _read_sensor(
 def _common(
     manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
 ) -> tuple[int, int]:
-    """Return the first and the last instant that all sensors have, in samples of the clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = ", ".join(

@@ -145,7 +145,6 @@ class Resampler:
         return found
 
     def _instant(self, position: int) -> float:
-        """Return the time of a decimated sample, in samples of the common clock."""
         seconds = self.start_s + (self.first + position * self.factor) / self.input_rate_hz
         return seconds * self.rate_hz
 

@@ -143,7 +143,6 @@ class Running:
 
     @property
     def _accelerations(self) -> list[str]:
-        """Names of the accelerometers."""
         return list(self.manifest.sensors())
 
     @property
@@ -209,7 +208,6 @@ class Running:
         return self._orders[name]
 
     def _begin(self, name: str, rate_hz: float) -> None:
-        """Begin a sensor, whose rate is known."""
         self._orders[name] = Assembler(rate_hz, self.order)
         channel = self.manifest.sensors().get(name)
         if channel is not None:
@@ -281,7 +279,6 @@ class Running:
         return _second(first_ns) if self.rate_hz.is_integer() else self.zero_ns
 
     def _give(self, name: str, blocks: list[FloatArray]) -> None:
-        """Give the next samples of a sensor to what keeps them."""
         if name == "speed":
             self._speeds += blocks
             return

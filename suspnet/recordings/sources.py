@@ -156,7 +156,6 @@ def open_source(
 
 
 def _value_column(path: Path, file: OpenFile, source: Source) -> str:
-    """Return the name of the column of values."""
     if source.time is None:
         return choose(path, file, [source.column])[0]
     return choose(path, file, [source.time, source.column])[1]
@@ -269,7 +268,6 @@ class Timeline:
             yield filled
 
     def _count(self, steps: FloatArray, gaps: IntArray) -> None:
-        """Update the mean rate by some time steps, gaps left out."""
         n_first = 0 if self._n_steps else 1  # the very first sample follows no step
         self._n_steps += len(steps) - n_first - len(gaps)
         self._seconds += float(steps.sum() - steps[gaps].sum())

@@ -187,7 +187,6 @@ def check_pairs(
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
-    """Return how many times as well the best wrong order of the channels fits, and that order."""
     fits = _fits(spectra, expected)
     given = fits.pop(IN_ORDER)
     other = min(fits, key=fits.__getitem__)

@@ -136,7 +136,6 @@ def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
-    """Return a check with problems, of which the manifest's own path is left out."""
     told = tuple(
         "".join(letter if letter.isprintable() else "?" for letter in problem).removeprefix(
             f"{result.manifest}: "
@@ -147,7 +146,6 @@ def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
 
 
 def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
-    """Return a check with what the manifest says."""
     pairs = [name for name in CHANNELS if isinstance(manifest.channels[name], tuple)]
     sensors = "single sensors" if not pairs else f"pairs: {', '.join(pairs)}"
     return replace(
@@ -204,7 +202,6 @@ def _inspected(
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
-    """Return a check whose state is what the models make of the recording."""
     manifest = recording.manifest
     try:
         models = models_of(settings.models, manifest.place)
@@ -263,7 +260,6 @@ def _with_parts(
 def _vehicle(
     manifest: TripManifest, vehicles: Mapping[str, Vehicle]
 ) -> tuple[Vehicle | None, EstimateSettings, list[str]]:
-    """Return a manifest's vehicle, how its trips are read, and why it is not known."""
     plain = EstimateSettings()
     unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
     vehicle = vehicles.get(manifest.vehicle)
@@ -294,7 +290,6 @@ def _part(one: Steady) -> SteadyPart:
 
 
 def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
-    """Return why no part of a trip has enough averages."""
     most = max(parts, key=lambda part: part.n_averages, default=None)
     found = f"{most.n_averages:.1f} at {most.speed_m_per_s:.1f} m/s" if most else "none"
     return (
@@ -305,7 +300,6 @@ def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
 
 
 def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
-    """Return that nothing can be estimated from a part of a trip, because of its noise."""
     return (
         f"at {part.speed_m_per_s:.1f} m/s the responses are uncertain by "
         f"{part.deviation_percent:.0f} %, at most {100 * settings.max_deviation:g} % are accepted: "
@@ -320,7 +314,6 @@ def _with_plausibility(
     checked: Sequence[Tensor],
     vehicle: Vehicle,
 ) -> TripCheck:
-    """Return a check with what is implausible of the channels, in each of some groups."""
     doubts: list[str] = []
 
     def check_order(chosen: Tensor) -> None:

@@ -106,7 +106,6 @@ def look_into(file: Path) -> tuple[list[Signal], str]:
 
 
 def _is_time(column: Column) -> bool:
-    """Return whether a column may hold times."""
     return column.is_time or guess.is_time(column.name)
 
 
@@ -154,7 +153,6 @@ def _signal(
 
 
 def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
-    """Return what the times of a column are counted from, as reading will find it."""
     if not time:
         return Zero(column.start_ns, is_stated=True, date=header_date(column))
     times = Times(

@@ -102,8 +102,6 @@ def _start(signals: Sequence[Signal]) -> str:
 
 
 class _Writer:
-    """Writes the entries of a manifest and keeps count of blanks and guesses."""
-
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.blanks: list[str] = []
@@ -155,7 +153,6 @@ class _Writer:
         ]
 
     def _offers(self, signals: Sequence[Signal], kind: str, mark: str) -> list[str]:
-        """Return a comment for each column that the user may choose."""
         lines = []
         for one in signals[:LISTED]:
             entry, _, words = self._entry(one, kind, one.side)
@@ -164,7 +161,6 @@ class _Writer:
         return lines + ([f"    # and {more} more columns"] if more > 0 else [])
 
     def _entry(self, one: Signal, kind: str, side: str = "") -> tuple[str, list[str], str]:
-        """Return a source in YAML, its keys that are blank, and what is known of it in words."""
         allowed = ACCELERATION_UNITS if kind == ACCELERATION else SPEED_UNITS
         content: dict[str, object] = {"file": self._relative(one.file), "column": one.name}
         if side and kind == ACCELERATION:
@@ -202,7 +198,6 @@ class _Writer:
         return f"{{{inside}}}", blanks, _on_one_line("; ".join(words))
 
     def _relative(self, file: Path) -> str:
-        """Return a file's path from the folder of the manifest."""
         try:
             return Path(os.path.relpath(file, self.folder)).as_posix()
         except ValueError:  # another drive
@@ -217,7 +212,6 @@ def _yaml(value: object) -> str:
 
 
 def _on_one_line(words: str) -> str:
-    """Return words that end no comment."""
     return "".join(letter if letter.isprintable() else " " for letter in words)
 
 

@@ -15,6 +15,7 @@ from suspnet.recordings import formats, reader_process
 from suspnet.recordings.columns import Column
 from suspnet.recordings.formats import open_columns, open_file
 from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.reader_server import MEMORY_WORDS
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))
 
@@ -117,7 +118,7 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
         ),
         ("trip", "one problem (and 1 more: suspnet-check tells all)"),
         ("error", "is damaged, cut off or not a .mat file (division by zero)"),
-        ("speechless", f"{reader_process.MEMORY_WORDS}"),
+        ("speechless", f"{MEMORY_WORDS}"),
     ],
 )
 def test_end_of_a_reader_is_one_error(file, what, words, when):
