@@ -52,8 +52,7 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
     if suffix not in READERS:
         raise TripError(f"{path}: files of type {suffix!r} cannot be read; give {sorted(READERS)}")
     if csv is not None and READERS[suffix] is not open_csv:
-        suffixes = [one for one in READERS if READERS[one] is open_csv]
-        raise TripError(f"{path}: `csv` is for files of type {suffixes}")
+        raise TripError(f"{path}: `csv` is for files of type {list(CSV_SUFFIXES)}")
     try:
         with open_plain(path) as stream:
             if not stream.read(1):
@@ -158,10 +157,12 @@ class Format:
         return in_own_process(self.open, self.library) if self.in_own_process else self.open
 
 
+CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
+
 FORMATS = (
     Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
     # its text declares nothing, and no damaged file has crashed its reader
-    Format((".csv", ".txt", ".tsv", ".asc"), open_csv, in_own_process=False),
+    Format(CSV_SUFFIXES, open_csv, in_own_process=False),
     Format((".mat",), open_mat, "h5py"),
     Format((".h5", ".hdf5"), open_hdf5, "h5py"),
     Format((".tdms",), open_tdms, "nptdms"),
