@@ -20,7 +20,7 @@ TELLING = (
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "suspnet/recordings").glob("*.py")
         # the texts of `manifest` are of the tables of keys, but for what is raised
-        if path.stem not in ("manifest", "frames", "running")
+        if path.stem not in ("manifest", "frames", "assembler", "running")
     ),
     "suspnet/spectra/plausibility.py",
     "suspnet/spectra/segments.py",
@@ -53,6 +53,7 @@ OF_FILES = ("suspnet/trips/file_contents.py",)
 OF_STREAMS = (
     "suspnet/live/replay.py",
     "suspnet/live/suspensions.py",
+    "suspnet/recordings/assembler.py",
     "suspnet/recordings/frames.py",
     "suspnet/recordings/running.py",
 )

@@ -66,7 +66,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "suspnet.runs.maintenance.write_maintenance",
     ),
     "live": ("suspnet.live.suspension.LiveSettings",),
-    "order": ("suspnet.recordings.frames.OrderSettings",),
+    "order": ("suspnet.recordings.assembler.OrderSettings",),
     "board": ("suspnet.report.board.BoardSettings",),
     "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
     "sisters": ("suspnet.maintenance.sisters.SisterSettings",),

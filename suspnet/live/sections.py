@@ -20,9 +20,10 @@ from typing import Any
 
 from suspnet.ground.checks import check_number
 from suspnet.live.standing import Standing
+from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame, FrameError, OrderSettings, end_ns
+from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.running import Running
 

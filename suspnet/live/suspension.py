@@ -17,8 +17,9 @@ from suspnet.history.records import TripResult
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
 from suspnet.live.stream_state import dump_state, load_state
+from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame, OrderSettings
+from suspnet.recordings.frames import Frame
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running

@@ -31,10 +31,11 @@ import numpy as np
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
+from suspnet.recordings.assembler import Assembler, OrderSettings
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS, Zero
 from suspnet.recordings.columns import size_of
-from suspnet.recordings.frames import Assembler, Frame, FrameError, OrderSettings, end_ns
+from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     SPEED_UNITS,

@@ -12,8 +12,7 @@ from pathlib import Path
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
-from suspnet.trips import column_guess as guess
-from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal
+from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
 
 BLANK = "FILL_IN"
 """Stands where a value is missing; suspnet-check names each that is left."""
@@ -77,7 +76,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
     ]
     writer.blanks = ["vehicle", "suspension", *writer.blanks, "mileage_km"]
     rest = by_meaning.get("", [])
-    lines += writer.speed(by_meaning.get(guess.SPEED, []), rest)
+    lines += writer.speed(by_meaning.get(SPEED, []), rest)
     lines += ["", "channels:"]
     for name in CHANNELS:
         lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
@@ -133,7 +132,7 @@ class _Writer:
 
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel, of which `found` are by their names."""
-        vertical = [one for one in found if not guess.is_of_another_direction(one.name)] or found
+        vertical = [one for one in found if not is_of_another_direction(one.name)] or found
         sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
             self.guesses.append(f"channels.{name}")
@@ -191,7 +190,7 @@ class _Writer:
             content["rate_hz"] = BLANK
             words.append("rate in Hz?")
         words.append(f"mean {one.mean:.3g}, rms about it {one.deviation:.3g}")
-        if kind == ACCELERATION and guess.is_of_another_direction(one.name):
+        if kind == ACCELERATION and is_of_another_direction(one.name):
             words.append("vertical?")
         blanks = [key for key, value in content.items() if value is BLANK]
         inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in content.items())

@@ -21,7 +21,8 @@ from stream_signals import (
 
 from suspnet.live.sections import MOST_OPEN, Sections
 from suspnet.recordings import cleaning
-from suspnet.recordings.frames import Frame, FrameError, OrderSettings, encode
+from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.frames import Frame, FrameError, encode
 from suspnet.recordings.recording import followed
 
 ORDER = OrderSettings(window=WINDOW)

@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 from stream_signals import WINDOW, ZERO_NS, disturbed, frames_of, with_gaps
 
-from suspnet.recordings.frames import (
-    MOST_HELD,
-    MOST_SAMPLES,
-    Assembler,
-    Frame,
-    FrameError,
-    OrderSettings,
-)
+from suspnet.recordings.assembler import Assembler, OrderSettings
+from suspnet.recordings.frames import MOST_HELD, MOST_SAMPLES, Frame, FrameError
 
 RATE_HZ = 250.0
 SETTINGS = OrderSettings(window=WINDOW)

@@ -1,0 +1,221 @@
+"""The order of one sensor's frames: what comes twice, late, out of turn or never.
+
+Sequence numbers say the order, times say where samples lie. Samples of frames that follow each
+other are joined; where time is missing between them, NaN stands for each missing sample, as in a
+file with such a gap. Nothing is joined over a gap in silence, and no sample is given twice.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.checks import check_number
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError, decode, encode
+from suspnet.recordings.sources import RATE_TOLERANCE
+
+MOST_HELD = 2 * MOST_SAMPLES
+"""Number of samples above which frames are no longer held back, whatever the window: 1 MiB."""
+
+MOST_LOSSES = 64
+"""Number of latest gaps in the sequence that are remembered: frames of them are late, not twice."""
+
+MOST_DRIFT = 2e-4
+"""Largest part by which a logger's true rate may differ from the stated one: 200 ppm, several times
+what quartz is off. Times then drift away from the stated rate without a gap."""
+
+
+@dataclass(frozen=True)
+class OrderSettings:
+    """How frames are put in order.
+
+    Parameters
+    ----------
+    window : int
+        A frame may come after at most this many later ones; then it counts as missing.
+    jitter_s : float, [s]
+        A frame begins no more than this before or after the end of the one before, as its rate
+        says; half a sample if that is longer. All together may drift by ``MOST_DRIFT``.
+    longest_gap_s : float, [s]
+        A frame that lies further ahead is taken only after `window` others that did: one wrong
+        time does not begin a gap that takes the place of the samples to come.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range.
+    """
+
+    window: int = 16
+    jitter_s: float = 0.001
+    longest_gap_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        check_number("window", self.window, low=0, high=1024, whole=True)
+        check_number("jitter_s", self.jitter_s, low=0, high=1)
+        check_number("longest_gap_s", self.longest_gap_s, low=0, high=1800)
+
+
+class Assembler:
+    """Turns one sensor's frames into evenly spaced samples.
+
+    It holds at most ``window + 1`` frames and ``MOST_HELD`` samples and one frame. The samples that
+    it gives depend on neither how a signal is cut into frames nor the order in which these come, as
+    long as none comes after more than `window` later ones.
+
+    Parameters
+    ----------
+    rate_hz : float, [Hz]
+    settings : OrderSettings, optional
+
+    Attributes
+    ----------
+    counts : Counter
+        Frames "taken", and those that were not: "duplicate", "late" (its place has become a gap),
+        "clock" (before the end of the samples so far), "far" (beyond the longest gap). Then "gap",
+        and what was seen on the way: "gap_samples", "missing" (numbers that never came in time),
+        "restart" (the sequence began anew).
+    first_ns : int or None, [ns]
+        Time of the first sample.
+    n_samples : int
+        Number of samples given, with those of gaps.
+    """
+
+    def __init__(self, rate_hz: float, settings: OrderSettings | None = None) -> None:
+        self.rate_hz = rate_hz
+        self.settings = OrderSettings() if settings is None else settings
+        self.counts: Counter[str] = Counter()
+        self.first_ns: int | None = None
+        self.n_samples = self._n_far = self._end_ns = 0
+        self._next: int | None = None
+        self._held: dict[int, Frame] = {}
+        self._n_held = 0
+        self._lost: deque[tuple[int, int]] = deque(maxlen=MOST_LOSSES)
+
+    def push(self, frame: Frame) -> list[FloatArray]:
+        """Return the samples that a frame completes, NaN in gaps, in the frame's unit.
+
+        Raises
+        ------
+        FrameError
+            If the frame has another rate.
+        """
+        if abs(frame.rate_hz - self.rate_hz) > RATE_TOLERANCE * self.rate_hz:
+            raise FrameError(
+                "rate", f"{frame.sensor!r} has {self.rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+            )
+        given: list[FloatArray] = []
+        if frame.sequence in self._held:
+            self.counts["duplicate"] += 1
+            return given
+        if self._next is not None and frame.sequence < self._next:
+            if self._ahead(frame) < -self._tolerance:
+                is_late = any(low <= frame.sequence < high for low, high in self._lost)
+                self.counts["late" if is_late else "duplicate"] += 1
+                return given
+            given = self.flush()
+            self.counts["restart"] += 1
+            self._next = None
+            self._lost.clear()
+        self._held[frame.sequence] = frame
+        self._n_held += len(frame.samples)
+        return given + self._due()
+
+    def flush(self) -> list[FloatArray]:
+        """Return the samples of all frames held back; what is missing before them is a gap."""
+        return self._due(at_once=True)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames that were taken or are held back."""
+        return self.counts["taken"] + len(self._held)
+
+    @property
+    def _tolerance(self) -> float:
+        """How far a frame may be from its place, [samples]."""
+        return max(0.5, self.settings.jitter_s * self.rate_hz)
+
+    def _ahead(self, frame: Frame) -> float:
+        """Return how far a frame begins after the end of the last one, [samples]."""
+        return (frame.time_ns - self._end_ns) * self.rate_hz / SECOND_NS
+
+    def _distance(self, frame: Frame) -> float:
+        """Return how far a frame begins after the samples so far, [samples].
+
+        A logger's slow drift does not count, unless it is no drift of a clock any more.
+        """
+        assert self.first_ns is not None
+        ahead = self._ahead(frame)
+        beyond = (frame.time_ns - self.first_ns) * self.rate_hz / SECOND_NS - self.n_samples
+        is_drift = abs(beyond - ahead) <= self._tolerance + MOST_DRIFT * self.n_samples
+        return ahead if is_drift else beyond
+
+    def _due(self, at_once: bool = False) -> list[FloatArray]:
+        given: list[FloatArray] = []
+        while self._held:  # each round takes a frame or makes the next one the lowest
+            if self._next not in self._held:
+                full = len(self._held) > self.settings.window or self._n_held > MOST_HELD
+                if not (full or at_once):
+                    break
+                lowest = min(self._held)
+                if self._next is not None:
+                    self.counts["missing"] += lowest - self._next
+                    self._lost.append((self._next, lowest))
+                self._next = lowest
+            frame = self._held.pop(self._next)
+            self._n_held -= len(frame.samples)
+            self._next += 1
+            given += self._placed(frame)
+        return given
+
+    def _placed(self, frame: Frame) -> list[FloatArray]:
+        if self.first_ns is None:
+            self.first_ns = self._end_ns = frame.time_ns
+        distance = self._distance(frame)
+        n_gap = round(distance) if distance > self._tolerance else 0
+        reason = "clock" if distance < -self._tolerance else ""
+        is_far = n_gap > self.settings.longest_gap_s * self.rate_hz
+        if is_far and self._n_far < self.settings.window:
+            reason = "far"
+        if reason:
+            self.counts[reason] += 1
+            self._n_far += reason == "far"
+            return []
+        self.counts["taken"] += 1
+        self._n_far = 0
+        self.n_samples += n_gap + len(frame.samples)
+        self._end_ns = frame.time_ns + round(len(frame.samples) * SECOND_NS / self.rate_hz)
+        samples = np.asarray(frame.samples, dtype=np.float64)
+        if not n_gap:
+            return [samples]
+        self.counts["gap"] += 1
+        self.counts["gap_samples"] += n_gap
+        return [np.full(n_gap, np.nan), samples]
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and JSON-able values that `restore` makes the same assembler of."""
+        encoded = [encode(frame) for frame in self._held.values()]
+        return {
+            "counts": dict(self.counts),
+            "at": [self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next],
+            "lost": list(map(list, self._lost)),
+            "sizes": [len(one) for one in encoded],
+            "held": np.frombuffer(b"".join(encoded), dtype=np.uint8),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of an assembler of the same sensor."""
+        self.counts = Counter(state["counts"])
+        at = state["at"]
+        self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next = at
+        self._lost = deque(((low, high) for low, high in state["lost"]), maxlen=MOST_LOSSES)
+        held, ends = state["held"].tobytes(), np.cumsum([0, *state["sizes"]])
+        frames = [decode(held[start:end]) for start, end in pairwise(ends)]
+        self._held = {frame.sequence: frame for frame in frames}
+        self._n_held = sum(len(frame.samples) for frame in frames)
