@@ -33,7 +33,7 @@ from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.assembler import Assembler, OrderSettings
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
-from suspnet.recordings.clocks import SECOND_NS, Zero
+from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import (
@@ -47,7 +47,7 @@ from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
 from suspnet.recordings.sensor import Sensor
 from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
-from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
+from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
 UNITS = {"acceleration": "m/s2", "speed": "m/s"}
 """Units in which samples are kept where the manifest leaves them to the file."""
@@ -304,10 +304,8 @@ class Running:
         rate_hz = self._orders["speed"].rate_hz
         self._speeds = [np.concatenate(self._speeds)]
         speeds = SPEED_UNITS[source.unit or UNITS["speed"]] * self._speeds[0]
-        elapsed_s = np.arange(len(speeds)) / rate_hz
-        step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / rate_hz
         start_s = self._start_s("speed", self._clock_ns)
-        return SpeedTrack(start_s + elapsed_s, speeds, Zero(), step_s, "")
+        return speed_track(np.arange(len(speeds)) / rate_hz, speeds, start_s, rate_hz)
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values that `restore` makes the same recording of."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -58,18 +58,18 @@ class SpeedTrack:
     seconds : array of shape (n_known,), [s]
         Since `zero`, with the manifest's `start_s`.
     speeds : array of shape (n_known,), [m/s]
-    zero : Zero
     step_s : float, [s]
         Usual time between two of them; infinite if there is only one and no rate.
+    zero : Zero
     words : str
         How its file is read.
     """
 
     seconds: FloatArray
     speeds: FloatArray
-    zero: Zero
     step_s: float
-    words: str
+    zero: Zero = field(default_factory=Zero)
+    words: str = ""
 
 
 def read_speed(manifest: TripManifest) -> SpeedTrack | None:
@@ -92,12 +92,18 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     with open_source(manifest, source, where, "speed") as file:
         parts = list(_thinned(_timed(file, where)))
         seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
-        step_s = 1 / (file.rate_hz or np.inf)
-        if len(seconds) > 1:
-            step_s = float(np.median(np.diff(seconds)))
-        return SpeedTrack(
-            source.start_s + seconds, file.size * speeds, file.zero, step_s, file.words
-        )
+        found = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)
+        return replace(found, zero=file.zero, words=file.words)
+
+
+def speed_track(
+    seconds: FloatArray, speeds: FloatArray, start_s: float, rate_hz: float | None
+) -> SpeedTrack:
+    """Return speeds (n_known,) [m/s] by their times since `start_s` [s]."""
+    step_s = 1 / (rate_hz or np.inf)
+    if len(seconds) > 1:
+        step_s = float(np.median(np.diff(seconds)))
+    return SpeedTrack(start_s + seconds, speeds, step_s)
 
 
 def speed_at(
