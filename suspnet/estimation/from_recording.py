@@ -314,10 +314,10 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
     places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
     wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
     if wrong:
-        told = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
+        listed = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
         raise TripError(
-            "the trip has sensors left and right, the model was trained for one sensor beside the "
-            f"middle: {told}; give one sensor in the manifest, or train with "
+            "the trip has sensors left and right, the model was trained for one sensor off the "
+            f"middle: {listed}; give one sensor in the manifest, or train with "
             "generator.sensor_lateral_m=[0,0,0]"
         )
 

@@ -19,7 +19,7 @@ from suspnet.spectra.segments import recording_segments, segment_speeds
 from suspnet.spectra.speeds import Speeds
 
 LEAST_TRIPS = 3
-"""Fewer healthy trips tell too little of a vehicle."""
+"""Fewer healthy trips hold too little information on a vehicle."""
 
 
 @dataclass(frozen=True)

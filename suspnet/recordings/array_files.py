@@ -32,7 +32,7 @@ RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", 
 UNIT_NAMES = ("unit", "units")
 DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
 """Names of fields and attributes, in lower case and without blanks and underscores, that say the
-rate [Hz], the unit and the start of the data beside them."""
+rate [Hz], the unit and the start of the data next to them."""
 
 NUMERIC = (
     "single",
@@ -85,7 +85,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _foreign(dataset: Any) -> str:
-    """Return what a data set needs beside its own file, or too much memory for; "" if nothing."""
+    """Return what a data set needs besides its own file, or too much memory for; "" if nothing."""
     if dataset.is_virtual:
         return "is virtual, which takes samples from other files"
     plan = dataset.id.get_create_plist()

@@ -80,7 +80,7 @@ class Assembler:
         Frames "taken", and those that were not: "duplicate", "late" (its place has become a gap),
         "clock" (before the end of the samples so far), "far" (beyond the longest gap). Then "gap",
         and what was seen on the way: "gap_samples", "missing" (numbers that never came in time),
-        "restart" (the sequence began anew).
+        "restart" (the sequence started again).
     first_ns : int or None, [ns]
         Time of the first sample.
     n_samples : int

@@ -134,7 +134,7 @@ class Cleaner:
     settings : CleaningSettings, optional
     late : float, [-]
         Share of a window, 0 to 1, that is waited for beyond what is needed: with shares of their
-        own hundreds of channels that begin at once are not cleaned in the same second.
+        own hundreds of channels that start at once are not cleaned in the same second.
     """
 
     def __init__(

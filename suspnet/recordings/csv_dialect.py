@@ -94,7 +94,7 @@ class Found:
     date: str | None = None
 
     def __str__(self) -> str:
-        """Return what was found in words."""
+        """Return what was found as text."""
         header = f"names in line {self.header_line}" if self.header_line else "no names"
         bom = " with byte-order mark" if self.has_bom else ""
         delimiter = _WORDS.get(self.delimiter, repr(self.delimiter))
@@ -201,7 +201,7 @@ def _date_in_row(line: str, one: _Candidate) -> str | None:
 
 def _unreadable(path: Path, reason: str) -> TripError:
     return TripError(
-        f"{path}: {reason}; say how it is written in the manifest, beside its `file`, like "
+        f"{path}: {reason}; say how it is written in the manifest, next to its `file`, like "
         '`csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}`'
     )
 

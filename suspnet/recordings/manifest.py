@@ -150,7 +150,7 @@ class Source:
         _IN_FILE,
     )
     time: str | None = optional(
-        text, "text", "column of times, instead of `rate_hz` or beside it", default=_IN_FILE
+        text, "text", "column of times, instead of `rate_hz` or as well", default=_IN_FILE
     )
     start_s: float = field(
         default=0.0,
@@ -321,7 +321,7 @@ class TripManifest:
     side: str | None = optional(
         one_of(SIDES),
         "`left`, `right`",
-        "side of the suspension, which tells suspensions of one name apart; single sensors are "
+        "side of the suspension, to distinguish suspensions of one name; single sensors are "
         "there too",
         default="not said",
     )

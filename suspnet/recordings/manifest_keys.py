@@ -39,7 +39,7 @@ class TripError(ValueError):
         more = len(self.args) - 1
         if more < 1:
             return super().__str__()
-        return f"{self.args[0]} (and {more} more: suspnet-check tells all)"
+        return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
 
 
 def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:

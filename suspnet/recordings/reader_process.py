@@ -235,7 +235,7 @@ class _Process:
         os.kill(self._pid, signal.SIGKILL)
 
     def _ending(self) -> str:
-        """Return in words why the process has ended; a file that is late is not tried again."""
+        """Return why the process has ended, as text; a file that is late is not tried again."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
             words = (

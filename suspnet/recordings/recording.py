@@ -1,7 +1,7 @@
 """One trip, cleaned and on one clock: accelerations at three places and the speed.
 
 A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled on
-its own. Half their sum is the channel, in which roll cancels; half their difference is kept too.
+its own. Half their sum is the channel, in which roll cancels; half their difference is stored too.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def load_recording(
     """Return a trip, cleaned and resampled to one clock.
 
     Files are read block by block, ``MOST_AT_ONCE`` sensors at the same time. Only the time that
-    all sensors cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not
+    all sensors cover remains, less about ``8 / rate_hz`` at both ends, where the low-pass is not
     complete.
 
     Parameters
@@ -167,7 +167,7 @@ def joined(
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
-    told = [track.words if track else "", *(stream.words for stream in streams)]
+    read_as = [track.words if track else "", *(stream.words for stream in streams)]
     paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz
     return Recording(
@@ -181,7 +181,7 @@ def joined(
         float(times_s[0]),
         paired,
         differences,
-        "; ".join(dict.fromkeys(words for words in told if words)),
+        "; ".join(dict.fromkeys(words for words in read_as if words)),
     )
 
 
@@ -267,7 +267,7 @@ def _common(
 
 
 def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
-    """Return a recording that goes on with another one of the same sensors.
+    """Return a recording followed by another one of the same sensors.
 
     Between the last instant of the first and the first of the second nothing is usable: a moment at
     least, as filters need samples on both sides.

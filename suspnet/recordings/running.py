@@ -7,7 +7,7 @@ instants of the common clock are multiples of ``1 / rate_hz``.
 
 All later steps look at the whole recording: whether clocks drift apart; which speeds are impossible
 or stuck; which segments share a speed; which are louder than ``LOUD`` medians, or less coherent
-than the others. Signals on the common clock are kept for them: 27 bytes for each instant of three
+than the others. Signals on the common clock are stored for them: 27 bytes for each instant of three
 sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with half overlap, up to
 a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
 chosen. So a recording has to end; `longest_s` bounds it, and with it the memory.
@@ -50,7 +50,7 @@ from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
 UNITS = {"acceleration": "m/s2", "speed": "m/s"}
-"""Units in which samples are kept where the manifest leaves them to the file."""
+"""Units in which samples are stored where the manifest leaves them to the file."""
 
 
 class Running:
@@ -76,7 +76,7 @@ class Running:
     begin_ns, end_ns : int, [ns]
         When the first frame begins and the last one ends, by their times.
     goes_on : bool
-        Whether it goes on with the trip of another one.
+        Whether it continues the trip of another one.
     rest : Running or None
         What follows of the same trip, where it is too short for a recording of its own.
 
@@ -245,10 +245,10 @@ class Running:
         ------
         TripError
             As `load_recording` does: a sensor is dead or missing, the time too short, the speed
-            unknown, or clocks run apart.
+            unknown, or clocks drift against each other.
         """
-        begun = [name for name, order in self._orders.items() if order.first_ns is not None]
-        missing = [name for name in self._sources if name not in begun]
+        started = [name for name, order in self._orders.items() if order.first_ns is not None]
+        missing = [name for name in self._sources if name not in started]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
         signals = [
@@ -330,7 +330,7 @@ class Running:
 
     @property
     def identity(self) -> list[Any]:
-        """Return what a state must share with the recording that goes on from it."""
+        """Return what a state must share with the recording that continues it."""
         sensors = {
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
             for name, one in self._sources.items()

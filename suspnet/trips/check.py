@@ -95,11 +95,11 @@ def check_trip(
         recording = load_recording(manifest, settings.trips.rate_hz)
         return _inspected(result, recording, settings, picture)
     except TripError as error:
-        told = error.problems
+        problems = error.problems
     except Exception as error:  # a fault in one trip must not hide what is wrong with the others
         log.debug("trip %s failed", path, exc_info=True)
-        told = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
-    return _with_problems(result, told)
+        problems = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
+    return _with_problems(result, problems)
 
 
 def _check_columns(file: ManifestFile, opened: Opened) -> None:
@@ -136,13 +136,13 @@ def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
-    told = tuple(
+    shown = tuple(
         "".join(letter if letter.isprintable() else "?" for letter in problem).removeprefix(
             f"{result.manifest}: "
         )
         for problem in problems
     )
-    return replace(result, state=PROBLEM, problems=result.problems + told)
+    return replace(result, state=PROBLEM, problems=result.problems + shown)
 
 
 def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:

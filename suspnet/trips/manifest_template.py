@@ -19,7 +19,7 @@ BLANK = "FILL_IN"
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
-"""Size of gravity in each unit, by which the mean of a sensor that measures it tells its unit."""
+"""Size of gravity in each unit, by which the mean of a sensor that measures it shows its unit."""
 HEAD = f"""\
 # Manifest of one trip: a template written by suspnet-init. What is marked {BLANK} is not known,
 # what is marked "guess" is taken from names: check both. Then run: suspnet-check """
