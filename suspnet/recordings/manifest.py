@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.recordings.manifest_keys import (
     POSITIVE,
     Key,
@@ -262,7 +263,7 @@ def _sensors(value: Value) -> Channel | Pair:
 
 
 def _channels(value: Value) -> dict[str, Channel | Pair]:
-    found: dict[str, Channel | Pair] = value.read({one: Key(_sensors, "", "") for one in CHANNELS})
+    found: dict[str, Channel | Pair] = value.read(dict.fromkeys(CHANNELS, Key(_sensors, "", "")))
     return found
 
 
@@ -274,12 +275,8 @@ def _mileage(value: Value) -> float:
 
 
 def _truth(value: Value) -> dict[str, float]:
-    # imports torch, which a process that only reads a data file can do without
-    from suspnet.dynamics import PARAMETERS
-
-    found: dict[str, float] = value.read(
-        {name: Key(positive, "", "", default="") for name in PARAMETERS}
-    )
+    one = Key(positive, "", "", default="")
+    found: dict[str, float] = value.read(dict.fromkeys(PARAMETERS, one))
     return found
 
 
