@@ -114,6 +114,7 @@ def read_healthy(
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     manifests = manifests[:n_first]
     _check_same(folder, manifests, vehicle, bogie)
+    # a trip without a usable stretch is left out, with the reason
     kept: list[TripManifest] = []
     groups: list[HealthySpectra] = []
     paired: set[tuple[bool, bool, bool]] = set()
@@ -128,6 +129,7 @@ def read_healthy(
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
         paired.add(recording.paired)
+    # what is left must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
         reasons = f" ({'; '.join(left_out)})" if left_out else ""
         raise TripError(

@@ -141,30 +141,21 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         give in the manifest.
     """
     given = CsvDialect() if given is None else given
-    with path.open("rb") as stream:
-        sample = stream.read(SAMPLE_BYTES)
-        is_whole = not stream.read(1)
-    encoding, has_bom = _encoding(sample)
-    encoding = given.encoding or encoding
-    try:
-        text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
-    except (UnicodeError, LookupError) as error:
-        raise _unreadable(path, f"it is not {encoding} text") from error
-    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
-    lines = text.split("\n")  # splitlines() would also split at form feeds
-    if not is_whole:
-        lines = lines[:-1]
+    encoding, has_bom, lines = _first_lines(path, given)
+    # Rows are recognised at the end of the sample, where no header is.
     filled = [line for line in lines[given.header_line or 0 :] if line.strip()]
     tail = filled[-max(min(TAIL_LINES, len(filled) // 2), 1) :]
     candidates = _candidates(tail, given)
     if not candidates:
         raise _unreadable(path, "no row of numbers was found: it is empty, cut off or no table")
+    # Of those that explain the whole sample, the one that explains most of it is taken.
     found = [_table(lines, one, given) for one in candidates]
     whole = [pair for pair in zip(found, candidates, strict=True) if pair[0] is not None]
     if not whole:
         raise _unreadable(path, "no row has as many values as there are names")
     best, candidate = max(whole, key=lambda pair: _preference(*pair))
     assert best is not None
+    # A file that may be read in two ways is refused rather than guessed.
     rivals = [
         other
         for other, one in whole
@@ -190,6 +181,24 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         date_in_lines(lines[: (best.header_line or best.first_line) - 1])
         or _date_in_row(lines[best.first_line - 1], candidate),
     )
+
+
+def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
+    """Return encoding, whether there is a byte-order mark, and the lines of the sample."""
+    with path.open("rb") as stream:
+        sample = stream.read(SAMPLE_BYTES)
+        is_whole = not stream.read(1)
+    encoding, has_bom = _encoding(sample)
+    encoding = given.encoding or encoding
+    try:
+        text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
+    except (UnicodeError, LookupError) as error:
+        raise _unreadable(path, f"it is not {encoding} text") from error
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")  # splitlines() would also split at form feeds
+    if not is_whole:
+        lines = lines[:-1]
+    return encoding, has_bom, lines
 
 
 def _date_in_row(line: str, one: _Candidate) -> str | None:

@@ -106,6 +106,7 @@ def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
     )
     delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
     parse = pa.csv.ParseOptions(delimiter=delimiter)
+    # Arrow reads UTF-8 with one-character delimiters: other files are turned into that on the way.
     with pa.OSFile(str(path)) as stream:
         source: Any = stream
         if found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):

@@ -151,12 +151,14 @@ def joined(
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
     speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
+    # all sensors at the instants of the common clock
     touched = np.zeros(len(times_s), dtype=np.bool_)
     values = {}
     for stream in streams:
         part = slice(first - stream.first, last + 1 - stream.first)
         values[stream.name] = stream.values[part]
         touched |= stream.touched[part]
+    # faults between sensors: loose ones first, as they have no clock to compare
     usable = np.isfinite(speed) & ~touched
     found, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
     faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults, *found)

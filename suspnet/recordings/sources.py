@@ -121,6 +121,7 @@ def open_source(
         column = file.column(name)
         if column.is_time:
             raise TripError(f"{path}: column {name!r} holds time stamps, not numbers")
+        # the rate, or else the times: by the manifest, the file, or its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
         if time is None and rate_hz is None:
@@ -130,6 +131,7 @@ def open_source(
             raise TripError(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
             )
+        # what values are multiplied with
         size, words = _size(where, kind, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:

@@ -20,10 +20,12 @@ from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.plain_files import read_plain
 from suspnet.ground.storage import read_arrays
 from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.maintenance.watch import Watched
+from suspnet.recordings import manifest_files
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.report import output
@@ -187,6 +189,18 @@ def test_finished_trips_are_not_read_again(three, model, no_figures, monkeypatch
     for one, other in zip(first, again, strict=True):
         for name, values in vars(one.curves).items():
             np.testing.assert_array_equal(values, getattr(other.curves, name))
+
+
+def test_each_manifest_is_read_once(three, model, no_figures, monkeypatch, tmp_path):
+    seen = []
+    monkeypatch.setattr(
+        manifest_files,
+        "read_plain",
+        lambda path, *most: seen.append(path) or read_plain(path, *most),
+    )
+    found = read(three, [model], tmp_path / "out")
+    assert [r.status for r in found] == ["ok"] * 3
+    assert len(seen) == len(set(seen)) == 3
 
 
 def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
