@@ -23,7 +23,7 @@ from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import without_incoherent, without_loud
 from suspnet.spectra.speeds import SpeedRange, range_words, reading_range
-from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra
 
 
 def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:

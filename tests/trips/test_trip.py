@@ -28,7 +28,7 @@ from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.welch import Welch
 from suspnet.trips import trip
 from suspnet.trips.trip import evaluate_trip
