@@ -10,11 +10,9 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator
-from suspnet.estimation.delays import delay_words
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
-from suspnet.estimation.sides import with_sides
 from suspnet.estimation.steady_parts import (
     GroupSpectra,
     SpeedBin,
@@ -28,6 +26,7 @@ from suspnet.estimation.steady_parts import (
     reads_at_any_speed,
     speed_of,
 )
+from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.ground.checks import check_flag, check_number
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError

@@ -14,10 +14,9 @@ import torch
 from scipy.signal import get_window
 from torch import Tensor
 
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.ood import Flags
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
