@@ -5,9 +5,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from suspnet.live.stream_state import dump_state, load_state
-from suspnet.recordings import load_recording
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
+from suspnet.recordings.recording import load_recording
 
 ZERO_NS = 1_700_000_000_000_000_000
 RATES_HZ = {"axle_box": 400.0, "bogie": 250.0, "body": 250.0, "speed": 4.0}
