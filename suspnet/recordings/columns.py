@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.plain_files import open_plain, stored_bytes
+from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS, CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings.manifest_keys import (
     POSITIVE,
     Key,
@@ -61,31 +62,11 @@ SIDES = ("left", "right")
 MIDDLE = "middle"
 """Side of a single sensor between left and right, or of the mean of both."""
 
-HIGHEST_KM = 2e7
-"""Mileage that no rail vehicle reaches [km]: 40 years of 500 000 km, which fast trains run."""
-
 TEMPERATURES_C = (-60.0, 60.0)
 """Temperatures outside that a train meets [°C]."""
 
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 """Constant speed with its unit, as text: 252 km/h."""
-
-
-@dataclass(frozen=True, order=True)
-class Place:
-    """Which suspension a trip is of; text is empty where the manifest does not say it."""
-
-    suspension: str = ""
-    bogie: str = ""
-    side: str = ""
-    train: str = ""
-    car: str = ""
-
-    def __str__(self) -> str:
-        """Return the place as text."""
-        vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
-        where = [self.bogie and f"{self.bogie} bogie", self.side]
-        return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
 
 
 def _delimiter(value: Value) -> str:

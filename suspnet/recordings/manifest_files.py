@@ -9,10 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from suspnet.ground.plain_files import NotPlainError, read_plain
-from suspnet.ground.storage import printable, read_json, write_atomically
+from suspnet.ground.records import Place
+from suspnet.ground.storage import NotPlainError, printable, read_json, read_plain, write_atomically
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
-from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, Place, TripManifest
+from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, TripManifest
 from suspnet.recordings.manifest_keys import TripError, Value, all_of, keys_of
 
 UNFINISHED = "unfinished.json"

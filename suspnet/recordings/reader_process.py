@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.plain_files import open_plain, stored_bytes
+from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.columns import (
     SHARED_BYTES,
     Block,

@@ -20,13 +20,13 @@ from suspnet.estimation.steady_parts import (
     readable_words,
 )
 from suspnet.estimation.trained import TrainedModel
-from suspnet.history.records import ERROR, OK
+from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
-from suspnet.report.check_figures import trip_figure, write_picture
+from suspnet.report.check_page import trip_figure, write_picture
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
@@ -36,8 +36,7 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.welch import SegmentSpectra
-from suspnet.trips.commissionings import models_at
-from suspnet.trips.models import models_of
+from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)

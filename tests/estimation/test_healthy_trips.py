@@ -14,6 +14,7 @@ from trip_fixtures import RATES_HZ, SPEED, changed, signal, small_fleet
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
+from suspnet.estimation.commissioning_summary import unplaced
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.recordings.formats import READERS
@@ -21,7 +22,6 @@ from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.reader_process import in_own_process
 from suspnet.recordings.recording import load_recording
-from suspnet.report.commissioning_summary import unplaced
 from suspnet.runs.commissioning import _prior
 from suspnet.spectra.estimates import EstimateSettings
 
