@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.history.curves import TripResponses
+from suspnet.history.arrays import TripResponses
 from suspnet.report.templates import thousands
 from suspnet.web.plotly_figure import MARGINS, PLAIN, axis_title, finite, html
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import TripResult
-from suspnet.history.curves import TripResponses
+from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.report.overview import FleetView
 from suspnet.report.report import NAMES
