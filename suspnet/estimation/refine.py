@@ -6,8 +6,8 @@ information matrix gives the deviations, and the misfit says whether the model c
 curve at all.
 
 A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
-the prior: with z their coordinates (`suspnet.spectra.directions`) the sum of squares is that of the
-curve's residuals and of z, and the result has the largest posterior density.
+the prior: with z their coordinates (`suspnet.spectra.observation`) the sum of squares is that of
+the curve's residuals and of z, and the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -23,16 +23,15 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import MASS, Task, columns_of
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.learning.least_squares import LeastSquaresSolution, levenberg_marquardt
-from suspnet.spectra.directions import Directions
-from suspnet.spectra.observation import Misfit
+from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
+from suspnet.spectra.observation import Directions, Misfit
 
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""
 FIRST_DAMPING = 1e-6
-"""First damping of `levenberg_marquardt`: a good start needs little."""
+"""First damping of `LevenbergMarquardt`: a good start needs little."""
 BEYOND = 5.0
 """Factor on the range of the training curves within which parameters stay."""
 N_LEVELS = 9
@@ -128,7 +127,7 @@ def complete_ratios(
     inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
-        full[:, PARAMETERS.index("M_s")] = mass
+        full[:, MASS] = mass
     return full
 
 
@@ -147,7 +146,6 @@ def refine(
 
     Parameters
     ----------
-    task : Task
     misfit : Misfit
         Of n_curves curves.
     estimates : array of shape (n_curves, n_outputs), [-]
@@ -199,9 +197,7 @@ class _Search:
     ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
         self._directions, self.n_directions = directions, 0 if directions is None else directions.n
-        self._columns = torch.tensor(
-            [PARAMETERS.index(name) for name in task.unknown], device=full.device
-        )
+        self._columns = torch.tensor(columns_of(task.unknown), device=full.device)
         ranges = [task.range(name) for name in task.unknown]
         self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
         furthest = full.new_full((self.n_directions,), FURTHEST)
@@ -263,15 +259,16 @@ class _Search:
     ) -> LeastSquaresSolution:
         """Return the search with `temperature` times the noise, roughly where that is not 1."""
         last = temperature == 1.0
-        return levenberg_marquardt(
-            lambda point, which: self._residual(point, rows[which], temperature),
-            start,
+        solver = LevenbergMarquardt(
             max_iter=self._max_iter if last else ROUGH_ITER,
             tol=TOL if last else ROUGH_TOL,
             first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
             bounds=self._bounds,
             one_sided=bool(self.n_directions) and not last,
             least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
+        )
+        return solver.minimise(
+            lambda point, which: self._residual(point, rows[which], temperature), start
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:

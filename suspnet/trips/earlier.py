@@ -16,7 +16,6 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.limits import Limits
-from suspnet.ground.plain_files import read_plain
 from suspnet.ground.records import (
     ERROR,
     OK,
@@ -28,6 +27,7 @@ from suspnet.ground.records import (
     to_responses,
     to_row,
 )
+from suspnet.ground.storage import read_plain
 from suspnet.history import History
 from suspnet.history.schema import trip_key, undated_key
 from suspnet.maintenance.alarms import OWN_CAUSES, Alarm

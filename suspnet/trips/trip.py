@@ -16,9 +16,9 @@ from torch import Tensor
 
 from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.sides import with_sides
 from suspnet.estimation.speed_bin import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_flags import with_sides
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK, Place, Quality, TripCurves, TripResult
 from suspnet.ground.storage import printable
 from suspnet.recordings.manifest import TripError, TripManifest
@@ -26,8 +26,7 @@ from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.segments import NoEstimateError, recording_segments
-from suspnet.spectra.transfer_estimate import SegmentSpectra
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)

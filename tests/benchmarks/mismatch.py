@@ -33,10 +33,8 @@ from rich_train import FAMILY, RichTrain  # noqa: E402
 from rich_train_trips import true_ratios, write_train_trips  # noqa: E402
 from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
-from suspnet.dynamics.distribution import LogNormal  # noqa: E402
-from suspnet.dynamics.quantities import PARTS  # noqa: E402
+from suspnet.dynamics.quantities import PARTS, LogNormal  # noqa: E402
 from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
-from suspnet.estimation.commissioning_run import commission_folder  # noqa: E402
 from suspnet.estimation.estimate import Estimate  # noqa: E402
 from suspnet.estimation.from_recording import NoEstimateError, TripSettings  # noqa: E402
 from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
@@ -44,6 +42,7 @@ from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
 from suspnet.estimation.trained import TrainedModel  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
 from suspnet.runs.calibrate import calibrated, with_unexplained  # noqa: E402
+from suspnet.runs.commissioning import commission_folder  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402

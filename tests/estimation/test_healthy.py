@@ -7,10 +7,8 @@ import pytest
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.healthy import HealthyValues
-from suspnet.estimation.ood import Flags
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 
 POSTERIOR = LogNormal(
     ("healthy_c_p", "body_gyration", "healthy_k_s"),

@@ -8,20 +8,18 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.estimation.estimate import KINDS, Flags
 from suspnet.estimation.ood import (
     EDGE_DEVIATIONS,
     FALSE_ALARMS,
-    KINDS,
     MISFIT_DEVIATIONS,
     N_NEIGHBOURS,
     N_REFERENCE,
-    Flags,
     OODDetector,
 )
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.refine import Refined, refine
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.misfit import CurveMisfit
+from suspnet.spectra.curves import CurveMisfit, CurveSettings
 
 CLOUD, MISFIT = 1, 3
 OWN = KINDS.index("physics")

@@ -14,7 +14,7 @@ from suspnet.maintenance.assessment import assess, overall
 from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge, last_trips
 from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import trend
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = yaml.safe_load((CONFIGS / "scenarios.yaml").read_text())

@@ -21,13 +21,13 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation import from_recording as recording
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.ood import Flags
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.welch import Welch
 from suspnet.trips import trip
 from suspnet.trips.trip import evaluate_trip
