@@ -23,12 +23,12 @@ from suspnet.maintenance import (
     cusum,
     make_plan,
     make_series,
-    plan_calendar,
     remaining_lives,
     residuals,
     threshold,
     watch,
 )
+from suspnet.report.calendar_figure import plan_calendar
 
 plt.style.use("tableau-colorblind10")
 

@@ -1,4 +1,4 @@
-"""Names of the parameters that are estimated, and how a mileage is written."""
+"""Names and units of the parameters that are estimated."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ SI_COLUMNS = {
     "M_s": "M_s_kg",
 }
 """Columns of the parameters in SI units."""
-
-
-def km_words(value: float) -> str:
-    """Return a mileage with its unit and spaces between thousands."""
-    return f"{value:,.0f} km".replace(",", " ")
+NAMES = {
+    "k_p": "stiffness of the primary spring",
+    "c_p": "damping of the primary damper",
+    "k_s": "stiffness of the secondary spring",
+    "c_s": "damping of the secondary damper",
+    "M_s": "mass of the car body",
+}
+UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+"""SI unit of each parameter."""

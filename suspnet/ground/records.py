@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD, SI_COLUMNS, km_words
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD, SI_COLUMNS
 from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.wording import kilometres
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches [km]: 40 years of 500 000 km, which fast trains run."""
@@ -325,7 +326,7 @@ class Commissioning:
             for name, ratio in self.relative.items()
             if name != PAYLOAD
         )
-        return f"from {km_words(self.since_km)} on healthy is {told} of the first commissioning"
+        return f"from {kilometres(self.since_km)} on healthy is {told} of the first commissioning"
 
 
 def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, Watched, alarm_table, watch
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
@@ -17,9 +15,6 @@ from suspnet.maintenance.series import Event, Series, make_series
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
 from suspnet.maintenance.state import State
 from suspnet.maintenance.visit_costs import Costs
-
-if TYPE_CHECKING:
-    from suspnet.maintenance.calendar_figure import plan_calendar
 
 __all__ = [
     "DEFAULT_LIMITS",
@@ -49,7 +44,6 @@ __all__ = [
     "learn_fleet",
     "make_plan",
     "make_series",
-    "plan_calendar",
     "predict_life",
     "remaining_lives",
     "residuals",
@@ -57,12 +51,3 @@ __all__ = [
     "threshold",
     "watch",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the calendar when it is first used: it needs matplotlib."""
-    if name != "plan_calendar":
-        raise AttributeError(f"module 'suspnet.maintenance' has no attribute {name!r}")
-    from suspnet.maintenance.calendar_figure import plan_calendar
-
-    return plan_calendar

@@ -12,8 +12,9 @@ import numpy as np
 from tabulate import tabulate
 
 from suspnet.ground.limits import Limits, Severity
-from suspnet.ground.parameters import PAYLOAD, km_words
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.judge import N_LAST, judge, level_words
 from suspnet.maintenance.series import Series
@@ -226,7 +227,14 @@ def _watch(
 def alarm_table(alarms: list[Alarm]) -> str:
     """Return alarms as a table for a terminal."""
     rows = [
-        [str(one.severity), one.parameter, one.cause, km_words(one.begin_km), _end(one), one.words]
+        [
+            str(one.severity),
+            one.parameter,
+            one.cause,
+            kilometres(one.begin_km),
+            "now" if one.is_open else kilometres(one.end_km),
+            one.words,
+        ]
         for one in alarms
     ]
     return tabulate(rows, ["severity", "of", "cause", "since", "until", "why"], tablefmt="github")
@@ -240,7 +248,7 @@ def detector_words(changes: Changes, settings: ChangeSettings) -> str:
     unlike = f"; {changes.n_unlike} trips too unlike the first to be judged"
     return (
         f"armed by {changes.n_needed} trips, at most one false alarm in "
-        f"{km_words(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
+        f"{kilometres(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
     )
 
 
@@ -271,7 +279,7 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         if end is not None or not is_out[newest]:  # it is elsewhere now
             out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
             level_then = level_words(centre[out], limit)
-            words = f"was {level_then} of healthy, {beyond}, at {km_words(km[out])}"
+            words = f"was {level_then} of healthy, {beyond}, at {kilometres(km[out])}"
             if end is None:
                 words += f"; the last trip is {level_words(centre[newest], limit)}"
         until = np.nan if end is None else float(km[end])
@@ -282,7 +290,7 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
 def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> Alarm:
     about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
     verb = "fell" if change.percent < 0 else "rose"
-    words = f"{verb} by {abs(change.percent):.2g} % at about {km_words(about)}"
+    words = f"{verb} by {abs(change.percent):.2g} % at about {kilometres(about)}"
     before = float(np.nanmedian(values[: max(change.onset, 1)]))
     now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
     if change.end is None and abs(now) > GOES_ON * abs(change.percent):
@@ -317,8 +325,3 @@ def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
     """Return the last ``N_LAST`` trips as they were at each trip, the newest last."""
     padded = np.concatenate([np.full(N_LAST - 1, fill), column])
     return np.lib.stride_tricks.sliding_window_view(padded, N_LAST)
-
-
-def _end(alarm: Alarm) -> str:
-    """Return the mileage at which an alarm ended, in words."""
-    return "now" if alarm.is_open else km_words(alarm.end_km)

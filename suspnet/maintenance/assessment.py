@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from suspnet.ground.limits import Limits, Severity
-from suspnet.ground.parameters import PAYLOAD, km_words
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.judge import (
     N_CONFIRMING,
@@ -101,7 +102,7 @@ def assess(
     words = _words(trend, last, limits)
     worst = max(alarms, key=lambda one: (one.severity, -one.begin_km), default=None)
     if worst is not None and worst.severity > judge_last(last, limits)[0]:
-        since = f"alarm since {km_words(worst.begin_km)}"
+        since = f"alarm since {kilometres(worst.begin_km)}"
         is_named = worst.cause == Cause.CHANGE and trend.changed
         words = f"{words} ({since})" if is_named else f"{worst.words} ({since}); {words}"
     if doubt and limits is not None:
@@ -328,4 +329,4 @@ def _percent(value: float) -> str:
 
 def _km(step: Step) -> str:
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return km_words(round(step.mileage_km, -digits))
+    return kilometres(round(step.mileage_km, -digits))

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.ground.parameters import PARAMETERS, km_words
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import Key, Place, TripResult
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.ground.wording import kilometres
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 """Columns of numbers of a series, besides those of each parameter."""
@@ -47,7 +48,7 @@ class Event:
 
     def __str__(self) -> str:
         """Return the event in words."""
-        return f"{self.words or self.kind} at {km_words(self.mileage_km)}"
+        return f"{self.words or self.kind} at {kilometres(self.mileage_km)}"
 
 
 @dataclass(frozen=True, eq=False)

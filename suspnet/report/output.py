@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
@@ -19,16 +18,20 @@ from tabulate import tabulate
 from suspnet.ground.parameters import PARAMETERS, PAYLOAD
 from suspnet.ground.records import OK, TripResult, relative_to_first_healthy
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.tables import write_table
+from suspnet.ground.wording import count
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.schedule import Plan, count, joined
+from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
-from suspnet.report.health_figure import health_trend
+from suspnet.report.figures import as_png, data_uri
 from suspnet.report.overview import REPORT, Evaluated, FleetView, finding
-from suspnet.report.report import Report, data_uri, write_report
+from suspnet.report.report import Report, write_report
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
+from suspnet.report.trend import trend_of_trips
+from suspnet.report.trend_figure import health_trend
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
@@ -114,14 +117,6 @@ def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> d
     }
 
 
-def write_table(table: pa.Table, path: Path) -> None:
-    """Write a table as `path` with the suffixes .parquet and .csv."""
-    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
-        stream = io.BytesIO()
-        write(table, stream)
-        write_atomically(path.with_name(path.name + suffix), stream.getvalue())
-
-
 def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
     """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
     rows = pa.Table.from_pylist([result.row(outputs) for result in results])
@@ -163,14 +158,13 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     if draw:
         drawn = {
             "trend": health_trend(
-                relative_to_first_healthy(results, report.commissionings),
-                outputs,
-                report.level,
-                state.limits,
-                report.commissionings,
-                state.series.events,
-                state.watched.alarms,
-                state.lives,
+                trend_of_trips(
+                    relative_to_first_healthy(results, report.commissionings),
+                    state,
+                    outputs,
+                    report.level,
+                    report.commissionings,
+                )
             ),
             "responses": figures.trip_responses(results),
             "signals": figures.trip_signals(done[-1] if done else results[-1]),
@@ -257,9 +251,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
     jobs: list[dict[str, Any]] = plan.rows()
     if jobs:
         write_table(pa.Table.from_pylist(jobs), output / "plan")
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=150)
-    write_atomically(output / "calendar.png", picture.getvalue())
+    write_atomically(output / "calendar.png", as_png(figure, 150))
     page = render(
         "fleet.html",
         rows=view.rows,

@@ -14,9 +14,10 @@ from tabulate import tabulate
 
 from suspnet.ground.limits import Limits, Severity
 from suspnet.ground.records import OK, Key, Place, TripResult
+from suspnet.ground.wording import count
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
-from suspnet.maintenance.schedule import Plan, count
+from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import of_same_car
 from suspnet.maintenance.state import State
 

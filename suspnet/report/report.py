@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,27 +10,21 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from suspnet.ground.parameters import NAMES
 from suspnet.ground.records import OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
+from suspnet.ground.wording import count, span, thousands, unbroken
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.assessment import joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
-from suspnet.maintenance.schedule import count
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
-from suspnet.report.templates import KILO, SEVERITIES, render, thousands, with_unit
+from suspnet.report.figures import data_uri
+from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 from suspnet.report.trip_table import trip_table
 
-NAMES = {
-    "k_p": "stiffness of the primary spring",
-    "c_p": "damping of the primary damper",
-    "k_s": "stiffness of the secondary spring",
-    "c_s": "damping of the secondary damper",
-    "M_s": "mass of the car body",
-}
 ROLES = {
     "k_p": ", between axle box and bogie frame.",
     "c_p": ", between axle box and bogie frame.",
@@ -78,9 +70,6 @@ ANEW = (
     "percentages are of its own healthy values, those of the figure of the first ones."
 )
 MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
-SVG_LIMIT = 400_000
-"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
-PNG_DPI = 130
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,10 +198,9 @@ def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
-    span = "unknown"
+    between = "unknown"
     if mileage:
-        span = " to ".join(dict.fromkeys(thousands(km) for km in (min(mileage), max(mileage))))
-        span += " km"
+        between = unbroken(f"{span(thousands(min(mileage)), thousands(max(mileage)))} km")
     starts = sorted(r.start for r in trips if r.start)
     dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
     done = sum(r.status == OK for r in trips)
@@ -220,7 +208,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     texts = {
         "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
         "Suspension": "; ".join(dict.fromkeys(str(r.place) for r in trips if r.place.suspension)),
-        "Mileage": span,
+        "Mileage": between,
         "Dates": dates,
         "Trips": f"{len(trips)}, of which {done} with an estimate"
         + (f", {flagged} of these flagged" if flagged else ""),
@@ -258,18 +246,6 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
         "explanation": explanation,
         "image": data_uri(figure),
     }
-
-
-def data_uri(figure: Figure) -> str:
-    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
-    stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "suspnet"}):  # the same figure gives the same bytes
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    kind = "svg+xml"
-    if stream.tell() > SVG_LIMIT:
-        kind, stream = "png", io.BytesIO()
-        figure.savefig(stream, format="png", dpi=PNG_DPI)
-    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:

@@ -11,7 +11,6 @@ from typing import Any
 from suspnet.dynamics import Vehicle
 from suspnet.ground.storage import write_json
 from suspnet.history import History
-from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.fleet_plan import Planner
@@ -19,6 +18,7 @@ from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
+from suspnet.report.calendar_figure import plan_calendar
 from suspnet.report.output import write_fleet
 from suspnet.report.overview import fleet_view, overview_table
 

@@ -22,7 +22,7 @@ from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
 from suspnet.recordings.manifest_files import parse_manifest, read_content
 from suspnet.recordings.recording import Recording, load_recording
-from suspnet.report.check_figures import trip_figure, write_picture
+from suspnet.report.check_page import trip_figure, write_picture
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs

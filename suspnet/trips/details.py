@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -11,10 +10,10 @@ from suspnet._version import __version__
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.limits import Limits, limits_words
-from suspnet.ground.parameters import km_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
-from suspnet.maintenance.schedule import count
+from suspnet.ground.wording import count, kilometres
+from suspnet.report.trip_table import files_read_as
 from suspnet.trips.commissionings import eras, first_trips, speed_words
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
@@ -73,21 +72,6 @@ def report_details(
     } | files_read_as(results)
 
 
-def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
-    """Return how the files of trips were read, as a detail; empty where all was known.
-
-    Trips that were read alike are one remark, with their number if others were not.
-    """
-    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
-    if not counts:
-        return {}
-    remarks = [
-        words if n == len(results) else f"{words} ({count(n, 'trip')})"
-        for words, n in counts.most_common()
-    ]
-    return {"files read as": " · ".join(remarks)}
-
-
 def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
     """Return in words what the first trips lack to say what is healthy; empty if nothing."""
     if n_reference is None:
@@ -108,7 +92,7 @@ def healthy_words(model: TrainedModel) -> str:
     found = model.training.get("commissioned")
     if not found:
         return "the vehicle file's drawing"
-    first, last = map(km_words, found["mileage_km"])
+    first, last = map(kilometres, found["mileage_km"])
     span = f"at {first}" if first == last else f"from {first.removesuffix(' km')} to {last}"
     return f"what {count(found['n_trips'], 'trip')} {span} showed"
 

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from trip_fixtures import OUTPUTS, changed, model_at
 from trip_records import fleet as made_up
+from trip_records import trend_of
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
@@ -18,7 +19,8 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.limits import DEFAULT_LIMITS
 from suspnet.ground.records import Commissioning, relative_to_first_healthy
 from suspnet.maintenance.series import series_of
-from suspnet.report.health_figure import ANEW, health_trend
+from suspnet.report.trend import AGAIN_OF_FIRST
+from suspnet.report.trend_figure import health_trend
 from suspnet.trips.commissionings import (
     check_models,
     commissionings,
@@ -139,9 +141,9 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
     found = commissionings(both, results)
     compared = relative_to_first_healthy(results, found)
     limits = {"c_s": DEFAULT_LIMITS["c_s"]}
-    axis = health_trend(compared, ("c_s",), limits=limits, states=found).axes[0]
+    axis = health_trend(trend_of(compared, ("c_s",), limits=limits, commissionings=found)).axes[0]
     lines = {line.get_label(): line for line in axis.get_lines()}
-    assert lines[ANEW].get_xdata()[0] == ANEW_KM / 1000
+    assert lines[AGAIN_OF_FIRST].get_xdata()[0] == ANEW_KM / 1000
     low, high = axis.get_ylim()
     expected = [100 * NEW_DAMPER * one for one in limits["c_s"].act + limits["c_s"].notice]
     drawn = [line.get_ydata()[0] for label, line in lines.items() if label.endswith(" limit")]
