@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from suspnet.history.records import TripResult
+from suspnet.ground.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest import Channel, CsvDialect, Source, SpeedSource, TripManifest

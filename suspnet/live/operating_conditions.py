@@ -6,9 +6,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from suspnet.ground.records import HIGHEST_KM
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError, end_ns
-from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
+from suspnet.recordings.manifest import TEMPERATURES_C
 from suspnet.recordings.units import size_of
 
 STEP_NS = 10 * SECOND_NS

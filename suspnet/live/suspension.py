@@ -15,7 +15,7 @@ import numpy as np
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
-from suspnet.history.records import TripResult
+from suspnet.ground.records import TripResult
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
@@ -26,9 +26,9 @@ from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_live_manifest
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running
+from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.grouping import find_groups
-from suspnet.trips.models import models_of
 from suspnet.trips.trip import evaluate_recording
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

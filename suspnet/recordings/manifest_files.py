@@ -14,6 +14,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.ground.storage import NotPlainError, printable, read_json, read_plain, write_atomically
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
@@ -24,7 +25,6 @@ from suspnet.recordings.manifest import (
     CHANNELS,
     DELIMITERS,
     FORMAT,
-    HIGHEST_KM,
     MIDDLE,
     SIDES,
     SPEED_UNITS,
@@ -33,7 +33,6 @@ from suspnet.recordings.manifest import (
     Channel,
     CsvDialect,
     Pair,
-    Place,
     SpeedSource,
     TripManifest,
 )
