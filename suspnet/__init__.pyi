@@ -24,8 +24,8 @@ from suspnet.estimation.sensor_information import sensor_places as sensor_places
 from suspnet.estimation.trained import TrainedModel as TrainedModel
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.learning.baselines import SVR as SVR
+from suspnet.learning.baselines import CurveFit as CurveFit
 from suspnet.learning.baselines import LinearRegression as LinearRegression
-from suspnet.learning.least_squares import CurveFit as CurveFit
 from suspnet.learning.msvr import MSVR as MSVR
 from suspnet.learning.mvgpr import MVGPR as MVGPR
 from suspnet.recordings.checked_mapping import TripError as TripError
@@ -40,5 +40,5 @@ from suspnet.spectra.extraction import PeakFeatures as PeakFeatures
 from suspnet.spectra.peaks import PeakFit as PeakFit
 from suspnet.spectra.peaks import findpeaks as findpeaks
 from suspnet.spectra.segments import NoEstimateError as NoEstimateError
-from suspnet.spectra.transfer_estimate import tfestimate as tfestimate
 from suspnet.spectra.welch import Welch as Welch
+from suspnet.spectra.welch import tfestimate as tfestimate

@@ -56,7 +56,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     ),
     "search": ("suspnet.learning.search.GridSearch",),
     "fleet": ("suspnet.simulation.fleet.Fleet",),
-    "scenario": ("suspnet.simulation.scenarios.Scenario",),
+    "scenario": ("suspnet.simulation.fleet.Scenario",),
     "monitor": ("suspnet.trips.fleet.FleetSettings",),
     "changes": ("suspnet.maintenance.change.ChangeSettings",),
     "trips": ("suspnet.estimation.from_recording.TripSettings",),

@@ -32,7 +32,7 @@ import torch
 from scipy.optimize import OptimizeResult, least_squares
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.healthy_misfit import MASS_MEAN, HealthyMisfit, row_of
 from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.physics import Residual

@@ -32,8 +32,7 @@ from suspnet.estimation.information import output_bounds
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
 from suspnet.spectra.speeds import Speeds
 
 

@@ -12,7 +12,7 @@ from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import WORN, Residual, Unexplained
 from suspnet.estimation.problem import CALIBRATE, TRAIN, FeatureData, Problem
 from suspnet.runs.predict import refine_stream, regress_stream
-from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 128
 """Refined calibration curves from which the usual misfit is learnt; the second where uncertain
