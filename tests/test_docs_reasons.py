@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from suspnet.history.records import TripResult
+from suspnet.ground.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest import Channel, CsvDialect, Source, SpeedSource, TripManifest
@@ -35,7 +35,7 @@ TELLING = (
 )
 """Modules whose every sentence is a reason."""
 RAISING = (
-    "suspnet/ground/plain_files.py",
+    "suspnet/ground/storage.py",
     "suspnet/trips/commissionings.py",
     "suspnet/trips/fleet.py",
     "suspnet/trips/models.py",
@@ -46,7 +46,7 @@ OF_FILES = ("suspnet/trips/file_contents.py",)
 """Modules whose errors are of data files without a trip, which suspnet-init tells."""
 OF_STREAMS = (
     "suspnet/live/replay.py",
-    "suspnet/live/suspensions.py",
+    "suspnet/live/suspension.py",
     "suspnet/recordings/running.py",
 )
 """Modules whose errors are of a stream, or of a replay as one."""

@@ -228,7 +228,7 @@ class Problem:
             "seed": self.seed,
             "stream": stream,
             "version": __version__,
-            "code": code_hash("estimation", "dynamics", "spectra"),
+            "code": code_hash("dynamics", "spectra", "estimation"),
         }
         if not self.task.extractor.is_fitted:
             wanted = self._wanted(TRAIN)

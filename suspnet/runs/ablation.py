@@ -21,15 +21,16 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.feature_information import feature_loss
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.plain_files import read_plain
 from suspnet.ground.storage import (
     content_hash,
     dump_arrays,
     read_json,
+    read_plain,
 )
-from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import in_digits, mean_known
+from suspnet.report.figures import SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.study_files import write_study
+from suspnet.runs.table6 import in_digits, mean_known
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
+from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
-from suspnet.report import commissioning_summary as words
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ from suspnet.cli import check
 from suspnet.cli.configs import read_vehicles
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.history.records import NO_ESTIMATE, OK
+from suspnet.ground.records import NO_ESTIMATE, OK
 from suspnet.report.check_records import READY, TOO_LITTLE
 from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH

@@ -25,7 +25,7 @@ from suspnet.cli import evaluate, simulate, train
 from suspnet.cli.named_runs import named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
-from suspnet.maintenance.limits import Severity
+from suspnet.ground.limits import Severity
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog

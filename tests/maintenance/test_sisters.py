@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from suspnet.ground.limits import Severity
 from suspnet.maintenance.alarms import Cause
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.sisters import (
     CORRELATION,
     N_LAST,

@@ -13,8 +13,8 @@ from trip_records import trip
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trip_flags import UNEXPLAINED, spoken_sides
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK
-from suspnet.report.sides_summary import sides_finding
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
+from suspnet.report.report import sides_finding
 from suspnet.spectra.side_difference import SideDifference
 from suspnet.trips.trip import evaluate_trip
 

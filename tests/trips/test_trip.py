@@ -24,7 +24,7 @@ from suspnet.estimation import from_recording as recording
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.fleet import Scenario

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, WORN, fill, name_of, served, trips
 
+from suspnet.ground.records import Place
 from suspnet.history import History
-from suspnet.recordings.manifest import Place
 
 selenium = pytest.importorskip("selenium")
 from selenium import webdriver  # noqa: E402
@@ -238,7 +238,7 @@ def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, fill
         assert browser.execute_script("return [window.same, window.scrollY]") == [True, 300]
         browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
         lost = browser.find_element(By.ID, "lost")
-        wait(browser, lambda b: "The server does not answer since" in lost.text)
+        wait(browser, lambda b: "No answer from the server since" in lost.text)
 
 
 def test_names_are_text_everywhere(browser, site):

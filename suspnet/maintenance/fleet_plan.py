@@ -1,17 +1,57 @@
-"""Parts of a fleet as the plan takes them: remaining lives, and how far each train runs."""
+"""The plan for a fleet: what it takes from the states, and only changed trains planned again."""
 
 from __future__ import annotations
 
+import operator
 from collections import defaultdict
 from collections.abc import Sequence
 from datetime import date
 
 import numpy as np
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.plan_inputs import Part, Train, km_per_day
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.maintenance.plan import join_plans, make_plan
+from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train, km_per_day
+from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
+
+
+class Planner:
+    """Plans visits, each train by itself.
+
+    Parameters
+    ----------
+    settings : PlanSettings
+    """
+
+    def __init__(self, settings: PlanSettings) -> None:
+        self.settings = settings
+        self._made: dict[str, tuple[list[State], Plan]] = {}
+
+    def plan(self, states: Sequence[State], today: date) -> Plan:
+        """Return the plan for a fleet; it is that of ``make_plan``.
+
+        A train is planned again if one of its states is another object than the last time, or the
+        day is another.
+        """
+        of_train: dict[str, list[State]] = {}
+        for state in states:
+            of_train.setdefault(train_of(state), []).append(state)
+        self._made = {name: self._of(name, own, today) for name, own in sorted(of_train.items())}
+        nothing = make_plan([], [], self.settings, today)
+        return join_plans([nothing, *(plan for _, plan in self._made.values())])
+
+    def _of(self, name: str, states: list[State], today: date) -> tuple[list[State], Plan]:
+        known = self._made.get(name)
+        if known is not None and known[1].today == today and _are(states, known[0]):
+            return known
+        trains = trains_of(states, today, self.settings.km_per_day)
+        return states, make_plan(parts_of(states), trains, self.settings, today)
+
+
+def _are(states: Sequence[State], others: Sequence[State]) -> bool:
+    return len(states) == len(others) and all(map(operator.is_, states, others))
 
 
 def parts_of(states: Sequence[State]) -> list[Part]:
@@ -21,10 +61,6 @@ def parts_of(states: Sequence[State]) -> list[Part]:
         named = {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
         for name in (one for one in PARAMETERS if one in named):
             life = state.lives.get(name)
-            severity = max(
-                (one.severity for one in state.alarms if one.parameter == name),
-                default=Severity.NONE,
-            )
             samples = np.array([np.inf]) if life is None else life.samples_km
             place = state.series.place
             found.append(
@@ -34,7 +70,7 @@ def parts_of(states: Sequence[State]) -> list[Part]:
                     name,
                     samples,
                     float(np.nan_to_num(state.last_km)),  # 0 counts only where nothing is known
-                    severity,
+                    state.severities.get(name, Severity.NONE),
                     place.car,
                     state.unknown.get(name, "" if life else "it has no limits"),
                 )

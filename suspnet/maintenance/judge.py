@@ -1,47 +1,42 @@
-"""Limits of maintenance: how far from healthy a parameter calls for a look, or for work."""
+"""Judgement of the last trips by the limits: how far from healthy calls for a look, or for work."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
-from suspnet.ground.types import BoolArray, IntArray
-
-__all__ = [
-    "DEFAULT_LIMITS",
-    "N_CONFIRMING",
-    "N_LAST",
-    "Judged",
-    "Limits",
-    "Severity",
-    "judge",
-    "read_limits",
-]
+from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.maintenance.series import Series
 
 N_LAST = 5
 """Number of last trips that are compared with the limits."""
 N_CONFIRMING = 3
 """Number of the last trips beyond a limit that confirm each other."""
+ABSURD = 10.0
+"""Level over healthy beyond which words give no number: no suspension has it."""
 
 
-class Severity(IntEnum):
-    """Urgency of a finding; the larger, the worse."""
+@dataclass(frozen=True)
+class LastTrips:
+    """The last trips with an estimate of one parameter, the newest last.
 
-    NONE = 0
-    UNKNOWN = 1
-    """Nothing can be told: no estimate, or one that is too uncertain."""
-    NOTICE = 2
-    """Look at the suspension when it is next at hand."""
-    ACT = 3
-    """The suspension needs work."""
+    Attributes
+    ----------
+    values, low, high : arrays of shape (n_last,), [-]
+        Estimates and their intervals relative to healthy; an interval may be NaN.
+    flagged : bool array of shape (n_last,)
+    all_flagged : bool
+        Every trip with an estimate is flagged, also those before.
+    """
 
-    def __str__(self) -> str:
-        """Return the name in small letters, as it stands in tables."""
-        return self.name.lower()
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    flagged: BoolArray
+    all_flagged: bool = False
 
 
 @dataclass(frozen=True)
@@ -132,3 +127,42 @@ def judge(
             count = np.where(worse, out.sum(axis=-1), count)
             weak = np.where(worse, alone, weak)
     return Judged(severity, side, run, count, weak)
+
+
+def last_trips(one: Series, name: str) -> LastTrips:
+    """Return the ``N_LAST`` trips of largest mileage that have an estimate of a parameter."""
+    known = np.flatnonzero(np.isfinite(one.mileage_km) & np.isfinite(one.estimates[name]))
+    last = known[-N_LAST:]
+    centre, half = one.estimates[name][last], one.half_widths[name][last]
+    with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+        low, high = centre * np.exp(-half), centre * np.exp(half)
+    everywhere = bool(len(known)) and bool(one.flagged[known].all())
+    return LastTrips(centre, low, high, one.flagged[last], everywhere)
+
+
+def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged | None]:
+    """Return how severe the last trips of a parameter are by its limits, and where they lie.
+
+    It is unknown without an estimate, and where all of the last trips are flagged and within the
+    limits. If all trips are flagged, they speak against the model rather than the vehicle: then it
+    is a notice at most. Without limits it is none, as of the payload.
+    """
+    if limits is None:
+        return Severity.NONE, None
+    if len(last.values) == 0:
+        return Severity.UNKNOWN, None
+    judged = judge(last.values, last.low, last.high, last.flagged, limits)
+    severity = Severity(int(judged.severity))
+    if severity == Severity.NONE and last.flagged.all():
+        return Severity.UNKNOWN, judged
+    return min(severity, Severity.NOTICE) if last.all_flagged else severity, judged
+
+
+def level_words(value: float, limit: float) -> str:
+    """Return a level in %, with digits that distinguish it from a limit, or that it is absurd."""
+    if value > ABSURD > limit:
+        return f"at over {100 * ABSURD:.0f} %"
+    digits = 0
+    while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
+        digits += 1
+    return f"at {100 * value:.{digits}f} %"

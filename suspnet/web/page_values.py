@@ -1,4 +1,4 @@
-"""What the page of the fleet shows: trains with their cars, alarms, and how these are chosen."""
+"""What the templates of the pages take: trains with their cars, alarms, one suspension."""
 
 from __future__ import annotations
 
@@ -7,17 +7,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import NAMES, PARAMETERS
+from suspnet.ground.records import TripResult
+from suspnet.history.curves import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.plan_parts import suspension_of, train_of
+from suspnet.maintenance.fleet_plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
-from suspnet.report.fleet_view import FleetView
+from suspnet.report.overview import FleetView
+from suspnet.report.responses import response, response_table
+from suspnet.report.trend import ranges, trend_of_state
+from suspnet.report.trip_table import files_read_as, trip_table
 
-MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
-"""Sign of each severity, so that colour is not needed."""
 SHORT = {"leading": "lead.", "trailing": "trail."}
-"""Words of a place as they stand on a tile."""
+"""Short words of a place, for a tile."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +52,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Tile:
-    """One suspension on the page: its address's name, severity, short and full words."""
+    """One suspension on the page: its name in addresses, severity, short words and reason."""
 
     name: str
     severity: str
     words: str
-    told: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ class Train:
 
 @dataclass(frozen=True)
 class Raised:
-    """An alarm that stands, of which suspension, and who has seen it."""
+    """An active alarm, its suspension, and who acknowledged it."""
 
     name: str
     state: State
@@ -106,7 +112,7 @@ def counts(view: FleetView, train: str) -> dict[str, int]:
 
 
 def raised(view: FleetView, choice: Choice) -> list[Raised]:
-    """Return the alarms that stand, the worst first, those that nobody has seen before others."""
+    """Return the active alarms, the worst first, those not yet acknowledged before others."""
     found = [
         Raised(name, state, alarm, newest_of(alarm, view.acknowledged.get(state.key, ())))
         for name, state in zip(names_of(view), view.states, strict=True)
@@ -139,7 +145,7 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
-    """Return what texts are sorted by so that car 2 comes before car 10."""
+    """Return a key of sorting that puts car 2 before car 10."""
     parts = re.split(r"(\d+)", text)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
@@ -158,3 +164,57 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
     words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
     why = f"{row['parameter']} {row['reason']}".strip()
     return Tile(name, str(state.severity), words or state.series.vehicle, why)
+
+
+N_TRIPS = 20
+"""Number of the newest trips in the table."""
+LEVEL = 0.9
+"""Probability of the intervals of trips, as evaluate.py and the monitor have it by default."""
+
+
+def suspension_values(
+    view: FleetView,
+    place: int,
+    results: Sequence[TripResult],
+    stored: Sequence[TripResponses],
+    seen: Sequence[Acknowledgement],
+) -> dict[str, Any]:
+    """Return what the template of a suspension takes.
+
+    Parameters
+    ----------
+    view : FleetView
+    place : int
+        Of the suspension in the view.
+    results : sequence of TripResult
+        By mileage; empty if the store cannot be read.
+    stored : sequence of TripResponses
+        By mileage.
+    seen : sequence of Acknowledgement
+    """
+    state = view.states[place]
+    over = [one for one in state.watched.alarms if not one.is_open]
+    newest = list(reversed(results[-N_TRIPS:]))
+    responses = [response(one.trip, one.mileage_km, one) for one in stored]
+    return {
+        "state": state,
+        "row": view.rows[place],
+        "limits": state.limits,
+        "names": NAMES,
+        "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
+        "over": [(one, newest_of(one, seen)) for one in reversed(over)],
+        "ranges": ranges(trend_of_state(state)),
+        "trips": trip_table(newest, PARAMETERS, LEVEL),
+        "read_as": files_read_as(newest),
+        "n_trips": len(state.series.trip),
+        "first_km": _end(state.series.mileage_km, np.min),
+        "newest_km": _end(state.series.mileage_km, np.max),
+        "responses": responses,
+        "gains": response_table(responses[0], responses[-1]) if responses else [],
+    }
+
+
+def _end(mileage_km: Any, of: Any) -> float:
+    """Return the least or largest of the mileages that are known, [km]; NaN if none is."""
+    known = mileage_km[np.isfinite(mileage_km)]
+    return float(of(known)) if len(known) else np.nan

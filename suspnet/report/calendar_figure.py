@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit, count
+from suspnet.ground.wording import count
+from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
 
 COLOURS = dict(zip(URGENCIES, ("tab:purple", "tab:red", "tab:orange", "tab:blue"), strict=True))
 WORDS = {

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
-from suspnet.maintenance.schedule import count
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
 LEAST_AGREEING = 2
@@ -147,7 +147,7 @@ def doubts(outcome: Commissioned) -> list[str]:
 
 
 def unplaced(found: HealthyTrips) -> str | None:
-    """Return a sentence if single sensors are taken as in the middle because nobody said a side."""
+    """Return a sentence if single sensors are taken as in the middle because no side is given."""
     if not (names := found.manifests[0].unplaced):
         return None
     return (
@@ -205,17 +205,17 @@ def untold(found: Sequence[Number]) -> str:
     if not names:
         return ""
     return (
-        f"The trips tell little or nothing of {len(names)} of {len(found)} numbers; what was "
-        f"believed before stays: {'; '.join(names)}."
+        f"The trips say little or nothing about {len(names)} of {len(found)} numbers, which keep "
+        f"their values from before: {'; '.join(names)}."
     )
 
 
 def force_scale(bogie_mass_kg: float) -> str:
-    """Return a sentence on what trips cannot tell: the scale of all forces."""
+    """Return a sentence on what trips cannot determine: the scale of all forces."""
     return (
-        "Accelerations tell ratios of forces only: all stiffnesses, dampings and masses rest on "
-        f"the bogie mass of the drawing, {bogie_mass_kg:g} kg for a bogie's side, and are wrong by "
-        "as many percent as it is."
+        "Accelerations determine ratios of forces only: all stiffnesses, dampings and masses rest "
+        f"on the bogie mass of the drawing, {bogie_mass_kg:g} kg for a bogie's side, and are wrong "
+        "by as many percent as it is."
     )
 
 

@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.dynamics import ResponseGenerator
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.types import FloatArray
-from suspnet.report.table6 import MODEL_TITLES, table6_caption
+from suspnet.report.figures import SUSPENSIONS, SYMBOLS
+from suspnet.runs.table6 import MODEL_TITLES, table6_caption
 
-SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
-SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
 PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
 
