@@ -32,8 +32,8 @@ from suspnet.report.tensorboard import RunLog
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.trips import fleet
 
-QUICK = ("manchester", "truck")
-"""One of each generator; am96 is that of every other test, the rest are tested on request only."""
+QUICK = ("truck",)
+"""The generator of am96 is that of every other test; the rest are tested on request only."""
 VEHICLES = [
     pytest.param(path.stem, marks=[] if path.stem in QUICK else [pytest.mark.slow])
     for path in sorted((ROOT / "configs" / "vehicle").glob("*.yaml"))

@@ -514,6 +514,7 @@ def test_file_that_kills_or_hangs_its_reader_costs_its_row(
     assert len(list(out.rglob("report.html"))) == len(found) == 1
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stop")])
 def test_interrupted_run_leaves_only_whole_files(

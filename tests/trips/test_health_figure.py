@@ -101,6 +101,7 @@ def test_without_intervals_and_flags_the_figure_is_as_before():
 # limit: what the axis holds
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize(("value", "edge", "words"), [(0.27, 0, "27 %"), (2.5, 1, "250 %")])
 @pytest.mark.parametrize("place", [0, 6, 11])
 def test_a_single_odd_trip_does_not_spoil_the_axis(value, edge, words, place):

@@ -352,6 +352,7 @@ def test_harmless_fault_changes_nothing(manifests, model, good, tmp_path, change
     assert close(result, good, 1.002)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("channel", CHANNELS)
 @pytest.mark.parametrize("size", [3.0, 1000.0])
 def test_segments_with_unrelated_noise_are_left_out(
@@ -364,6 +365,7 @@ def test_segments_with_unrelated_noise_are_left_out(
     assert close(result, good)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("channel", CHANNELS)
 @pytest.mark.parametrize("size", [10.0, 1000.0])
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
@@ -495,6 +497,7 @@ def test_no_segment_is_free_of_faults(manifests, model, tmp_path):
     assert "gap" in result.quality.faults
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("check", [True, False])
 @pytest.mark.parametrize(
     ("channels", "message"),
