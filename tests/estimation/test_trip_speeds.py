@@ -18,7 +18,8 @@ from suspnet.estimation.ood import Flags
 from suspnet.estimation.speed_bin import combined
 from suspnet.estimation.speed_groups import same_speed
 from suspnet.spectra.cross_spectra import CrossSpectra, sample_spectra
-from suspnet.spectra.estimates import SPEED, EstimateSettings
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.expected_spectra import SPEED
 from suspnet.spectra.speeds import Speeds
 
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
