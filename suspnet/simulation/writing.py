@@ -304,7 +304,7 @@ def _profiles(
     rate_hz: float,
     seeds: tuple[np.random.SeedSequence, np.random.SeedSequence],
 ) -> list[TrackProfile]:
-    """Return the profile of the mean of both rails and, if the vehicle rolls, of the cross level."""
+    """Return the profiles of the mean of both rails and, with roll, of the cross level."""
     mean = track_spectrum(fleet.track, fleet.short_waves)
     spectra = [mean, cross_level_spectrum(mean)] if system.roll_per_m else [mean]
     length_m = profile_length_m(system, journey)
