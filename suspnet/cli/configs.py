@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from suspnet.dynamics import Vehicle
 from suspnet.estimation.protocols import Protocol
 from suspnet.ground.checks import check_choice
-from suspnet.ground.plain_files import read_plain
+from suspnet.ground.storage import read_plain
 from suspnet.recordings.core_yaml import parse_yaml
 
 

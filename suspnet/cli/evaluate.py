@@ -23,7 +23,7 @@ from suspnet.history import History
 from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.state import State
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import evaluate
+from suspnet.runs.evaluate import FreshCurves, evaluate
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 
@@ -116,17 +116,20 @@ def compose(config: DictConfig) -> int:
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
+    fresh = FreshCurves(
+        seed=config.seed,
+        n_test=config.data.n_test,
+        snr_db=config.data.snr_db,
+        protocol=program.build(config, "protocol") if config.get("protocol") else None,
+        threads=program.n_threads(config.threads),
+        progress=config.progress,
+    )
     results = [
         evaluate(
             folder,
             output / folder.name if len(runs) > 1 else output,
-            seed=config.seed,
-            n_test=config.data.n_test,
-            snr_db=config.data.snr_db,
-            protocol=program.build(config, "protocol") if config.get("protocol") else None,
-            threads=program.n_threads(config.threads),
+            fresh,
             device=config.device,
-            progress=config.progress,
             figures=config.figures,
         )
         for folder in runs

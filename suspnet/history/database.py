@@ -15,7 +15,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
-from suspnet.ground.sqlite_file import ACTING, check_own
+from suspnet.ground.ledger import ACTING, check_own
 from suspnet.history.schema import SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)

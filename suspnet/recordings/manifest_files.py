@@ -14,8 +14,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.plain_files import NotPlainError, read_plain
-from suspnet.ground.storage import printable, read_json, write_atomically
+from suspnet.ground.storage import NotPlainError, printable, read_json, read_plain, write_atomically
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.dates import date_problem

@@ -13,7 +13,7 @@ from suspnet.estimation.checkpoint import fingerprint
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.cache import Cache, code_hash
-from suspnet.ground.plain_files import read_plain
+from suspnet.ground.storage import read_plain
 from suspnet.history.records import ERROR, Quality, TripCurves, TripResult
 from suspnet.recordings.manifest import Place, TripManifest
 

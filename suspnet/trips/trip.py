@@ -16,9 +16,9 @@ from torch import Tensor
 
 from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.sides import with_sides
 from suspnet.estimation.speed_bin import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_flags import with_sides
 from suspnet.ground.storage import printable
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
 from suspnet.recordings.manifest import Place, TripError, TripManifest

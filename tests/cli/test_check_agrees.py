@@ -16,7 +16,7 @@ from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.history.records import NO_ESTIMATE, OK
 from suspnet.report.check_records import READY, TOO_LITTLE
-from suspnet.runs.speeds import speed_ranges
+from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.speeds import SpeedRange, covering
 from suspnet.trips.check import CheckSettings, check_trip

@@ -12,10 +12,10 @@ from trip_fixtures import changed, write_trips
 from suspnet.cli import replay
 from suspnet.live.broker import Broker
 from suspnet.live.drop_folder import DropFolder
-from suspnet.live.framing import Splitter
 from suspnet.live.mqtt import Mqtt
 from suspnet.live.replay import Replay
 from suspnet.live.sinks import Folder, StandardOutput
+from suspnet.live.source import Splitter
 from suspnet.recordings.frames import decode, encode
 
 

@@ -20,7 +20,7 @@ from stream_signals import (
     with_gaps,
 )
 
-from suspnet.live.stream_state import StateError, dump_state, load_state
+from suspnet.live.journal import StateError, dump_state, load_state
 from suspnet.recordings import TripError, cleaning
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, FrameError, decode, encode

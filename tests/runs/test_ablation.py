@@ -19,7 +19,7 @@ from suspnet.cli import train
 from suspnet.estimation.feature_information import feature_loss
 from suspnet.report.table6 import records_csv
 from suspnet.runs import ablation as study
-from suspnet.runs.ablation_tables import (
+from suspnet.runs.ablation import (
     BASELINE,
     ablation_caption,
     ablation_markdown,

@@ -13,7 +13,7 @@ from hydra.utils import instantiate
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
-from suspnet.runs.train import train
+from suspnet.runs.train import RunContext, train
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODELS = sorted(file.stem for file in (CONFIGS / "model").glob("*.yaml"))
@@ -41,7 +41,13 @@ def trained(model, protocol, group, cache, folder, *overrides, residual=None):
         instantiate(config.generator), task, instantiate(config.data), config.seed, progress=False
     )
     chosen = residual and residual(len(problem.settings.frequencies_hz()))
-    return train(problem, instantiate(config.model), folder, figures=False, residual=chosen)
+    return train(
+        problem,
+        instantiate(config.model),
+        folder,
+        figures=False,
+        context=RunContext(residual=chosen),
+    )
 
 
 def test_every_protocol_is_tried():

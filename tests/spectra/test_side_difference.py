@@ -9,7 +9,7 @@ from roll_reference import sided_responses, track_amplitudes
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.estimation.sides import bounce_of
+from suspnet.estimation.trip_flags import bounce_of
 from suspnet.spectra.side_difference import SIDE_PARAMETERS, _responses, _without, side_difference
 
 FREQUENCIES_HZ = np.arange(0.5, 10.0, 0.05)

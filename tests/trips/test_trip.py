@@ -21,9 +21,9 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation import from_recording as recording
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.ood import Flags
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError

@@ -37,17 +37,13 @@ def commission_folder(
 
     Parameters
     ----------
-    folder : Path
     generator : VerticalVehicle
         The nominal vehicle; if it has no parts all but the air spring are taken, if it has no
         distribution the prior of its parts.
-    settings : EstimateSettings
-    trips : TripSettings
     paths : sequence of Path, optional
         Manifests of one suspension, where the folder holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.
-    progress : bool
 
     Raises
     ------
