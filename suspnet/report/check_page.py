@@ -17,8 +17,7 @@ from suspnet._version import __version__
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.wording import span
-from suspnet.recordings.overview import overview
-from suspnet.recordings.recording import Recording
+from suspnet.recordings.recording import Recording, overview
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
 from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
 from suspnet.report.images import as_png

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
-from suspnet.recordings.overview import Overview
+from suspnet.recordings.recording import Overview
 from suspnet.report.responses import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
