@@ -18,9 +18,9 @@ from omegaconf import DictConfig, OmegaConf
 from suspnet.cli import program
 from suspnet.cli.named_runs import named_runs
 from suspnet.estimation.checkpoint import load_model
+from suspnet.ground.limits import Severity
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.state import State
 from suspnet.report.overview import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate

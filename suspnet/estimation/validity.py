@@ -15,9 +15,9 @@ import numpy as np
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import LARGEST, check_flag, check_number
+from suspnet.ground.records import Place
 from suspnet.ground.types import FloatArray
 from suspnet.learning import Scaling
-from suspnet.recordings.manifest import Place
 
 MAY_BE_INFINITE = ("ood.thresholds",)
 """Arrays in which infinity means that there is no threshold."""

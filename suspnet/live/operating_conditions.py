@@ -6,10 +6,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from suspnet.ground.records import HIGHEST_KM
 from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.columns import size_of
 from suspnet.recordings.frames import Frame, FrameError, end_ns
-from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
-from suspnet.recordings.units import size_of
+from suspnet.recordings.manifest import TEMPERATURES_C
 
 STEP_NS = 10 * SECOND_NS
 """Steps of time for each of which one value is stored, [ns]: in it a train runs less than a

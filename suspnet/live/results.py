@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import ERROR, OK, TripResult
 from suspnet.ground.storage import json_bytes
+from suspnet.ground.wording import kilometres
 from suspnet.history import History, HistoryError
-from suspnet.history.records import ERROR, OK, TripResult
 from suspnet.live.source import Kind
 from suspnet.live.suspension import Estimate, LiveSuspension
 from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.watch import km_words
-from suspnet.maintenance.watching import keep_trips
 from suspnet.report.tensorboard import RunLog
+from suspnet.trips.earlier import keep_trips
 from suspnet.trips.fleet import FleetSettings
 
 log = logging.getLogger(__name__)
@@ -108,7 +108,7 @@ def summary(estimate: Estimate) -> str:
     result = estimate.result
     values = ", ".join(f"{name} {value:.4g}" for name, value in result.estimates.items())
     where = (
-        f"{result.trip}, {km_words(result.mileage_km)}{'' if estimate.is_final else ' (so far)'}"
+        f"{result.trip}, {kilometres(result.mileage_km)}{'' if estimate.is_final else ' (so far)'}"
     )
     return f"{where}: {values or 'no estimate'}"
 

@@ -15,20 +15,20 @@ import numpy as np
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
-from suspnet.history.records import TripResult
+from suspnet.ground.records import TripResult
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.frames import MOST_CHARACTERS, Frame
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running
+from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.grouping import find_groups
-from suspnet.trips.models import models_of
 from suspnet.trips.trip import evaluate_recording
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -341,7 +341,7 @@ def read_suspensions(
     for group in find_groups(folder):
         if group.error:
             raise TripError(f"{group.folder}: {group.error}")
-        manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        manifest = max((file.live_trip for file in group.manifests), key=_km)
         name = str(manifest.place)
         if not name.isprintable() or len(name) > MOST_CHARACTERS:
             raise TripError(

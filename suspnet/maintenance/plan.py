@@ -9,8 +9,8 @@ from itertools import chain
 
 import numpy as np
 
+from suspnet.ground.limits import Severity
 from suspnet.ground.types import FloatArray
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import SLACK, SOON_DAYS, UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.maintenance.visit_costs import REPLACE, PartCosts, choose_dates, part_costs

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.checks import check_number
+from suspnet.ground.limits import Severity
 from suspnet.ground.types import FloatArray
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.visit_costs import Costs
 
 MOST_DAYS = 36_525.0

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.wording import count
 from suspnet.maintenance.plan_inputs import Part, Train
 
 URGENCIES = ("unknown", "now", "soon", "later")
@@ -232,11 +233,6 @@ class Plan:
             when = f"within {first.plan_again_km:.0f} km" if first.plan_again_km else "at each trip"
             lines.append(f"Plan again {when}, for train {first.part}.")
         return "\n".join(lines)
-
-
-def count(n: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{n} {noun}{'s' * (n != 1)}"
 
 
 def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

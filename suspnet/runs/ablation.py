@@ -27,9 +27,10 @@ from suspnet.ground.storage import (
     read_json,
     read_plain,
 )
-from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import in_digits, mean_known
+from suspnet.report.figures import SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.study_files import write_study
+from suspnet.runs.table6 import in_digits, mean_known
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256

@@ -10,9 +10,9 @@ from typing import Any
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.dynamics.vehicle import UNITS
 from suspnet.estimation.identifiability import UNIDENTIFIED, Bound, Direction, Option, listed
 from suspnet.estimation.protocols import Task
+from suspnet.ground.parameters import UNITS
 
 WORTH_HAVING = 0.9
 """Largest ratio of bounds, after over before, at which an addition counts as helpful."""

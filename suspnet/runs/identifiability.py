@@ -28,8 +28,9 @@ from suspnet.estimation.information import scale_ambiguity_bound
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.checks import check_number
-from suspnet.report.plots import OUR_COLOUR, SYMBOLS
+from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
+from suspnet.runs.plots import OUR_COLOUR
 from suspnet.runs.study_files import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation

@@ -9,8 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from suspnet.ground.storage import write_atomically, write_json
-from suspnet.report.table6 import records_csv
 from suspnet.report.tensorboard import RunLog
+from suspnet.runs.table6 import records_csv
 
 
 def write_study(

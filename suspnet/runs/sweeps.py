@@ -13,8 +13,11 @@ from omegaconf import DictConfig
 from tabulate import tabulate
 
 from suspnet.ground.storage import read_json, write_atomically, write_json
-from suspnet.report import plots
-from suspnet.report.table6 import (
+from suspnet.report.tensorboard import RunLog
+from suspnet.runs import plots
+from suspnet.runs.ablation import write_ablation
+from suspnet.runs.study_files import write_study
+from suspnet.runs.table6 import (
     records_csv,
     sensitivity_markdown,
     sensitivity_records,
@@ -22,9 +25,6 @@ from suspnet.report.table6 import (
     table6_markdown,
     table6_records,
 )
-from suspnet.report.tensorboard import RunLog
-from suspnet.runs.ablation import write_ablation
-from suspnet.runs.study_files import write_study
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]

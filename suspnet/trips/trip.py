@@ -16,15 +16,15 @@ from torch import Tensor
 
 from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.speed_bin import SpeedBin, combined, largest
+from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK, Place, Quality, TripCurves, TripResult
 from suspnet.ground.storage import printable
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
-from suspnet.recordings.manifest import Place, TripError, TripManifest
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.overview import overview
-from suspnet.recordings.recording import Recording, load_recording
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.commissionings import models_at, since_km
@@ -32,21 +32,24 @@ from suspnet.trips.commissionings import models_at, since_km
 log = logging.getLogger(__name__)
 
 
-def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
+def evaluate_trip(
+    trip: Path | ManifestFile, models: Sequence[TrainedModel], settings: TripSettings
+) -> TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
     Parameters
     ----------
-    path : Path
-        The manifest.
+    trip : Path or ManifestFile
+        Its manifest.
     models : sequence of TrainedModel
         One for each speed bin and commissioning, all with the same outputs.
     settings : TripSettings
     """
     start = time.perf_counter()
-    result = TripResult(trip=path.stem, manifest=str(path), status=ERROR)
+    file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
+    result = TripResult(trip=file.path.stem, manifest=str(file.path), status=ERROR)
     try:
-        manifest = read_manifest(path)
+        manifest = file.trip
     except Exception as error:
         result = _failed(result, error)
     else:
@@ -84,7 +87,6 @@ def evaluate_recording(
 
 
 def _failed(result: TripResult, error: Exception) -> TripResult:
-    """Return a result whose reason is an error."""
     words = str(error).removeprefix(f"{result.manifest}: ")
     if not isinstance(error, TripError):
         log.debug("trip %s failed", result.manifest, exc_info=error)
@@ -98,7 +100,6 @@ def lost_trip(path: Path, reason: str) -> TripResult:
 
 
 def _printable(result: TripResult) -> TripResult:
-    """Return a result whose words every file can hold, whatever the names of its files."""
     place = Place(*map(printable, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
@@ -106,7 +107,6 @@ def _printable(result: TripResult) -> TripResult:
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
-    """Return a result with what the manifest says of the trip."""
     return replace(
         result,
         vehicle=manifest.vehicle,
@@ -125,7 +125,6 @@ def _estimated(
     models: Sequence[TrainedModel],
     settings: TripSettings,
 ) -> TripResult:
-    """Return a result with the estimate from the trip's recording."""
     for name in sorted({model.vehicle.name for model in models}):
         if name != manifest.vehicle:
             raise TripError(
@@ -149,7 +148,7 @@ def _estimated(
     pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
         bins, reasons = _bins(recording, pairs, settings)
-    except TripError as error:  # told here: the quality is known by now
+    except TripError as error:  # reported here: the quality is known by now
         return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
@@ -221,7 +220,6 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
 
 
 def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
-    """Return how many segments of each length at least one bin was made from."""
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch
@@ -230,7 +228,6 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 
 
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
-    """Return the curves and the overview of signals behind an estimate."""
     method = trip_settings(best.method).method
     seen = overview(recording)
     return TripCurves(

@@ -293,7 +293,9 @@ def test_g_s_beyond_its_band_does_not_matter_to_a_trip(model, kind):
         np.testing.assert_allclose(after.half_widths, before.half_widths, **close)
 
 
-@pytest.mark.parametrize(("kind", "share"), [("as predicted", 4.0), ("refined", 0.4)])
+@pytest.mark.parametrize(
+    ("kind", "share"), [("as predicted", 4.0), pytest.param("refined", 0.4, marks=pytest.mark.slow)]
+)
 def test_intervals_hold_the_truth_at_other_averages(model, kind, share):
     """20 trips: 90 % +- 6.7 % if outputs err together, and +- 3 % of the calibration."""
     one = refined(model) if kind == "refined" else model

@@ -167,7 +167,7 @@ def test_information_of_six_sensors_equals_naive_matrices():
         assert_alike(matrix, expected, 1e-6)
 
 
-@pytest.mark.parametrize("body_high_hz", [1.4, 1.7, 2.0])
+@pytest.mark.parametrize("body_high_hz", [pytest.param(1.4, marks=pytest.mark.slow), 1.7, 2.0])
 def test_sensors_on_the_body_tell_nothing_beyond_its_band(body_high_hz):
     source = observer(PITCHING, body_high_hz=body_high_hz)
     noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
@@ -231,7 +231,12 @@ def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
 
 @pytest.mark.parametrize(
     ("used", "body_high_hz"),
-    [([0, 1, 2], None), ([0, 2], None), ([1, 2], None), ([0, 1, 2], 1.7), ([0, 2], 1.7)],
+    [
+        ([0, 1, 2], None),
+        *(pytest.param(used, None, marks=pytest.mark.slow) for used in ([0, 2], [1, 2])),
+        ([0, 2], 1.7),
+        pytest.param([0, 1, 2], 1.7, marks=pytest.mark.slow),
+    ],
     ids=str,
 )
 def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrices(

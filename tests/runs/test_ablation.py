@@ -17,7 +17,6 @@ from omegaconf import OmegaConf
 
 from suspnet.cli import train
 from suspnet.estimation.feature_information import feature_loss
-from suspnet.report.table6 import records_csv
 from suspnet.runs import ablation as study
 from suspnet.runs.ablation import (
     BASELINE,
@@ -27,6 +26,7 @@ from suspnet.runs.ablation import (
     changes,
 )
 from suspnet.runs.sweeps import Ablation
+from suspnet.runs.table6 import records_csv
 
 CONFIGS = ROOT / "configs"
 NAMES = list(OmegaConf.load(CONFIGS / "ablations.yaml"))

@@ -58,6 +58,7 @@ def assert_same(first, second):
 # reference
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("name", ["msvr", "linear", "mvgpr"])
 @pytest.mark.parametrize("refined", [False, True])
 def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):

@@ -164,6 +164,7 @@ def test_worn_vehicle_with_anti_roll_bar_and_other_places_is_read():
 # limit
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("speed", [30.0, 70.0])
 @pytest.mark.parametrize("cross", [0.0, 1.0, 3.0])
 def test_symmetric_vehicle_shows_nothing(speed, cross):
