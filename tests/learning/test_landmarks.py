@@ -6,7 +6,7 @@ import torch
 from learning_reference import naive_rbf
 from scipy import stats
 
-from suspnet.learning import feature_maps as landmarks
+from suspnet.learning import feature_maps
 from suspnet.learning.feature_maps import exact, nystroem, pivoted_cholesky
 
 SIGMA = 1.3
@@ -28,7 +28,7 @@ def test_kernel_has_no_factor_two():
     X, Z = samples(12), samples(7, seed=1)
     expected = naive_rbf(X.numpy(), Z.numpy(), SIGMA)
     assert 0.01 < expected.mean() < 0.9
-    np.testing.assert_allclose(landmarks.rbf_kernel(X, Z, SIGMA), expected, rtol=1e-12)
+    np.testing.assert_allclose(feature_maps.rbf_kernel(X, Z, SIGMA), expected, rtol=1e-12)
 
 
 def test_exact_map_reproduces_the_kernel():
@@ -204,7 +204,7 @@ def test_search_ends_whatever_the_rounding_of_the_kernel(monkeypatch, error, eve
             found += error * torch.rand(found.shape, generator=source, dtype=found.dtype)
         return found
 
-    monkeypatch.setattr(landmarks, "rbf_kernel", inexact)
+    monkeypatch.setattr(feature_maps, "rbf_kernel", inexact)
     pivots = pivoted_cholesky(samples(100, n_inputs=2), 1.5, 100, 0, 1e-9).tolist()
     assert 3 < len(pivots) <= 100
     assert len(set(pivots)) == len(pivots)
