@@ -65,7 +65,7 @@ def quick(monkeypatch):
     """Train and draw nothing: leave the files by which a run is known."""
 
     def train_nothing(problem, model, folder, **options):
-        write_json(folder / "model.json", options["notes"])
+        write_json(folder / "model.json", options["context"].notes)
         write_json(folder / "metrics.json", {"rms_percent": dict.fromkeys(problem.task.outputs, 1)})
         return {"rms_percent": {}, "scores": {}, "intervals": {}, "seconds": 0.0}
 

@@ -67,7 +67,9 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     spoilt = replace(fitted, n_agree=1, converged=False)
     monkeypatch.setattr(run, "commission", lambda *_, **__: spoilt)
     trained = []
-    monkeypatch.setattr(train, "train", lambda *_, **options: trained.append(options["notes"]))
+    monkeypatch.setattr(
+        train, "train", lambda *_, **options: trained.append(options["context"].notes)
+    )
     with caplog.at_level(logging.WARNING):
         assert run_program(train, tmp_path / "run", *TRIPS, f"healthy={folder}") == 0
     assert trained[0]["commissioned"]["n_trips"] == 3
