@@ -6,6 +6,7 @@ import functools
 import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -189,34 +190,21 @@ def evaluate_fleet(
         if partial := partial_words(folder):
             log.warning("%s is %s; the same simulation again writes the others", folder, partial)
     done: list[Evaluated] = []
-
-    def lose(group: Group, error: str) -> None:
-        done.append(Evaluated(group.name, group.place, error=error))
-        log.warning("%s is not read: %s", group.name, error)
-
     read = []
     for group in groups:
-        if group.error:
-            lose(group, group.error)
-            continue
-        try:
+        with _reported(group, done, is_alone):
+            if group.error:
+                raise ValueError(group.error)
             where = output if is_alone else output / group.name
             read.append(_read_group(group, models, where, settings, progress, store))
-        except (ValueError, ArithmeticError) as error:
-            if is_alone:
-                raise
-            lose(group, str(error))
+    # all suspensions are read before the first report: their rates of wear count for its lives
     fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
-    if store is not None:  # their rates of wear count, and they are sisters
+    if store is not None:
         fleet.add(one for one in store.series() if one.vehicle in fleet.limits)
     fleet.add(one.series for one in read)
     for one in read:
-        try:
+        with _reported(one.group, done, is_alone):
             done.append(_report(one, fleet, settings, store, figures))
-        except (ValueError, ArithmeticError) as error:
-            if is_alone:
-                raise
-            lose(one.group, str(error))
     if is_alone:
         return done
     if all(one.error for one in done):
@@ -225,6 +213,18 @@ def evaluate_fleet(
     done.sort(key=lambda one: (-one.severity, one.name))
     log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
     return done
+
+
+@contextmanager
+def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[None]:
+    """Add a suspension that cannot be read to those done, and log why; one alone raises."""
+    try:
+        yield
+    except (ValueError, ArithmeticError) as error:
+        if is_alone:
+            raise
+        done.append(Evaluated(group.name, group.place, error=str(error)))
+        log.warning("%s is not read: %s", group.name, error)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from suspnet.ground.limits import Severity
 from suspnet.ground.parameters import NAMES, PARAMETERS
 from suspnet.ground.records import TripResult
-from suspnet.history.curves import TripResponses
+from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.fleet_plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
