@@ -94,7 +94,6 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
 
 
 def _ends(values: Sequence[float], digits: int) -> str:
-    """Return the least and the largest of numbers."""
     return span(*(f"{of(values):.{digits}f}" for of in (min, max)))
 
 
@@ -139,7 +138,6 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
 
 
 def _cells(check: TripCheck) -> list[str]:
-    """Return the cells of a trip that could be read."""
     parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
     speeds = _ends(each, 1) if each else ""
     coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
@@ -158,7 +156,6 @@ def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, s
 
 
 def _listing(names: Sequence[str]) -> str:
-    """Return names, at most ``LISTED`` of them."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more
 

@@ -151,14 +151,12 @@ def natural(text: str) -> list[tuple[int, int, str]]:
 
 
 def _place_order(state: State) -> tuple[Any, ...]:
-    """Return the place of a suspension on the page: by train, car, bogie and side."""
     place = state.series.place
     parts = (place.train, place.car, place.suspension, place.bogie, place.side)
     return (*map(natural, parts), state.series.vehicle)
 
 
 def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -> Tile:
-    """Return the tile of a suspension."""
     place = state.series.place
     parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
     words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
