@@ -75,6 +75,10 @@ NO_REASON = (
     "the time zone ",  # `time_zone` must be one like ..., says what is printed
     " m/s:  averages",  # quality of a trip
     " (and ",  # how many more there are, which the text above the tables says
+    " is damaged: its ",  # of files of models, caches and runs, which are not of a trip
+    " is not ours: ",
+    " is damaged or not JSON",
+    " is damaged or not a safetensors file",
     "`thresholds` must be",  # of model files
     "`reference` must be",
     "`misfit` must be",

@@ -43,7 +43,7 @@ from suspnet.live.replay import Replay
 from suspnet.live.results import Results
 from suspnet.live.suspension import LiveSettings, LiveSuspension
 from suspnet.recordings.frames import Frame, encode
-from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.trips.fleet import FleetSettings
 
 TRAIN, TIME_NS, SEQUENCE = "987654", 1234567890123456789, 9876543
@@ -224,7 +224,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "trip").mkdir()
-        manifest, model = read_live_manifest(given.trip), load_model(given.run)
+        manifest, model = ManifestFile(given.trip).live_trip, load_model(given.run)
         (folder / "trip" / "trip.yaml").write_text(given.trip.read_text())
         (folder / "trip" / given.trip.stem).symlink_to(given.trip.with_suffix("").absolute())
         frames = list(Replay(folder / "trip").frames())

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from suspnet.recordings import formats
+from suspnet.recordings import csv_files
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.manifest_keys import TripError
@@ -149,7 +149,7 @@ def test_range_is_in_the_unit_of_the_channel(trip):
 def test_pieces_of_the_file_change_nothing(trip, monkeypatch):
     path = trip(body={"time": "t"})
     whole = load(path)
-    monkeypatch.setattr(formats, "PARQUET_ROWS", 9973)
+    monkeypatch.setattr(csv_files, "PARQUET_ROWS", 9973)
     parts = load(path)
     np.testing.assert_array_equal(parts.signals, whole.signals)
     np.testing.assert_array_equal(parts.usable, whole.usable)
