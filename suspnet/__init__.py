@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from suspnet._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from suspnet.cli.configs import read_protocol, read_vehicles
+    from suspnet.cli.kinds import read_protocol, read_vehicles
     from suspnet.dynamics.quarter_car import QuarterCar
     from suspnet.dynamics.vehicle import Vehicle
     from suspnet.dynamics.vertical_vehicle import VerticalVehicle
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from suspnet.spectra.welch import Welch
 
 _HOMES = {
-    "suspnet.cli.configs": (
+    "suspnet.cli.kinds": (
         "read_protocol",
         "read_vehicles",
     ),

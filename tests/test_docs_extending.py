@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspnet.cli.configs import read_vehicles
+from suspnet.cli.kinds import read_vehicles
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import METHODS, LinearRegression
@@ -63,7 +63,7 @@ def test_method_learns_and_is_stored(quarter_car, task, tmp_path, monkeypatch):
 def test_method_has_the_arguments_of_its_file():
     given = re.findall(r"^(\w+): (\S+)$", example("yaml", "KernelRidge"), re.MULTILINE)
     values = {key: None if text == "null" else float(text) for key, text in given[1:]}
-    assert given[0] == ("_target_", "suspnet.learning.KernelRidge")
+    assert given[0] == ("kind", "kernel_ridge")
     assert defined("KernelRidge")().get_params() == values
 
 

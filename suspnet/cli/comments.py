@@ -35,15 +35,15 @@ class Comments:
     ----------
     above, behind : mapping
         From keys to the sentence on them, and to the comment on their value.
-    objects : mapping
-        From keys to the `_target_` right below them.
+    kinds : mapping
+        From keys to the `kind` right below them.
     names : list of str
         The outermost keys.
     """
 
     above: dict[Keys, str]
     behind: dict[Keys, str]
-    objects: dict[Keys, str]
+    kinds: dict[Keys, str]
     names: list[str]
 
 
@@ -68,8 +68,8 @@ def read_comments(file: Path) -> Comments:
             found.above[keys] = above
         if behind := BEHIND.search(lines[mark.line]):
             found.behind[keys] = behind[1]
-        if keys[-1] == "_target_":
-            found.objects[keys[:-1]] = str(value.value)
+        if keys[-1] == "kind":
+            found.kinds[keys[:-1]] = str(value.value)
         if len(keys) == 1:
             found.names.append(keys[0])
     return found

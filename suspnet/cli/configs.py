@@ -6,13 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
-from suspnet.dynamics import Vehicle
-from suspnet.estimation.protocols import Protocol
-from suspnet.ground.checks import check_choice
 from suspnet.ground.plain_files import read_plain
 from suspnet.recordings.core_yaml import parse_yaml
 
@@ -27,8 +23,6 @@ CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
 MOST_INTERPOLATED = 2**13
 """Largest number of characters of all texts with interpolations in a file."""
-VEHICLE = "suspnet.dynamics.Vehicle"
-"""Target of the files of the group `vehicle`."""
 TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
 """File and package of each group whose options are the entries of one file."""
 
@@ -77,48 +71,3 @@ def walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
         name = f"{path}.{key}" if path else str(key)
         yield str(key), name, one
         yield from walk(one, name)
-
-
-def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
-    """Return the vehicle of every file of the group `vehicle` of a folder, by the file's name.
-
-    Nothing else is built from the files, and nothing in them is interpolated.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a file is no vehicle's, or one of its numbers is missing or wrong.
-    """
-    vehicles = {}
-    for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
-        check_file(file)
-        content = OmegaConf.to_container(OmegaConf.create(read_plain(file).decode()), resolve=False)
-        # a road vehicle's file sets a speed and a track beside the vehicle
-        vehicle = content.get("vehicle", content) if isinstance(content, dict) else None
-        if not isinstance(vehicle, dict) or vehicle.pop("_target_", None) != VEHICLE:
-            raise ValueError(f"{file} is no vehicle: its `_target_` must be {VEHICLE}")
-        try:
-            vehicles[file.stem] = Vehicle(**vehicle)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{file}: {error}") from error
-    return vehicles
-
-
-def read_protocol(name: str) -> Protocol:
-    """Return one of the protocols that ``protocol=NAME`` chooses on the command line.
-
-    Raises
-    ------
-    ValueError
-        If `name` is none of them.
-
-    Examples
-    --------
-    >>> read_protocol("trips").task("all").outputs
-    ('k_p', 'c_p', 'k_s', 'c_s', 'M_s')
-    """
-    check_choice("name", name, sorted(f.stem for f in (Path(CONFIGS) / "protocol").glob("*.yaml")))
-    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        node = compose(overrides=[f"+protocol={name}"]).protocol
-    settings: Any = OmegaConf.to_container(node)
-    return Protocol(**{key: settings[key] for key in settings if not key.startswith("_")})

@@ -6,11 +6,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from suspnet.cli import program
+from suspnet.cli.kinds import build
 from suspnet.ground.checks import check_number
 from suspnet.simulation.fleet_writing import write_trains
 from suspnet.simulation.folders import FolderTakenError
@@ -20,13 +20,12 @@ from suspnet.simulation.writing import write_fleet
 log = logging.getLogger(__name__)
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="simulate")
 @program.task
 def compose(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
     check_number("workers", config.workers, low=1, most=1024, whole=True)
     trains = _trains(config)
-    parts = [program.build(config, key) for key in ("fleet", "scenario", "generator")]
+    parts = [build(config, key) for key in ("fleet", "scenario", "generator")]
     options: dict[str, Any] = {
         "seed": config.seed,
         "scatter": config.scatter,
@@ -81,8 +80,3 @@ def _tell_of_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
         config.scenario.name,
         ", ".join(wearing) or "none",
     )
-
-
-def main() -> None:
-    """Run the program."""
-    program.run(compose)

@@ -13,8 +13,10 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 
+from suspnet.cli.comments import LOADER
 from suspnet.cli.configs import CONFIGS
 from suspnet.live.broker import HOST_VARIABLE, LOCAL
 
@@ -118,15 +120,20 @@ def _check_places(config: DictConfig, typed: Collection[str]) -> None:
 
 
 @functools.cache
+def _shipped() -> list[tuple[Path, Any]]:
+    """Return the content of each configuration as shipped."""
+    files = Path(CONFIGS).rglob("*.yaml")
+    return [(file, yaml.load(file.read_bytes(), LOADER)) for file in files]
+
+
+@functools.cache
 def _shipped_places(key: str) -> list[Any]:
     """Return the values of a key in the configurations as shipped, as written."""
     found = []
     group, _, rest = key.partition(".")
-    for file in Path(CONFIGS).rglob("*.yaml"):
-        content = OmegaConf.load(file)
-        parts = rest.split(".") if file.parent.name == group else key.split(".")
-        value: Any = OmegaConf.to_container(content, resolve=False)
-        for part in parts:
+    for file, content in _shipped():
+        value: Any = content
+        for part in rest.split(".") if file.parent.name == group else key.split("."):
             value = value.get(part) if isinstance(value, dict) else None
         if value is not None:
             found.append(value)

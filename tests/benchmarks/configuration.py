@@ -105,11 +105,11 @@ def of_group(group: Group, configs: Mapping[str, Reference]) -> str:
     for name, rows in found.items():
         if not rows:
             continue
-        class_ = OmegaConf.select(configs[name].config, f"{group.name}._target_")
+        class_ = OmegaConf.select(configs[name].config, f"{group.name}.kind")
         leader = name
         for other in alike:
             shown = {told(key) for key in found[other]}
-            same = OmegaConf.select(configs[other].config, f"{group.name}._target_") == class_
+            same = OmegaConf.select(configs[other].config, f"{group.name}.kind") == class_
             if same or {told(key) for key in rows} <= shown:
                 leader, rows = other, [key for key in rows if told(key) not in shown]
                 break

@@ -85,7 +85,7 @@ def test_wheel_and_source_distribution_hold_every_file(built):
 
 
 def test_installed_program_finds_its_configuration(program, tmp_path):
-    assert "_target_: suspnet.learning.MSVR" in program("suspnet-train", "--cfg=job", cwd=tmp_path)
+    assert "kind: msvr" in program("suspnet-train", "--cfg=job", cwd=tmp_path)
     assert not list(tmp_path.iterdir())
 
 

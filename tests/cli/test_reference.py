@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from cli_runner import typed
 from hydra import compose, initialize_config_dir
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli import check, evaluate, init, simulate, train
+from suspnet.cli import check, evaluate, init, options, simulate, train
 from suspnet.cli.comments import phrase, read_comments
 from suspnet.cli.configs import CONFIGS
+from suspnet.cli.kinds import build
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference
 from suspnet.cli.values import SWITCHES
@@ -190,10 +189,10 @@ def refused(config, section, key, value):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            built = instantiate(config[section])
+            built = build(config, section)
             if hasattr(built, "fit"):
                 built.fit(np.arange(8.0)[:, None], np.arange(16.0).reshape(8, 2))
-    except (ValueError, TypeError, InstantiationException) as error:
+    except (ValueError, TypeError) as error:
         name = key.name.rpartition(".")[2]
         found = re.search(rf"`(?:\w+\.)*{name}(?:\[\d\])?` must be ([^\n]*)", str(error))
         return found and found[1]
@@ -273,7 +272,7 @@ def test_ranges_of_the_programs_are_those_of_their_checks(quarter_car):
 
 @pytest.mark.parametrize("module", [check, init], ids=lambda one: one.__name__)
 def test_options_of_plain_programs_tell_unit_or_range(module):
-    for action in module.parser()._actions:
+    for action in options.PARSERS[module.__name__.rpartition(".")[2]]()._actions:
         if action.dest != "help":
             assert re.fullmatch(r".* \[[^\[\]]+\]", action.help), action
     assert "[" in typed(module, "--help", cwd=".").stdout

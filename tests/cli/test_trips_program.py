@@ -15,14 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 from cli_runner import ROOT, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from trip_fixtures import RATES_HZ, changed, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, simulate, train
-from suspnet.cli.named_runs import named_runs
+from suspnet.cli.kinds import build, named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
 from suspnet.maintenance.limits import Severity
@@ -214,7 +213,7 @@ def test_fleet_unless_told_otherwise_is_a_scattered_vehicle_with_sensors_on_both
     assert columns == 3 * [["left", "right"]]
     truth = json.loads((trips / "truth.json").read_text())
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        generator = instantiate(compose("simulate").generator)
+        generator = build(compose("simulate"), "generator")
     assert (
         truth["parts"] == list(generator.parts) == [part for part in PARTS if part != "air_spring"]
     )
