@@ -213,26 +213,6 @@ def test_scripts_of_the_benchmarks_import_what_there_is():
                     assert hasattr(found, alias.name), f"{file}: {module} has no {alias.name}"
 
 
-ENTRIES = ("__init__", "simulate", "check", "init", "monitor", "replay", "serve")
-"""Modules in no row: the public names, and programs."""
-
-
-def test_nothing_imports_from_below_its_row_of_the_layout():
-    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (`suspnet/.*?) \|", contributing, re.MULTILINE)
-    floors = {}
-    for floor, row in enumerate(rows):
-        for name in re.findall(r"`(?:suspnet/)?(\w+)(?:/|\.py)`", row):
-            floors.setdefault(name, floor)
-    for file in (ROOT / "suspnet").rglob("*.py"):
-        room = file.relative_to(ROOT / "suspnet").parts[0].removesuffix(".py")
-        if room in ENTRIES:
-            continue
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            for module in imported(node):
-                assert floors[module.split(".")[1]] <= floors[room], f"{file} imports {module}"
-
-
 def test_readme_is_short_and_has_the_two_commands_on_lines_of_their_own():
     lines = README.read_text(encoding="utf-8").splitlines()
     assert len(lines) <= MOST_LINES

@@ -138,8 +138,9 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
         for key, one in values.items()
         if key != "kind"
     }
-    unknown = [key for key in arguments if key not in inspect.signature(class_).parameters]
-    if unknown:
+    known = inspect.signature(class_).parameters
+    unknown = [key for key in arguments if key not in known]
+    if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
         raise ValueError(f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them")
     return class_(**arguments)
 

@@ -31,7 +31,7 @@ class Setting:
     low, above, high, below, most : float, optional
         Bounds, as of `check_number`.
     rule : str
-        Which values it takes, where type and bounds do not say it; the class checks these itself.
+        Unit and range in words, where type and bounds do not say all of it.
 
     Examples
     --------
@@ -95,16 +95,16 @@ class Declared:
     @property
     def rule(self) -> str:
         """Unit and range."""
-        numbers = (
+        if self.setting.rule:
+            return self.setting.rule + "; or null" * self.is_optional
+        several = (
             NUMBERS.get(len(get_args(self.type)), "") if get_origin(self.type) is tuple else ""
         )
+        kind = "whole number" if self.type is int else several
         words = [
-            self.setting.rule,
-            ", ".join(
-                filter(None, ["whole number" * (self.type is int), numbers, self.setting.unit])
-            ),
+            ", ".join(filter(None, [kind, self.setting.unit])),
             "true or false" * (self.type is bool),
-            " or ".join(filter(None, [", ".join(self.choices[:-1]), *self.choices[-1:]])),
+            " or ".join(filter(None, [", ".join(map(str, self.choices[:-1])), *self.choices[-1:]])),
             self._bounds(),
             "or null" * self.is_optional,
         ]
@@ -113,7 +113,7 @@ class Declared:
     def check(self, name: str, value: Any) -> None:
         """Raise TypeError or ValueError, which names the setting, unless a value is valid."""
         one = self.setting
-        if self.setting.rule or (value is None and self.is_optional):
+        if value is None and self.is_optional:
             return
         if self.choices:
             allowed = (*self.choices, None) if self.is_optional else self.choices

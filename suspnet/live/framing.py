@@ -3,8 +3,8 @@
 An encapsulated message of the Arrow IPC format is 0xFFFFFFFF, the length of its metadata (a
 little-endian int32, a multiple of 8), the metadata (a flatbuffer, which tells the length of the
 body) and the body. A frame is the message of a schema, that of one record batch, and the mark of
-the end, 0xFFFFFFFF 0x00000000. What a frame says is not looked at here: `suspnet.stream.decode`
-does that.
+the end, 0xFFFFFFFF 0x00000000. What a frame says is not looked at here:
+`suspnet.recordings.frames.decode` does that.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Splitter:
     Examples
     --------
     >>> import numpy as np
-    >>> from suspnet.stream import Frame, encode
+    >>> from suspnet.recordings.frames import Frame, encode
     >>> one = encode(Frame("car 2", "body", 7, 0, 100.0, "g", np.zeros(100)))
     >>> splitter = Splitter()
     >>> splitter.push(b"noise" + one + one[:50]) == [one], splitter.push(one[50:]) == [one]

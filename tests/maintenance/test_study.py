@@ -105,7 +105,7 @@ def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
         "calendar": "",
         "sisters": [],
     }
-    assert words in render("fleet.html", "suspnet.depot", **about)
+    assert words in render("fleet.html", **about)
 
 
 def test_study_writes_overview_plan_and_calendar(store, tmp_path):
