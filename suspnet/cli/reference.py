@@ -235,7 +235,8 @@ def _of_kinds() -> dict[tuple[str, Any, Keys], str]:
     tables = {file: group for group, (file, _) in TABLES.items()}
     for file in sorted(Path(CONFIGS).rglob("*.yaml")):
         comments = read_comments(file)
-        group = tables.get(file.name, file.parent.name)
+        folder = file.parent.name
+        group = file.stem if folder == "base" else tables.get(file.name, folder)
         for keys, sentence in comments.above.items():
             path = (group, *keys[file.name in tables :])  # after the name of an entry of a table
             for n, place in enumerate(path[:-1]):

@@ -21,8 +21,8 @@ NUMBERS = {2: "two numbers", 3: "three numbers", 4: "four numbers"}
 class Setting:
     """What a setting means and which values it takes.
 
-    It stands in the annotation of an argument, or by `setting` with the default of a dataclass's
-    field.
+    It stands with a dataclass's field: by `setting` with its default, else in its annotation. Other
+    classes have a mapping `settings` from arguments.
 
     Parameters
     ----------
@@ -96,7 +96,9 @@ class Declared:
     def rule(self) -> str:
         """Unit and range."""
         if self.setting.rule:
-            return self.setting.rule + "; or null" * self.is_optional
+            return self.setting.rule + "; or null" * (
+                self.is_optional and self.setting.rule != "null"
+            )
         several = (
             NUMBERS.get(len(get_args(self.type)), "") if get_origin(self.type) is tuple else ""
         )
@@ -123,6 +125,8 @@ class Declared:
         elif self.type in (int, float) or get_origin(self.type) is tuple:
             bounds = {key: getattr(one, key) for key in ("low", "above", "high", "below")}
             several = get_origin(self.type) is tuple
+            if several and len(value) != len(get_args(self.type)):
+                return  # which the class reports itself
             for i, number in enumerate(value if several else [value]):
                 check_number(
                     f"{name}[{i}]" if several else name,
@@ -152,20 +156,27 @@ def check_settings(given: Any, prefix: str = "") -> None:
         one.check(f"{prefix}.{name}" if prefix else name, getattr(given, name))
 
 
+def check_values(class_: Any, **values: Any) -> None:
+    """Do as `check_settings` does with some settings of a class, before there is an object."""
+    for name, value in values.items():
+        settings_of(class_)[name].check(name, value)
+
+
 @functools.cache
 def settings_of(class_: Any) -> Mapping[str, Declared]:
-    """Return the settings that a dataclass, or the arguments of a function or class, declare."""
-    is_plain_class = isinstance(class_, type) and not is_dataclass(class_)
-    hints = get_type_hints(class_.__init__ if is_plain_class else class_, include_extras=True)
-    of_fields = (
-        {f.name: f.metadata.get("setting") for f in fields(class_)} if is_dataclass(class_) else {}
-    )
+    """Return the settings that a class declares."""
+    if is_dataclass(class_):
+        declared = {one.name: one.metadata.get("setting") for one in fields(class_)}
+        hints = get_type_hints(class_, include_extras=True)
+    else:
+        declared = getattr(class_, "settings", {})
+        hints = get_type_hints(class_.__init__)
     found = {}
     for name, hint in hints.items():
-        type_, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        for note in (of_fields.get(name), *notes):
-            if isinstance(note, Setting):
-                found[name] = _declared(name, type_, note)
+        type_, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        given = declared.get(name) or note
+        if isinstance(given, Setting):
+            found[name] = _declared(name, type_, given)
     return found
 
 

@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings
 from suspnet.ground.types import FloatArray
 
 PREDICT_ROWS = 1024
@@ -65,6 +65,28 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         If `tol` was not reached.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "C": Setting("Penalty of residuals outside the tube, as tuned for the group", above=0),
+        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+        "epsilon": Setting(
+            "Half width of the tube within which residuals cost nothing", "scaled outputs", low=0
+        ),
+        "tol": Setting("Stopping tolerance of libsvm", above=0),
+        "max_iter": Setting(
+            "Number of libsvm's iterations for each output after which it gives up", low=1
+        ),
+        "cache_size_mb": Setting("Size of libsvm's kernel cache for each output", "MB", above=0),
+        "n_jobs": Setting(
+            "Number of outputs that are fitted at the same time, in threads; -1 is one for each "
+            "core",
+            rule="whole number; not 0",
+        ),
+        "callback": Setting(
+            "Function called after each output, which train.py sets itself", rule="null"
+        ),
+    }
+    """What each argument means and which values it takes."""
+
     works_on_curves: ClassVar[bool] = False
     distributable: ClassVar[bool] = False
     gives_deviations: ClassVar[bool] = False
@@ -91,10 +113,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit one machine for each column of `y`, (n_samples,) or (n_samples, n_outputs)."""
-        for name in ("C", "sigma", "tol"):
-            check_number(name, getattr(self, name), above=0)
-        check_number("epsilon", self.epsilon, low=0)
-        check_number("max_iter", self.max_iter, low=1, whole=True)
+        check_settings(self)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         samples, targets = np.asarray(X), np.asarray(y, dtype=np.float64)
         self._single_output = targets.ndim == 1

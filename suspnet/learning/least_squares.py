@@ -6,7 +6,7 @@ It is the model-based method a structural dynamicist would pick instead of a reg
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,7 +14,7 @@ import torch
 from sklearn.base import BaseEstimator
 from torch import Tensor
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_values
 from suspnet.ground.types import FloatArray
 
 Forward = Callable[[Tensor, Tensor], Tensor]
@@ -209,29 +209,30 @@ def _damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> tuple[Te
 class CurveFit(BaseEstimator):  # type: ignore[misc]
     """Fit a model's curves directly, starting from the nearest of a set of scattered curves.
 
-    Parameters
-    ----------
-    n_starts : int, default=512
-        Sobol points in the range of the parameters; the one with the nearest curves is the start.
-    max_iter : int, default=100
-        Levenberg-Marquardt iterations.
-    tol : float, default=1e-8
-        Stop when no log-parameter moves by more.
-
     Raises
     ------
     TypeError, ValueError
         If a parameter is out of range.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "n_starts": Setting(
+            "Number of points scattered over the parameter range; the one with the nearest curves "
+            "is "
+            "the start of the fit",
+            low=1,
+        ),
+        "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
+        "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
+    }
+    """What each argument means and which values it takes."""
+
     works_on_curves: ClassVar[bool] = True
     distributable: ClassVar[bool] = False
     gives_deviations: ClassVar[bool] = False
 
     def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
-        check_number("n_starts", n_starts, low=1, whole=True)
-        check_number("max_iter", max_iter, low=1, whole=True)
-        check_number("tol", tol, above=0)
+        check_values(CurveFit, n_starts=n_starts, max_iter=max_iter, tol=tol)
         self.n_starts = n_starts
         self.max_iter = max_iter
         self.tol = tol

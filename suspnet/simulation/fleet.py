@@ -10,9 +10,9 @@ import numpy as np
 
 from suspnet.dynamics.journey import Journey, service_journey, steady_journey
 from suspnet.dynamics.track import track_spectrum
-from suspnet.ground.checks import check_choice, check_flag, check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.manifest import CHANNELS, HIGHEST_KM
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.sensors import Sensor
 
 
@@ -22,27 +22,8 @@ class Fleet:
 
     Parameters
     ----------
-    n_trips : int
-    last_mileage_km : float, [km]
-        Of the last trip; the others lie evenly before it.
-    minutes : float, [min]
-        Length of a trip.
-    speed_m_per_s : float, [m/s]
-        Steady or cruising speed.
-    journey : {"steady", "service"}
-        At one speed throughout, or with start, stops and slower stretches.
-    n_stops : int
-        Of a service journey.
-    track : str
-        A name of ``suspnet.dynamics.track.TRACKS``.
-    short_waves : bool
     sensors : mapping
         A `Sensor`'s arguments for each of axle_box, bogie and body.
-    sides : {"both", "left"}, optional
-        At each place one sensor on the left and one on the right, each with noise of its own, or
-        one alone, where the generator places it. None: both if the generator has roll.
-    suspension : str
-        Free text for the manifests.
 
     Raises
     ------
@@ -50,31 +31,34 @@ class Fleet:
         If a setting is out of range.
     """
 
-    n_trips: int = 30
-    last_mileage_km: float = 308_000.0
-    minutes: float = 20.0
-    speed_m_per_s: float = 70.0
-    journey: Literal["steady", "service"] = "steady"
-    n_stops: int = 1
-    track: str = "german_low"
-    short_waves: bool = False
+    n_trips: int = setting(
+        30, "Number of trips, which lie evenly over the mileage", low=1, high=100000
+    )
+    last_mileage_km: float = setting(308_000.0, "Mileage of the last trip", "km", above=0, high=2e7)
+    minutes: float = setting(20.0, "Length of a trip", "min", above=0, high=10000)
+    speed_m_per_s: float = setting(
+        70.0, "Steady or cruising speed, as the line's", "m/s", above=0, high=200
+    )
+    journey: Literal["steady", "service"] = setting(
+        "steady",
+        "Speed along a trip: the same throughout, or with start, stops and slower stretches",
+    )
+    n_stops: int = setting(1, "Number of stops of a service journey", low=0, high=1000)
+    track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
+    short_waves: bool = setting(
+        False,
+        "Whether to add the short waves of a rail head to the track, below 2.5 m; not on roads",
+    )
     sensors: Mapping[str, Mapping[str, Any]] | None = None
-    sides: Literal["both", "left"] | None = None
-    suspension: str = "simulated"
+    sides: Literal["both", "left"] | None = setting(
+        None,
+        "Sensors at each place: one on the left and one on the right, or one alone; null is both "
+        "if the vehicle has roll",
+    )
+    suspension: str = setting("simulated", "Name of the suspension in the manifests", rule="text")
 
     def __post_init__(self) -> None:
-        check_number("n_trips", self.n_trips, low=1, most=100_000, whole=True)
-        check_number("n_stops", self.n_stops, low=0, most=1000, whole=True)
-        check_flag("short_waves", self.short_waves)
-        for name, most in (
-            ("last_mileage_km", HIGHEST_KM),
-            ("minutes", 1e4),
-            ("speed_m_per_s", 200),
-        ):
-            check_number(name, getattr(self, name), above=0, most=most)
-        check_choice("journey", self.journey, ("steady", "service"))
-        if self.sides is not None:
-            check_choice("sides", self.sides, ("both", "left"))
+        check_settings(self)
         track_spectrum(self.track, self.short_waves)
         self.loggers()
 

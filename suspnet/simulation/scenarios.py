@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
 
 
@@ -16,34 +18,36 @@ from suspnet.ground.types import FloatArray
 class Scenario:
     """Ratios to healthy as functions of the mileage.
 
-    Parameters
-    ----------
-    name : str
-    changes : mapping
-        From a name of ``PARAMETERS`` to `from_km`, `to_km` and `ratio`: 1 before, in a straight
-        line between, `ratio` after. A step where the two mileages are equal.
-    spread : float, [-]
-        k_p, c_p, k_s and c_s are besides multiplied by a factor uniform in 1 +- spread on each
-        trip.
-    mass_low, mass_high : float, [-]
-        The car-body mass is uniform between these on each trip: pay-load.
-
     Raises
     ------
     TypeError, ValueError
         If a name is unknown or a number is out of range.
     """
 
-    name: str
-    changes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    spread: float = 0.0
-    mass_low: float = 0.9
-    mass_high: float = 1.2
+    name: Annotated[str, Setting("Name of the scenario in folders and manifests", rule="text")]
+    changes: Annotated[
+        Mapping[str, Mapping[str, float]],
+        Setting(
+            "For each parameter that wears from_km, to_km and the ratio to healthy: 1 before, in a "
+            "straight line between, ratio after",
+            rule="mapping; from_km at most to_km; ratio above 0",
+        ),
+    ] = field(default_factory=dict)
+    spread: float = setting(
+        0.0, "Half width of factors drawn for stiffness and damping of each trip", low=0, below=1
+    )
+    mass_low: float = setting(
+        0.9,
+        "Least mass of the car body relative to the vehicle's, drawn for each trip; at most "
+        "mass_high",
+        above=0,
+    )
+    mass_high: float = setting(
+        1.2, "Largest mass of the car body relative to the vehicle's", above=0
+    )
 
     def __post_init__(self) -> None:
-        check_number("scenario.spread", self.spread, low=0, below=1)
-        check_number("scenario.mass_low", self.mass_low, above=0)
-        check_number("scenario.mass_high", self.mass_high, above=0)
+        check_settings(self, "scenario")
         if not self.mass_low <= self.mass_high:
             raise ValueError(f"need mass_low <= mass_high, got {self.mass_low}, {self.mass_high}")
         for name, change in self.changes.items():

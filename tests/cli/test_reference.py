@@ -15,11 +15,15 @@ from omegaconf import OmegaConf
 from suspnet.cli import check, evaluate, init, options, simulate, train
 from suspnet.cli.comments import phrase, read_comments
 from suspnet.cli.configs import CONFIGS
-from suspnet.cli.kinds import build
+from suspnet.cli.kinds import KINDS, build, class_of
 from suspnet.cli.program import n_threads
-from suspnet.cli.reference import COLUMNS, Reference
+from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
 from suspnet.cli.values import SWITCHES
+from suspnet.ground.settings import settings_of
 from suspnet.simulation.scatter import scattered
+from suspnet.simulation.sensors import Sensor
+from suspnet.spectra.components import CurveFeatures
+from suspnet.spectra.extraction import PeakFeatures
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import configuration
@@ -48,6 +52,8 @@ BUILT = {
     ("evaluate", "run=x"): ("monitor",),
     ("simulate", "scenario=healthy"): ("fleet", "scenario"),
     ("replay", "sink=mqtt"): ("sink",),
+    ("monitor", "run=x"): ("live", "source", "monitor"),
+    ("serve", "store=x"): ("plan", "sisters", "changes"),
 }
 """Command lines with the beginnings of keys that the objects of their sections check."""
 UNCHECKED = {"cache_size_mb", "n_jobs", "random_state", "nominal", "distribution", "limits", "seed"}
@@ -182,6 +188,25 @@ def test_switches_are_those_called_so():
             assert is_switch == (key.limits == "true or false"), key
 
 
+def declared():
+    """Yield place, kind, path and class of everything that declares settings."""
+    for place, kinds in KINDS.items():
+        for kind in kinds:
+            if (
+                place not in ("generator",) or kind == "vertical_vehicle"
+            ):  # the others hand theirs on
+                yield place, kind, (), class_of(place, kind)
+    yield "protocol", "", ("features",), PeakFeatures
+    yield "protocol", "", ("curve",), CurveFeatures
+    yield "fleet", "", ("sensors", "axle_box"), Sensor
+
+
+@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declared()], ids=str)
+def test_comments_of_configurations_are_those_of_the_declaration(place, kind, path, class_):
+    for name, one in settings_of(class_).items():
+        assert _of_kinds()[place, kind, (*path, name)] == one.text, (place, kind, name)
+
+
 def refused(config, section, key, value):
     """Return what an object says of a value of a key, if it says that it must be another one."""
     config = copy.deepcopy(config)
@@ -202,8 +227,8 @@ def refused(config, section, key, value):
 def points(limits):
     """Return values at the ends of a range, and values beyond them."""
     parts = limits.split("; ")
-    step = 1 if "whole number" in parts else 1e-6
-    kind = int if "whole number" in parts else float
+    is_whole = limits.startswith("whole number")
+    step, kind = (1, int) if is_whole else (1e-6, float)
     inside, outside = [], []
     for part in parts:
         found = RANGE.fullmatch(part)
@@ -242,6 +267,7 @@ def test_ranges_are_those_of_the_checks(line, sections):
         inside, outside = points(key.limits)
         words = choices(key.limits)
         is_checked = any(key.name.startswith(f"{one}.") for one in sections)
+        is_checked = is_checked and not key.value.startswith("{")
         if not is_checked or name in UNCHECKED or not (outside or words):
             continue
         n_checked += 1
