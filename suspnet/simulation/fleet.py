@@ -32,18 +32,18 @@ class Fleet:
     """
 
     n_trips: int = setting(
-        30, "Number of trips, which lie evenly over the mileage", low=1, high=100000
+        30, "Number of trips, which lie evenly over the mileage", low=1, most=100000
     )
-    last_mileage_km: float = setting(308_000.0, "Mileage of the last trip", "km", above=0, high=2e7)
-    minutes: float = setting(20.0, "Length of a trip", "min", above=0, high=10000)
+    last_mileage_km: float = setting(308_000.0, "Mileage of the last trip", "km", above=0, most=2e7)
+    minutes: float = setting(20.0, "Length of a trip", "min", above=0, most=10000)
     speed_m_per_s: float = setting(
-        70.0, "Steady or cruising speed, as the line's", "m/s", above=0, high=200
+        70.0, "Steady or cruising speed, as the line's", "m/s", above=0, most=200
     )
     journey: Literal["steady", "service"] = setting(
         "steady",
         "Speed along a trip: the same throughout, or with start, stops and slower stretches",
     )
-    n_stops: int = setting(1, "Number of stops of a service journey", low=0, high=1000)
+    n_stops: int = setting(1, "Number of stops of a service journey", low=0, most=1000)
     track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
     short_waves: bool = setting(
         False,

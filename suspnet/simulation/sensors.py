@@ -25,7 +25,7 @@ class Sensor:
     """
 
     rate_hz: Annotated[
-        float, Setting("Sampling rate of the axle box's sensor", "Hz", above=0, high=1e6)
+        float, Setting("Sampling rate of the axle box's sensor", "Hz", above=0, most=1e6)
     ]
     snr_db: float | None = setting(
         34.0, "White noise relative to the signal; null is none", "dB", low=-20, high=200
@@ -35,29 +35,29 @@ class Sensor:
         "Acceleration beyond which the signal is cut off, 2 in Table VII; null is no limit",
         "g",
         above=0,
-        high=1e6,
+        most=1e6,
     )
     precision: float = setting(
-        0.0, "White noise relative to range_g, 0.001 in Table VII", low=0, high=100000
+        0.0, "White noise relative to range_g, 0.001 in Table VII", low=0, most=100000
     )
-    offset_m_per_s2: float = setting(0.0, "Constant offset", "m/s²", low=-1e6, high=1e6)
+    offset_m_per_s2: float = setting(0.0, "Constant offset", "m/s²", low=-1e6, most=1e6)
     drift_m_per_s2_per_h: float = setting(
-        0.0, "Drift of the offset", "m/s² per h", low=-1e6, high=1e6
+        0.0, "Drift of the offset", "m/s² per h", low=-1e6, most=1e6
     )
     dropouts_per_h: float = setting(
         0.0,
         "Mean number of drop-outs, in which the last value is held or is NaN, in turn",
         "per h",
         low=0,
-        high=100000,
+        most=100000,
     )
-    dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, high=1e6)
+    dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, most=1e6)
     clock_offset_s: float = setting(
         0.0,
         "Delay of the sensor's clock, which the manifest does not tell",
         "s",
         low=-1e6,
-        high=1e6,
+        most=1e6,
     )
 
     def __post_init__(self) -> None:

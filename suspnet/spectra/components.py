@@ -85,7 +85,7 @@ class CurveFeatures:
         None,
         "Number of principal components of the curves; null is as many as `explained` asks for",
         low=1,
-        high=10000,
+        most=10000,
     )
     explained: float = setting(
         0.9999,
@@ -99,10 +99,10 @@ class CurveFeatures:
         "Lower end of the band of the curves; null is that of the estimate",
         "Hz",
         above=0,
-        high=10000,
+        most=10000,
     )
     high_hz: float | None = setting(
-        None, "Upper end of that band; null is that of the estimate", "Hz", above=0, high=10000
+        None, "Upper end of that band; null is that of the estimate", "Hz", above=0, most=10000
     )
     basis: CurveBasis | None = field(default=None, compare=False)
 

@@ -56,14 +56,14 @@ class CurveSettings:
         low=-20,
         high=200,
     )
-    low_hz: float = setting(0.1, "First frequency bin, at least step_hz", "Hz", above=0, high=10000)
-    high_hz: float = setting(20.0, "Upper end of the bins, above low_hz", "Hz", above=0, high=10000)
+    low_hz: float = setting(0.1, "First frequency bin, at least step_hz", "Hz", above=0, most=10000)
+    high_hz: float = setting(20.0, "Upper end of the bins, above low_hz", "Hz", above=0, most=10000)
     step_hz: float = setting(
         0.02,
         "Distance of the bins; at most 100,000 of them up to high_hz",
         "Hz",
         above=0,
-        high=10000,
+        most=10000,
     )
     cache_dir: str | None = setting(
         ".cache/suspnet",

@@ -138,7 +138,7 @@ class EstimateSettings:
         "Sampling rates of axle box, bogie and body",
         "Hz",
         above=0,
-        high=1e6,
+        most=1e6,
     )
     cache_dir: str | None = setting(
         ".cache/suspnet",

@@ -144,21 +144,21 @@ class PeakFeatures:
         "Length of the moving average that finds the maximum of a peak",
         "Hz",
         above=0,
-        high=10000,
+        most=10000,
     )
     low_hz: float = setting(
         0.2,
         "Lower end of the band in which peaks are searched; below high_hz",
         "Hz",
         above=0,
-        high=10000,
+        most=10000,
     )
-    high_hz: float = setting(15.0, "Upper end of that band", "Hz", above=0, high=10000)
+    high_hz: float = setting(15.0, "Upper end of that band", "Hz", above=0, most=10000)
     window: float = setting(
         1.0,
         "Factor on the windows of the fits; a smaller one is closer to the top and noisier",
         above=0,
-        high=100,
+        most=100,
     )
 
     def __post_init__(self) -> None:

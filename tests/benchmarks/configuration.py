@@ -105,12 +105,15 @@ def of_group(group: Group, configs: Mapping[str, Reference]) -> str:
     for name, rows in found.items():
         if not rows:
             continue
-        class_ = OmegaConf.select(configs[name].config, f"{group.name}.kind")
+        kind = OmegaConf.select(configs[name].config, f"{group.name}.kind")
         leader = name
         for other in alike:
             shown = {told(key) for key in found[other]}
-            same = OmegaConf.select(configs[other].config, f"{group.name}.kind") == class_
-            if same or {told(key) for key in rows} <= shown:
+            same = (
+                group.name in KINDS
+                and OmegaConf.select(configs[other].config, f"{group.name}.kind") == kind
+            )
+            if group.name != "study" and (same or {told(key) for key in rows} <= shown):
                 leader, rows = other, [key for key in rows if told(key) not in shown]
                 break
         alike.setdefault(leader, []).append(name)
