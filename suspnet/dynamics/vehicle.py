@@ -101,10 +101,10 @@ class Vehicle:
         "a vehicle cannot pitch: generator=quarter_car",
         "m",
         above=0,
-        high=100,
+        most=100,
     )
     half_pivot_distance_m: float | None = setting(
-        None, "Distance from the car body's centre to the bogies' centres", "m", above=0, high=100
+        None, "Distance from the car body's centre to the bogies' centres", "m", above=0, most=100
     )
     bogie_gyration_m: float | None = setting(
         None, "Radius of gyration of a bogie in pitch", "m", above=0

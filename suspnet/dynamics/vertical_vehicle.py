@@ -66,7 +66,7 @@ class VerticalVehicle:
         "Place of the sensor on the bogie frame: above the measured axle, or at the bogie's centre",
     )
     body_sensor_m: float = setting(
-        0.0, "Place of the sensor on the body, ahead of the bogie's centre", "m", low=-100, high=100
+        0.0, "Place of the sensor on the body, ahead of the bogie's centre", "m", low=-100, most=100
     )
     other_bogie: Literal["healthy", "same"] = setting(
         "healthy", "The bogie that is not measured: healthy, or as degraded as the measured one"

@@ -221,12 +221,12 @@ class Protocol:
     lower: float = setting(
         0.5, "Lower end of the range of stiffness and damping relative to healthy", above=0, below=1
     )
-    upper: float = setting(2.0, "Upper end of that range", above=1, high=100)
+    upper: float = setting(2.0, "Upper end of that range", above=1, most=100)
     step: float = setting(
-        0.01, "Step of the grid in stiffness and damping relative to healthy", above=0, high=100
+        0.01, "Step of the grid in stiffness and damping relative to healthy", above=0, most=100
     )
     mass_step: float = setting(
-        0.1, "Step of the grid in the car body's mass relative to the vehicle's", above=0, high=100
+        0.1, "Step of the grid in the car body's mass relative to the vehicle's", above=0, most=100
     )
     mass_lower: float | None = setting(
         None,
@@ -235,7 +235,7 @@ class Protocol:
         below=1,
     )
     mass_upper: float | None = setting(
-        None, "Upper end of that range; null is `upper`", above=1, high=100
+        None, "Upper end of that range; null is `upper`", above=1, most=100
     )
     mass_known: bool = setting(
         False,

@@ -72,7 +72,7 @@ class SisterSettings:
         0.9,
         "Probability with which the intervals of the trips hold the truth",
         low=0.01,
-        high=0.999,
+        most=0.999,
     )
 
     def __post_init__(self) -> None:

@@ -97,10 +97,10 @@ class FleetSettings:
         "What counts as healthy: the parameters of the vehicle, or what its first trips show",
     )
     n_reference: int = setting(
-        5, "Number of first trips, for reference=first_trips", low=1, high=1024
+        5, "Number of first trips, for reference=first_trips", low=1, most=1024
     )
     workers: int = setting(
-        1, "Number of processes on this machine that read trips", low=1, high=1024
+        1, "Number of processes on this machine that read trips", low=1, most=1024
     )
     cluster: str | None = setting(
         None,

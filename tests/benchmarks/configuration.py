@@ -109,10 +109,7 @@ def of_group(group: Group, configs: Mapping[str, Reference]) -> str:
         leader = name
         for other in alike:
             shown = {told(key) for key in found[other]}
-            same = (
-                group.name in KINDS
-                and OmegaConf.select(configs[other].config, f"{group.name}.kind") == kind
-            )
+            same = OmegaConf.select(configs[other].config, f"{group.name}.kind") == kind
             if group.name != "study" and (same or {told(key) for key in rows} <= shown):
                 leader, rows = other, [key for key in rows if told(key) not in shown]
                 break
