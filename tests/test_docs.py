@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from trip_fixtures import model_at, small_fleet
 
-from suspnet.cli.configs import CONFIGS, TABLES
+from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.options import PARSERS
 from suspnet.cli.trusted import check_configuration
 from suspnet.estimation.checkpoint import save_model

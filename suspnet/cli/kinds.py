@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from suspnet.cli.configs import CONFIGS, check_file
+from suspnet.cli.config_files import CONFIGS, check_file
 from suspnet.ground.checks import check_choice
 from suspnet.ground.plain_files import read_plain
 

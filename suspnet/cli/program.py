@@ -29,17 +29,16 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
-from suspnet.cli import configs, folders, naming, reference, start
+from suspnet.cli import folders, naming, reference, start
+from suspnet.cli.config_files import CONFIGS, store_tables
+from suspnet.cli.config_values import read_values
 from suspnet.cli.trusted import CheckedLoader, check_configuration
-from suspnet.cli.values import read_values
 from suspnet.ground import progress
 from suspnet.ground.checks import check_number
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
 
-CONFIGS = configs.CONFIGS
-"""Absolute path of the folder that Hydra composes from."""
 WITH_OPTIONS = ("check", "history", "init")
 """Programs that read no configuration."""
 DEBUG = "HYDRA_FULL_ERROR"
@@ -59,7 +58,7 @@ MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
 """What progress bars write alone to move the cursor: to the start of a line, and lines up."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
-configs.store_tables()
+store_tables()
 naming.register()
 reference.register()
 

@@ -15,8 +15,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from suspnet.cli.comments import Comments, Keys, phrase, read_comments
-from suspnet.cli.configs import CONFIGS, TABLES
+from suspnet.cli.config_files import CONFIGS, TABLES, Comments, Keys, phrase, read_comments
 from suspnet.cli.kinds import KINDS
 
 COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36

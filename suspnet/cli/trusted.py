@@ -29,9 +29,9 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.configs import CONFIGS, check_file, walk
+from suspnet.cli.config_files import CONFIGS, check_file, walk
+from suspnet.cli.config_values import check_typed
 from suspnet.cli.kinds import KINDS, check_kind, new_name
-from suspnet.cli.typed import check_typed
 
 OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (

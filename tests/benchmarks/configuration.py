@@ -10,8 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from suspnet.cli import program  # makes our resolvers and tables known to Hydra
-from suspnet.cli.comments import read_comments
-from suspnet.cli.configs import TABLES
+from suspnet.cli.config_files import TABLES, read_comments
 from suspnet.cli.reference import Group, Key, Reference, changes, text
 
 CONFIGS = Path(program.CONFIGS)

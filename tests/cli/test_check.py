@@ -20,7 +20,7 @@ from matplotlib.image import imread
 from trip_fixtures import changed, signal, small_fleet
 
 from suspnet.cli import check, options
-from suspnet.cli.configs import CONFIGS
+from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.ledger import LEDGER
 from suspnet.recordings.formats import READERS

@@ -9,7 +9,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from suspnet.cli.configs import TABLES
+from suspnet.cli.config_files import TABLES
 from suspnet.cli.kinds import KINDS, PARTS, build, class_of, read_protocol, read_vehicles
 from suspnet.cli.trusted import check_configuration
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator

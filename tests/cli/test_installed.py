@@ -57,7 +57,7 @@ def program(built, tmp_path_factory):
     def run(name, *arguments, cwd):
         return ran([site / "bin" / name, *arguments], cwd, PYTHONPATH=str(site))
 
-    where = "import suspnet.cli.configs as c; print(c.CONFIGS)"
+    where = "import suspnet.cli.config_files as c; print(c.CONFIGS)"
     found = ran([sys.executable, "-c", where], site, PYTHONPATH=str(site))
     assert found.strip() == str(site / "suspnet" / "configs")
     return run

@@ -13,12 +13,11 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, evaluate, init, options, simulate, train
-from suspnet.cli.comments import phrase, read_comments
-from suspnet.cli.configs import CONFIGS
+from suspnet.cli.config_files import CONFIGS, phrase, read_comments
+from suspnet.cli.config_values import SWITCHES
 from suspnet.cli.kinds import KINDS, build, class_of
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
-from suspnet.cli.values import SWITCHES
 from suspnet.ground.settings import settings_of
 from suspnet.simulation.scatter import scattered
 from suspnet.simulation.sensors import Sensor

@@ -19,7 +19,7 @@ RUNSTRING = (
     "{_target_: suspnet.estimation.checkpoint.np.testing.runstring, "
     "astr: \"open('MARKER', 'w')\", dict: {}}"
 )
-TOUCH = "{_target_: suspnet.cli.configs.Path.touch, _args_: [MARKER]}"
+TOUCH = "{_target_: suspnet.cli.config_files.Path.touch, _args_: [MARKER]}"
 UNLINK = "{_target_: suspnet.simulation.writing.Path.unlink, _args_: [VICTIM]}"
 LOAD = "{_target_: suspnet.ground.tensors.torch.load, _args_: [PICKLE], weights_only: false}"
 WRITE = (
@@ -131,13 +131,13 @@ PAYLOADS = [
     ),
     in_experiment(
         "created_from_text",
-        'model: "${oc.create:{_target_:suspnet.cli.configs.Path.touch,_args_:[MARKER]}}"',
+        'model: "${oc.create:{_target_:suspnet.cli.config_files.Path.touch,_args_:[MARKER]}}"',
     ),
     in_experiment("decoded", f'payload: "{TOUCH}"\nmodel: ${{oc.decode:${{payload}}}}'),
     in_experiment("hidden_resolver", f'r: oc\np: "{TOUCH}"\nmodel: ${{${{r}}.create:${{p}}}}'),
     in_experiment(
         "target_elsewhere",
-        "t: suspnet.cli.configs.Path.touch\nmodel: {_target_: '${t}', _args_: [MARKER]}",
+        "t: suspnet.cli.config_files.Path.touch\nmodel: {_target_: '${t}', _args_: [MARKER]}",
     ),
     in_experiment(
         "target_in_parts",
@@ -353,7 +353,7 @@ def is_refused(ended, folder, cwd):
 def test_payload_is_refused_before_anything_is_done(payload, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     arguments, cwd = laid_out(payload, tmp_path)
-    evil = {"EVIL": "suspnet.cli.configs.Path.touch"}
+    evil = {"EVIL": "suspnet.cli.config_files.Path.touch"}
     small = SMALL if payload.program == "train" else []
     ended = typed(PROGRAMS[payload.program], *arguments, *small, cwd=cwd, **evil)
     is_refused(ended, tmp_path, cwd)

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from suspnet.cli.configs import CONFIGS
+from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY
