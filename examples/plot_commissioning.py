@@ -29,7 +29,7 @@ from suspnet import (
 )
 from suspnet.estimation.commissioning import commission
 from suspnet.estimation.healthy_trips import read_healthy
-from suspnet.simulation import Fleet, Scenario, write_fleet
+from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
 
 plt.style.use("tableau-colorblind10")
 folder = TemporaryDirectory()
@@ -54,7 +54,7 @@ wear = {name: {"from_km": 300.0, "to_km": 400.0, "ratio": ratio} for name, ratio
 drawing = VerticalVehicle(vehicle, speed_m_per_s=70.0, parts=("bushings",))
 trips = Path(folder.name) / "trips"
 *healthy_trips, worn_trip = write_fleet(
-    trips, fleet, Scenario("example", wear), drawing, seed=3, scatter=1.0
+    trips, Simulation(fleet, Scenario("example", wear), drawing, seed=3, scatter=1.0)
 )
 
 # %%

@@ -26,7 +26,7 @@ from suspnet import (
     tfestimate,
     train,
 )
-from suspnet.simulation import Fleet, Scenario, write_fleet
+from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
 
 plt.style.use("tableau-colorblind10")
 folder = TemporaryDirectory()
@@ -49,7 +49,7 @@ fleet = Fleet(
 )
 wear = {name: {"from_km": 0.0, "to_km": 100_000.0, "ratio": ratio} for name, ratio in WORN.items()}
 scenario = Scenario("example", changes=wear, mass_low=1.1, mass_high=1.1)
-(trip,) = write_fleet(Path(folder.name) / "trips", fleet, scenario, vehicle, seed=1)
+(trip,) = write_fleet(Path(folder.name) / "trips", Simulation(fleet, scenario, vehicle, seed=1))
 print(trip.read_text())
 
 # %%

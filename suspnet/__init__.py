@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from suspnet.estimation.protocols import Protocol, Task
     from suspnet.estimation.trained import TrainedModel
     from suspnet.ground.parameters import PARAMETERS
-    from suspnet.learning.baselines import SVR, LinearRegression
-    from suspnet.learning.least_squares import CurveFit
+    from suspnet.learning.baselines import SVR, CurveFit, LinearRegression
     from suspnet.learning.msvr import MSVR
     from suspnet.learning.mvgpr import MVGPR
     from suspnet.recordings.checked_mapping import TripError
@@ -37,8 +36,7 @@ if TYPE_CHECKING:
     from suspnet.spectra.extraction import PeakFeatures
     from suspnet.spectra.peaks import PeakFit, findpeaks
     from suspnet.spectra.segments import NoEstimateError
-    from suspnet.spectra.transfer_estimate import tfestimate
-    from suspnet.spectra.welch import Welch
+    from suspnet.spectra.welch import Welch, tfestimate
 
 _HOMES = {
     "suspnet.cli.kinds": (
@@ -62,11 +60,7 @@ _HOMES = {
     ),
     "suspnet.estimation.trained": ("TrainedModel",),
     "suspnet.ground.parameters": ("PARAMETERS",),
-    "suspnet.learning.baselines": (
-        "LinearRegression",
-        "SVR",
-    ),
-    "suspnet.learning.least_squares": ("CurveFit",),
+    "suspnet.learning.baselines": ("SVR", "CurveFit", "LinearRegression"),
     "suspnet.learning.msvr": ("MSVR",),
     "suspnet.learning.mvgpr": ("MVGPR",),
     "suspnet.recordings.checked_mapping": ("TripError",),
@@ -85,8 +79,7 @@ _HOMES = {
         "findpeaks",
     ),
     "suspnet.spectra.segments": ("NoEstimateError",),
-    "suspnet.spectra.transfer_estimate": ("tfestimate",),
-    "suspnet.spectra.welch": ("Welch",),
+    "suspnet.spectra.welch": ("Welch", "tfestimate"),
 }
 """Every public name by the module that defines it."""
 _HOME = {name: module for module, names in _HOMES.items() for name in names}

@@ -20,12 +20,11 @@ from scipy.signal import resample_poly
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.track import make_profile
 from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M
-from suspnet.simulation.trains import FIRST_DAY
+from suspnet.simulation.fleet import FIRST_DAY
+from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey
 from suspnet.simulation.writing import ANTI_ALIAS
 
 SIDES = ("left", "right")

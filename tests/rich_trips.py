@@ -16,14 +16,14 @@ from scipy.signal import resample_poly
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.dynamics.track import make_profile
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation import Scenario
-from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, profile_length_m
-from suspnet.simulation.trains import FIRST_DAY
+from suspnet.simulation.fleet import FIRST_DAY
+from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey, profile_length_m
 from suspnet.simulation.writing import ANTI_ALIAS
 
 PARTS = ("bending", "dampers", "rubber", "contact")

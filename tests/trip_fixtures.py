@@ -17,8 +17,8 @@ from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import rms_percent
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.writing import Fleet, write_fleet
+from suspnet.simulation.fleet import Scenario
+from suspnet.simulation.writing import Fleet, Simulation, write_fleet
 from suspnet.spectra.estimates import EstimateSettings
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
@@ -56,7 +56,9 @@ def write_trips(folder, n_trips=1, scenario=None, seed=0, speed=SPEED, **changes
     options = {"n_trips": n_trips, "minutes": MINUTES, "last_mileage_km": 1000.0 * n_trips}
     fleet = Fleet(**(options | {"speed_m_per_s": speed, "sensors": SENSORS} | changes))
     generator = VerticalVehicle(AM96, speed_m_per_s=speed)
-    return write_fleet(folder, fleet, scenario or Scenario("healthy"), generator, seed=seed)
+    return write_fleet(
+        folder, Simulation(fleet, scenario or Scenario("healthy"), generator, seed=seed)
+    )
 
 
 def small_fleet(factory):

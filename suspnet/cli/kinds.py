@@ -60,7 +60,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "order": {"": "suspnet.recordings.assembler.OrderSettings"},
     "plan": {"": "suspnet.maintenance.plan_inputs.PlanSettings"},
     "protocol": {"": "suspnet.estimation.protocols.Protocol"},
-    "scenario": {"": "suspnet.simulation.scenarios.Scenario"},
+    "scenario": {"": "suspnet.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
     "sisters": {"": "suspnet.maintenance.sisters.SisterSettings"},
     "trips": {"": "suspnet.estimation.from_recording.TripSettings"},

@@ -12,10 +12,9 @@ from omegaconf import DictConfig
 from suspnet.cli import program
 from suspnet.cli.kinds import build
 from suspnet.ground.checks import check_number
-from suspnet.simulation.fleet_writing import write_trains
+from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.trains import Trains
-from suspnet.simulation.writing import write_fleet
+from suspnet.simulation.writing import Simulation, write_fleet, write_trains
 
 log = logging.getLogger(__name__)
 
@@ -26,19 +25,16 @@ def compose(config: DictConfig) -> None:
     check_number("workers", config.workers, low=1, most=1024, whole=True)
     trains = _trains(config)
     parts = [build(config, key) for key in ("fleet", "scenario", "generator")]
-    options: dict[str, Any] = {
-        "seed": config.seed,
-        "scatter": config.scatter,
-        "n_jobs": config.workers,
-        "progress": config.progress,
-    }
+    fleet, scenario, generator = parts
+    simulation = Simulation(fleet, scenario, generator, config.seed, config.scatter)
+    options: dict[str, Any] = {"n_jobs": config.workers, "progress": config.progress}
     try:
         if trains is None:
-            manifests = write_fleet(Path(config.out), *parts, **options)
+            manifests = write_fleet(Path(config.out), simulation, **options)
             folder = manifests[0].parent
             log.info("%d trips of scenario %s in %s", len(manifests), config.scenario.name, folder)
         else:
-            folder = write_trains(Path(config.out), trains, *parts, **options)[0].parent
+            folder = write_trains(Path(config.out), trains, simulation, **options)[0].parent
             _tell_of_trains(config, trains, folder)
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error

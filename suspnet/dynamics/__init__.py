@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from suspnet.dynamics.generator import ResponseGenerator
 from suspnet.dynamics.quarter_car import QuarterCar
-from suspnet.dynamics.vehicle import PARAMETERS, Vehicle
+from suspnet.dynamics.vehicle import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle, best_generator
 
 GENERATORS: dict[str, Any] = {"quarter_car": QuarterCar, "vertical_vehicle": VerticalVehicle}

@@ -6,7 +6,7 @@ Each is a spring, a damper and Maxwell branches (a spring b in series with a dam
 
 A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds one of a
 share of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
-(Nishimura) is k_1 on top of k_2 and the orifice beside each other, both beside the stiffness k_3
+(Nishimura) is k_1 in series with k_2 parallel to the orifice, all parallel to the stiffness k_3
 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 that is the branch
 b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
 square of k_1 / (k_1 + k_2).
@@ -34,6 +34,24 @@ LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
 """Stiffness of each over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
 LOSS_REFERENCE_HZ = 2.7
 """Frequency at which the ladder leaves the stiffness as it is, the middle of its band, [Hz]."""
+RAIL_LATERAL_M = 0.75
+"""Half distance of the rails' centres, of standard gauge."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What describes a vehicle besides numbers: its parts, and where it is measured.
+
+    The fields are those of ``VerticalVehicle``, but `empty_body_kg`: M_s without payload [kg],
+    which the stiffness against bending belongs to.
+    """
+
+    bogie: str
+    axle: str
+    frame_sensor: str
+    body_sensor_m: float
+    parts: tuple[str, ...]
+    empty_body_kg: float
 
 
 @dataclass(frozen=True)
@@ -134,16 +152,6 @@ def secondary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str])
     return Element(stiffness, damping)
 
 
-def primary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequence[str]) -> Tensor:
-    """Return kappa_p of a bogie, (n_vehicles, n_freq), [N/m]."""
-    return primary_element(p, which, parts).at(omega)
-
-
-def secondary(p: Mapping[str, Tensor], which: str, omega: Tensor, parts: Sequence[str]) -> Tensor:
-    """Return kappa_s of a bogie, (n_vehicles, n_freq), [N/m]."""
-    return secondary_element(p, which, parts).at(omega)
-
-
 def guidance_element(p: Mapping[str, Tensor]) -> Element:
     """Return the axle guidance of a bogie's side, which acts on its pitch times a."""
     return Element(
@@ -162,6 +170,6 @@ def lateral_element(p: Mapping[str, Tensor]) -> Element:
 
 
 def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
-    """Return the body's first bending per modal mass of M_s; pay-load does not stiffen it."""
+    """Return the body's first bending per modal mass of M_s; payload does not stiffen it."""
     own = 2 * math.pi * p["bending_frequency"]
     return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)

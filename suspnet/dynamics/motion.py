@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from suspnet.ground.types import ComplexArray, FloatArray
 
 LARGEST_CONDITION = 1e10
-"""Above this condition number of the eigenvectors two modes coincide and cannot be told apart."""
+"""Condition number of the eigenvectors above which two modes coincide."""
 SERIES_BELOW = 0.1
 """Where |lambda h| is below this, `_foh_weights` sums a power series to avoid cancellation."""
 BLOCK = 1 << 14

@@ -20,9 +20,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from torch import Tensor
 
-from suspnet.dynamics.generator import check_ratios
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, check_vehicle
+from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, check_ratios, check_vehicle
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 

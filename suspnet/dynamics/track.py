@@ -9,29 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
-from suspnet.dynamics.track_spectra import (
-    TRACKS,
-    TrackSpectrum,
-    acceleration_density,
-    band_rms,
-    check_band,
-    cross_level_spectrum,
-    track_spectrum,
-)
+from suspnet.dynamics.track_spectra import TrackSpectrum, check_band
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
-
-__all__ = [
-    "TRACKS",
-    "TrackProfile",
-    "TrackSpectrum",
-    "acceleration_density",
-    "band_rms",
-    "cross_level_spectrum",
-    "make_profile",
-    "track_spectrum",
-]
-
 
 BLOCK = 1 << 15  # positions interpolated at once: the working arrays stay in the cache
 
@@ -83,7 +63,7 @@ class TrackProfile:
     def at(self, x: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return elevation, slope and curvature at any positions on the profile.
 
-        Between two grid points stands the polynomial of degree five that has the elevation, slope
+        Between two grid points it is the polynomial of degree five that has the elevation, slope
         and curvature of both (quintic Hermite); slope and curvature are its exact derivatives, so
         the three agree with each other everywhere. Of a wave sampled p times per length, p >= 8,
         the elevation is off by at most (2 pi / p)^6 / 46080, the curvature by (2 pi / p)^4 / 1920.

@@ -22,6 +22,11 @@ from suspnet.ground.types import FloatArray
 MM2_IN_M2 = 1e-6
 CROSS_LEVEL_RAD_PER_M = 0.4380
 """Wave number below which the German cross level falls off against the mean [rad/m]."""
+_VTCM = (
+    "as the open simulator VTCM_simulation (github.com/2099193635) codes it; no standard's text "
+    "was at hand. Its inverse FFT doubles the density, so its profiles are sqrt(2) higher"
+)
+_ISO = "ISO 8608 as public road simulators code it; the standard's text was not at hand"
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,6 @@ def cross_level_spectrum(mean: TrackSpectrum) -> TrackSpectrum:
 
 
 def _cross_level_density(n: FloatArray, mean: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return the density of `cross_level_spectrum`, [m^3]."""
     return mean(n) * n**2 / (n**2 + (CROSS_LEVEL_RAD_PER_M / (2 * math.pi)) ** 2)
 
 
@@ -116,12 +120,6 @@ def _with_short_waves(
     """Return a density in which the rail's short waves replace the spectrum, [m^3]."""
     return np.where(n > 1 / short_wave_from_m, short_wave_density(n), density(n))
 
-
-_VTCM = (
-    "as the open simulator VTCM_simulation (github.com/2099193635) codes it; no standard's text "
-    "was at hand. Its inverse FFT doubles the density, so its profiles are sqrt(2) higher"
-)
-_ISO = "ISO 8608 as public road simulators code it; the standard's text was not at hand"
 
 TRACKS: dict[str, TrackSpectrum] = {
     "german_low": TrackSpectrum(

@@ -18,7 +18,9 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.dynamics.elements import (
+    RAIL_LATERAL_M,
     Element,
+    Layout,
     bending_element,
     guidance_element,
     lateral_element,
@@ -29,8 +31,6 @@ from suspnet.dynamics.elements import (
 from suspnet.dynamics.motion import Branch, LinearSystem
 from suspnet.ground.types import FloatArray
 
-RAIL_LATERAL_M = 0.75
-"""Half distance of the rails' centres, of standard gauge."""
 BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
 """Prefix of its numbers, suffix of its coordinates, the sign of phi above it and the suffixes of
 its wheelsets, of each bogie."""
@@ -39,29 +39,12 @@ Acting = tuple[Element, FloatArray]
 """An element and the stretch along which it acts, over coordinates and inputs."""
 
 
-def vertical_motion(
-    p: Mapping[str, Tensor],
-    parts: Sequence[str],
-    *,
-    bogie: str,
-    axle: str,
-    frame_sensor: str,
-    body_sensor_m: float,
-    empty_kg: float,
-) -> LinearSystem:
+def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     """Return the equations of motion of one vehicle.
 
-    Parameters
-    ----------
-    p : mapping of tensors of one element
-        ``PARAMETERS`` and ``UNMEASURED`` in SI units.
-    parts : sequence of str
-        From ``PARTS``.
-    bogie, axle, frame_sensor, body_sensor_m
-        As of ``VerticalVehicle``.
-    empty_kg : float, [kg]
-        M_s without pay-load.
+    `p` holds ``PARAMETERS`` and ``UNMEASURED`` in SI units, tensors of one element.
     """
+    parts, bogie, axle = layout.parts, layout.bogie, layout.axle
     n = {name: float(value) for name, value in p.items()}
     masses = _masses(n, parts)
     inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
@@ -71,13 +54,13 @@ def vertical_motion(
     if "longitudinal" in parts:
         acting += _links(p, n, parts, e, forward)
     if "bending" in parts:
-        acting.append((bending_element(p, empty_kg), e["q"]))
+        acting.append((bending_element(p, layout.empty_body_kg), e["q"]))
     if "roll" in parts:
         acting += _rolling(p, n, parts, e)
     frame, body = e["z_1"].copy(), _above(n, parts, e, "bending_at_sensor")
-    if frame_sensor == "axle":
+    if layout.frame_sensor == "axle":
         frame += e["psi_1"] if axle == "leading" else -e["psi_1"]
-    body += (1 + forward * body_sensor_m / n["half_pivot_distance"]) * e["phi"]
+    body += (1 + forward * layout.body_sensor_m / n["half_pivot_distance"]) * e["phi"]
     sensors = np.array([frame, body])
     if "roll" in parts:
         lean = np.array([n["frame_lateral"] * e["theta_1"], n["body_lateral"] * e["theta"]])
@@ -202,6 +185,6 @@ def _assembled(
 def _behind(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
     """Return how far the wheelsets run behind the measured one, its bogie's two first, [m]."""
     shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
-    apart = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
+    pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
     own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]
-    return (*own, *(apart + distance for distance in own))
+    return (*own, *(pivots + distance for distance in own))

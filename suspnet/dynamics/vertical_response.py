@@ -17,7 +17,7 @@ bogies and turns by phi_1 = phi + sigma q and phi_2 = phi - sigma q, over L; F_i
 z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
 levers h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
 
-Roll and sway stand apart where left and right are alike, with x_i the mean of half the cross level
+Roll and sway are separate where left and right are alike, with x_i the mean of half the cross level
 at both axles, b the half distances of springs and of the rails, S_i = kappa_si b_s^2 + k_bar / 2,
 y the way of the body aside, kappa_y the lateral suspension between body and bogie at the levers h_2
 and h_3, whose stretch is e_i = y + h_2 theta + h_3 theta_i::
@@ -44,35 +44,16 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics.elements import (
+    RAIL_LATERAL_M,
+    Layout,
     bending_element,
     guidance_element,
     lateral_element,
     longitudinal_element,
-    primary,
-    secondary,
+    primary_element,
+    secondary_element,
 )
 from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
-from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M
-
-
-@dataclass(frozen=True)
-class Layout:
-    """What of a vehicle is no number: its parts, and where it is measured.
-
-    Attributes
-    ----------
-    bogie, axle, frame_sensor, body_sensor_m, parts
-        As of ``VerticalVehicle``.
-    empty_body_kg : float, [kg]
-        M_s without pay-load, which the stiffness against bending belongs to.
-    """
-
-    bogie: str
-    axle: str
-    frame_sensor: str
-    body_sensor_m: float
-    parts: tuple[str, ...]
-    empty_body_kg: float
 
 
 @dataclass(frozen=True)
@@ -100,8 +81,10 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
     # phi counts positive where the measured bogie rises, psi where the leading axle does
     p = {**p, "body_lever": forward * p["body_lever"]}
     link_x = longitudinal_element(p).at(omega) if "longitudinal" in layout.parts else None
+    # Each bogie is eliminated: what remains of it is a force and a stiffness under the body.
     first = _bogie(p, "", omega, wheels[:2], link_x, layout.parts)
     other = _bogie(p, "other_", omega, wheels[2:], link_x, layout.parts)
+    # Bounce and pitch of the body: a symmetric matrix (bounce, coupling, pitch) and two forces.
     inertia = 2 * p["M_s"] * omega**2
     total = first.resistance + other.resistance
     difference = first.resistance - other.resistance
@@ -121,7 +104,8 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
             row[1] = row[1] + slope * (first.upright - other.upright)
             row[2] = row[2] + slope**2 * (first.upright + other.upright)
             force = force + slope * (first.push - other.push)
-        # the last of three equations is eliminated
+        # The bending is the last of three equations. It is eliminated, so that a closed form of
+        # order two serves vehicles with and without it.
         share = [row[0] / row[2], row[1] / row[2]]
         matrix = [
             matrix[0] - share[0] * row[0],
@@ -135,6 +119,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
     determinant = a * b - coupling**2
     bounce = (b * bounce_force - coupling * pitch_force) / determinant
     pitch = (a * pitch_force - coupling * bounce_force) / determinant
+    # Back to what was eliminated: the bending, then how the body moves and turns over the bogie.
     turned, over = pitch, bounce + pitch
     at_sensor: Tensor | float = 0.0
     if "bending" in layout.parts:
@@ -142,6 +127,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
         turned = pitch + p["bending_slope"] * bending
         over = over + p["bending_at_pivot"] * bending
         at_sensor = p["bending_at_sensor"] * bending
+    # The sensors sit where the layout says, not at the centres.
     frame = first.link * over + first.free
     if layout.frame_sensor == "axle":
         tilted = first.swing - first.tilt * turned
@@ -159,7 +145,10 @@ def _bogie(
     parts: tuple[str, ...],
 ) -> _Bogie:
     """Return the measured ("") or the other bogie with its bounce and pitch eliminated."""
-    kappa_p, kappa_s = primary(p, which, omega, parts), secondary(p, which, omega, parts)
+    kappa_p, kappa_s = (
+        primary_element(p, which, parts).at(omega),
+        secondary_element(p, which, parts).at(omega),
+    )
     inertia = p["bogie_mass"] * omega**2
     below = kappa_p + kappa_s - inertia
     link = kappa_s / below
@@ -203,8 +192,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     bogies = []
     resistance = stiffening = coupling = moment = push = torch.zeros_like(wheels[0])
     for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
-        below = primary(p, which, omega, layout.parts) * p["primary_lateral"] ** 2
-        above = secondary(p, which, omega, layout.parts) * p["secondary_lateral"] ** 2
+        below = primary_element(p, which, layout.parts).at(omega) * p["primary_lateral"] ** 2
+        above = secondary_element(p, which, layout.parts).at(omega) * p["secondary_lateral"] ** 2
         above = above + p["anti_roll_bar"] / 2
         all_ = below + above - bogie_inertia + aside * lever**2
         link, yielding = above / all_, aside * lever / all_
@@ -235,7 +224,6 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
 
 
 def _phasor(angle: Tensor) -> Tensor:
-    """Return exp(-j angle)."""
     return torch.complex(torch.cos(angle), -torch.sin(angle))
 
 
@@ -244,9 +232,9 @@ def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Te
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
     # one exponential for each length, not for each wheelset
     unit = _phasor(omega * 2 * a / p["speed"])
-    apart = _phasor(omega * 2 * pivot / p["speed"])
+    other = _phasor(omega * 2 * pivot / p["speed"])
     one = torch.ones_like(unit)
     own = [one, unit] if layout.axle == "leading" else [unit.conj(), one]
     if layout.bogie == "trailing":
-        apart = apart.conj()
-    return [*own, *(apart * wheel for wheel in own)]
+        other = other.conj()
+    return [*own, *(other * wheel for wheel in own)]

@@ -16,21 +16,33 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.elements import primary, secondary
-from suspnet.dynamics.generator import ResponseGenerator, check_ratios
+from suspnet.dynamics.elements import Layout, primary_element, secondary_element
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.quarter_car import QuarterCar
-from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle, check_vehicle
+from suspnet.dynamics.vehicle import (
+    GEOMETRY,
+    PARAMETERS,
+    ResponseGenerator,
+    Vehicle,
+    check_ratios,
+    check_vehicle,
+)
 from suspnet.dynamics.vertical_motion import vertical_motion
-from suspnet.dynamics.vertical_response import Layout, bounced, rolled, wheels_of
+from suspnet.dynamics.vertical_response import bounced, rolled, wheels_of
 from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
 SIDES = ("leading", "trailing")
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
+_OTHER = slice(
+    len(PARAMETERS) + UNMEASURED.index("other_k_p"),
+    len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
+)
+"""Columns of the bogie that is not measured."""
+_OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
+"""What makes every column of ratios positive."""
 
 
 @dataclass(frozen=True)
@@ -112,10 +124,9 @@ class VerticalVehicle:
         object.__setattr__(self, "parts", tuple(p for p in PARTS if p in self.parts))
         self._check_places()
         self._check_nominal()
-        object.__setattr__(self, "distribution", _distribution(self.distribution, self.parts))
+        object.__setattr__(self, "distribution", LogNormal.read(self.distribution, self.parts))
 
     def _check_places(self) -> None:
-        """Raise ValueError unless there are three lateral places, and roll where one is not 0."""
         if len(self.sensor_lateral_m) != 3:
             raise ValueError(
                 f"`sensor_lateral_m` must be three places, got {self.sensor_lateral_m}"
@@ -123,7 +134,6 @@ class VerticalVehicle:
         object.__setattr__(self, "sensor_lateral_m", tuple(map(float, self.sensor_lateral_m)))
 
     def _check_nominal(self) -> None:
-        """Raise ValueError unless `nominal` holds positive values of quantities that have one."""
         allowed = {quantity.name for quantity in QUANTITIES if quantity.nominal is not None}
         unknown = sorted(set(self.nominal or {}) - allowed)
         if unknown:
@@ -132,17 +142,9 @@ class VerticalVehicle:
             check_number(f"nominal.{name}", value, above=0)
 
     def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
-        """Return the ratios with a column for each name of ``UNMEASURED``.
+        """Return ratios (n_vehicles, 5 or 6) with a column for each name of ``UNMEASURED``.
 
-        Parameters
-        ----------
-        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 6), [-]
-        seed : int
-
-        Returns
-        -------
-        tensor of shape (n_vehicles, 5 + n_unmeasured), [-]
-            Drawn from the distribution; 1 where nothing is uncertain.
+        They are drawn from the distribution; 1 where nothing is uncertain.
         """
         rows = as_tensor(ratios).to("cpu", torch.float64)
         if self.distribution is None or not self.distribution.names:
@@ -152,13 +154,9 @@ class VerticalVehicle:
         return self.with_uncertain(rows, torch.as_tensor(self.distribution.ratios(standard)))
 
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
-        """Return the ratios with a column for each name of ``UNMEASURED``.
+        """Return ratios (n_vehicles, 5 or 6) with a column for each name of ``UNMEASURED``.
 
-        Parameters
-        ----------
-        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 6), [-]
-        numbers : tensor of shape (n_vehicles, n_names), [-]
-            Those that the distribution is of.
+        `numbers` are those that the distribution is of, shape (n_vehicles, n_names), [-].
         """
         columns = torch.tensor(self.uncertain_columns, device=ratios.device)
         return self.complete(ratios).index_copy(1, columns, numbers)
@@ -190,17 +188,10 @@ class VerticalVehicle:
         return frame, body / frame
 
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
-        """Return axle box, frame and body for each independent input of the track.
+        """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
 
-        Parameters
-        ----------
-        ratios, frequencies_hz : as of `responses`
-
-        Returns
-        -------
-        complex128 tensor of shape (n_vehicles, n_inputs, 3, n_freq), [-]
-            Inputs: the mean of both rails, and with roll and a sensor off the middle the cross
-            level, scaled such that each input has the density of the mean.
+        Inputs: the mean of both rails, and with roll and a sensor off the middle the cross level,
+        scaled such that each input has the density of the mean.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
         frame, body = bounced(self._layout, p, omega)
@@ -276,35 +267,21 @@ class VerticalVehicle:
     def dynamic_stiffness(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return kappa_p and kappa_s of a side of the measured bogie, bushings and rubber included.
+        """Return kappa_p and kappa_s of a side of the measured bogie, (n_vehicles, 2, n_freq).
 
-        Parameters
-        ----------
-        ratios, frequencies_hz : as of `responses`
-
-        Returns
-        -------
-        complex128 tensor of shape (n_vehicles, 2, n_freq), [N/m]
+        Complex, in N/m, bushings and rubber included.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        return torch.stack([one(p, "", omega, self.parts) for one in (primary, secondary)], dim=1)
+        return torch.stack(
+            [one(p, "", self.parts).at(omega) for one in (primary_element, secondary_element)],
+            dim=1,
+        )
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
-        """Return the equations of motion of one vehicle, for simulation in time.
-
-        Parameters
-        ----------
-        ratios : tensor of shape (5,), (6,) or all columns, [-]
-        """
-        return vertical_motion(
-            self._numbers(as_tensor(ratios)[None]),
-            self.parts if self.rolls else tuple(part for part in self.parts if part != "roll"),
-            bogie=self.bogie,
-            axle=self.axle,
-            frame_sensor=self.frame_sensor,
-            body_sensor_m=self.body_sensor_m,
-            empty_kg=self.vehicle.body_mass_kg,
-        )
+        """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns."""
+        felt = tuple(part for part in self.parts if part != "roll" or self.rolls)
+        layout = replace(self._layout, parts=felt)
+        return vertical_motion(layout, self._numbers(as_tensor(ratios)[None]))
 
     def complete(self, ratios: Tensor) -> Tensor:
         """Return ratios with all columns: what is not given is the distribution's median."""
@@ -332,15 +309,8 @@ class VerticalVehicle:
 
     @property
     def _layout(self) -> Layout:
-        """What of the vehicle is no number."""
-        return Layout(
-            self.bogie,
-            self.axle,
-            self.frame_sensor,
-            self.body_sensor_m,
-            self.parts,
-            self.vehicle.body_mass_kg,
-        )
+        place = self.bogie, self.axle, self.frame_sensor, self.body_sensor_m
+        return Layout(*place, self.parts, self.vehicle.body_mass_kg)
 
     def _prepared(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
@@ -383,39 +353,9 @@ class VerticalVehicle:
 def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> ResponseGenerator:
     """Return a vertical vehicle where the geometry is known, else a quarter car.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-    device : str
-    settings
-        Of ``VerticalVehicle``; a vehicle without geometry (a road vehicle) has no use for them.
+    The settings are those of ``VerticalVehicle``; a vehicle without geometry (a road vehicle) has
+    no use for them.
     """
     if all(getattr(vehicle, name) is None for name in GEOMETRY):
         return QuarterCar(vehicle, device)
     return VerticalVehicle(vehicle, device, **settings)
-
-
-_OTHER = slice(
-    len(PARAMETERS) + UNMEASURED.index("other_k_p"),
-    len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
-)
-"""Columns of the bogie that is not measured."""
-_OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
-"""What makes every column of ratios positive."""
-
-
-def _distribution(
-    given: LogNormal | Mapping[str, Any] | str | None, parts: tuple[str, ...]
-) -> LogNormal | None:
-    """Return a distribution from what a configuration or a model file may hold of one."""
-    if given is None or isinstance(given, LogNormal):
-        return given
-    if isinstance(given, str):
-        check_choice("distribution", given, ("prior",))
-        return LogNormal.prior(parts)
-    if set(given) == {"names", "mean", "covariance"}:
-        return LogNormal(**given)
-    unknown = sorted(set(given) - set(UNMEASURED))
-    if unknown:
-        raise ValueError(f"`distribution` must be named as in {UNMEASURED}, got {unknown}")
-    return LogNormal.independent(given)

@@ -33,13 +33,13 @@ from scipy.optimize import OptimizeResult, least_squares
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.physics import Residual
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.spectra.directions import every_direction
 from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.observation import every_direction
 
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior of the logarithm of the car-body mass over nominal on a trip."""

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import PARTS
+from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy

@@ -36,8 +36,7 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.speeds import Speeds
-from suspnet.spectra.transfer_estimate import SegmentSpectra
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import SegmentSpectra, Welch
 
 
 @dataclass(frozen=True)

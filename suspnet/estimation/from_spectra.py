@@ -33,8 +33,7 @@ from suspnet.estimation.ood import Flags
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
 from suspnet.spectra.speeds import Speeds
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import without_incoherent, without_loud
-from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra
 
 
 @dataclass(frozen=True)

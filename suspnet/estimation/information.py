@@ -1,8 +1,8 @@
 """Cramer-Rao bounds, and the least error where stiffness and mass are not identifiable.
 
 An unbiased estimator of theta has at least the covariance I^-1, I the Fisher information: J^T J,
-J the derivative of the curves in units of their noise (`suspnet.spectra.misfit`). A Gaussian error
-has MAPE = sqrt(2 / pi) times its relative standard deviation.
+J the derivative of the curves in units of their noise (`suspnet.spectra.expected_spectra`). A
+Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.protocols import RESPONSES, Task
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.directions import Directions
-from suspnet.spectra.observation import Misfit, Observer
+from suspnet.spectra.observation import Directions, Misfit, Observer
 
 ROWS = 256
 STEP = 1e-5
@@ -102,7 +101,7 @@ def joint_information(
 def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
     """Return the information on parameters where uncertain numbers are unknown but for a prior.
 
-    With z their standard normal coordinates (`suspnet.spectra.directions`), what is not known of
+    With z their standard normal coordinates (`suspnet.spectra.observation`), what is not known of
     them counts against the parameters (van Trees, Detection, estimation and modulation theory,
     1968)::
 

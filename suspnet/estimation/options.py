@@ -20,8 +20,7 @@ from suspnet.estimation.protocols import RESPONSES, Task
 from suspnet.estimation.sensor_information import THREE_SENSORS, places, recording_information
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
 from suspnet.spectra.observation import Observer
 
 MASS = "M_s"

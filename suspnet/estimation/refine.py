@@ -6,8 +6,8 @@ information matrix gives the deviations, and the misfit says whether the model c
 curve at all.
 
 A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
-the prior: with z their coordinates (`suspnet.spectra.directions`) the sum of squares is that of the
-curve's residuals and of z, and the result has the largest posterior density.
+the prior: with z their coordinates (`suspnet.spectra.observation`) the sum of squares is that of
+the curve's residuals and of z, and the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.learning.least_squares import LeastSquaresSolution, levenberg_marquardt
-from suspnet.spectra.directions import Directions
-from suspnet.spectra.observation import Misfit
+from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
+from suspnet.spectra.observation import Directions, Misfit
 
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""
 FIRST_DAMPING = 1e-6
-"""First damping of `levenberg_marquardt`: a good start needs little."""
+"""First damping of `LevenbergMarquardt`: a good start needs little."""
 BEYOND = 5.0
 """Factor on the range of the training curves within which parameters stay."""
 N_LEVELS = 9
@@ -263,15 +262,16 @@ class _Search:
     ) -> LeastSquaresSolution:
         """Return the search with `temperature` times the noise, roughly where that is not 1."""
         last = temperature == 1.0
-        return levenberg_marquardt(
-            lambda point, which: self._residual(point, rows[which], temperature),
-            start,
+        solver = LevenbergMarquardt(
             max_iter=self._max_iter if last else ROUGH_ITER,
             tol=TOL if last else ROUGH_TOL,
             first_damping=UNCERTAIN_DAMPING if self.n_directions else FIRST_DAMPING,
             bounds=self._bounds,
             one_sided=bool(self.n_directions) and not last,
             least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
+        )
+        return solver.minimise(
+            lambda point, which: self._residual(point, rows[which], temperature), start
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:

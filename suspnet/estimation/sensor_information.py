@@ -43,8 +43,8 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.estimation.information import without_uncertain
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.directions import Directions, every_direction
-from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateObserver
+from suspnet.spectra.observation import Directions, every_direction
 
 ROWS = 32
 ROUNDING = 1e-24

@@ -13,7 +13,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.ood import Flags
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from suspnet.learning.baselines import SVR, LinearRegression
-from suspnet.learning.least_squares import CurveFit, levenberg_marquardt
+from suspnet.learning.baselines import SVR, CurveFit, LinearRegression
+from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.learning.msvr import MSVR
 from suspnet.learning.mvgpr import MVGPR
 from suspnet.learning.scaling import Scaling
@@ -28,7 +28,7 @@ __all__ = [
     "MVGPR",
     "SVR",
     "CurveFit",
+    "LevenbergMarquardt",
     "LinearRegression",
     "Scaling",
-    "levenberg_marquardt",
 ]

@@ -1,21 +1,30 @@
-"""The methods MSVR is compared with: one SVR for each output, and linear regression."""
+"""The methods MSVR is compared with: an SVR for each output, linear regression, and a direct fit.
+
+The last, `CurveFit`, is what a structural dynamicist would do instead of a regression.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
+import torch
 from joblib import Parallel, delayed
 from numpy.typing import ArrayLike
 from sklearn import linear_model, svm
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
+from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_settings
+from suspnet.ground.settings import Setting, check_settings, check_values
 from suspnet.ground.types import FloatArray
+from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 
+Forward = Callable[[Tensor, Tensor], Tensor]
 PREDICT_ROWS = 1024
 
 
@@ -174,7 +183,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return self
 
     def _fit_output(self, X: FloatArray, y: FloatArray) -> Any:
-        """Return scikit-learn's machine fitted to one output."""
         machine = svm.SVR(
             kernel="rbf",
             gamma=1 / self.sigma**2,
@@ -187,7 +195,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return machine.fit(X, y)
 
     def _kernel(self, X: FloatArray, vectors: FloatArray) -> FloatArray:
-        """Return the kernel of samples and support vectors."""
         return np.asarray(rbf_kernel(X, vectors, gamma=1 / self.sigma**2))
 
 
@@ -227,3 +234,90 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
             )
         self.n_features_in_ = self.coef_.shape[1]
         return self
+
+
+class CurveFit(BaseEstimator):  # type: ignore[misc]
+    """Fit a model's curves directly, starting from the nearest of a set of scattered curves.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is out of range.
+    """
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "n_starts": Setting(
+            "Number of points scattered over the parameter range; the one with the nearest curves "
+            "is "
+            "the start of the fit",
+            low=1,
+        ),
+        "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
+        "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
+    }
+    """What each argument means and which values it takes."""
+
+    works_on_curves: ClassVar[bool] = True
+    distributable: ClassVar[bool] = False
+    gives_deviations: ClassVar[bool] = False
+
+    def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
+        check_values(CurveFit, n_starts=n_starts, max_iter=max_iter, tol=tol)
+        self.n_starts = n_starts
+        self.max_iter = max_iter
+        self.tol = tol
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return no arrays: the method has parameters only."""
+        return {}
+
+    def fit_curves(
+        self, forward: Forward, observed: Tensor, known: Tensor, lower: float, upper: float, n: int
+    ) -> LeastSquaresSolution:
+        """Return the positive parameters whose curves lie nearest to those observed.
+
+        The residual of each curve is divided by its rms, to which the noise is proportional.
+
+        Parameters
+        ----------
+        forward : callable
+            ``forward(parameters, known)`` gives curves (n_rows, n_curves, n_points).
+        observed : tensor of shape (n_rows, n_curves, n_points)
+        known : tensor of shape (n_rows, n_known)
+            What is known of each row.
+        lower, upper : float
+            Range of the starts.
+        n : int
+            Number of parameters.
+        """
+        scale = observed.square().mean(dim=2, keepdim=True).sqrt()
+
+        def residual(log_parameters: Tensor, rows: Tensor) -> Tensor:
+            curves = forward(log_parameters.exp(), known[rows])
+            return ((observed[rows] - curves) / scale[rows]).flatten(1)
+
+        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n)
+        solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol)
+        solution = solver.minimise(residual, start.log())
+        return replace(solution, parameters=solution.parameters.exp())
+
+    def _nearest_start(
+        self,
+        forward: Forward,
+        observed: Tensor,
+        known: Tensor,
+        scale: Tensor,
+        start_range: tuple[float, float],
+        n: int,
+    ) -> Tensor:
+        """Return for each row the Sobol point whose curves lie nearest to the row's."""
+        lower, upper = start_range
+        points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
+        starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))
+        mean_known = known.mean(dim=0, keepdim=True).expand(len(starts), -1)
+        curves = forward(starts, mean_known).flatten(1)
+        shape = observed.shape
+        weights = (1 / scale.square()).expand(shape).flatten(1)
+        flat = observed.flatten(1)
+        misfit = weights @ curves.square().T - 2 * (weights * flat) @ curves.T
+        return starts[misfit.argmin(dim=1)]

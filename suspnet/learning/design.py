@@ -139,7 +139,7 @@ class DenseDesign:
     block_rows : int
         Rows of Phi in memory at once, unless all of it fits `cache_bytes`.
     cache_bytes : int
-        Largest size of Phi that is kept in memory.
+        Largest size of Phi that is stored between passes.
     gram_columns : int
         Columns of the Gram matrix computed at a time, from the diagonal on: it is symmetric.
     all_reduce : callable, optional
@@ -252,11 +252,11 @@ class DenseDesign:
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
     def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
-        """Return the equations of all weights 2 C, factored once."""
+        """Return the equations of all weights 2 C, computed once."""
         return FixedGram(self.gram(), C, fit_intercept)
 
     def reweighted(self, C: float, fit_intercept: bool) -> ReweightedGram:
-        """Return the equations of Eq. (9), factored anew for the weights of every iteration."""
+        """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedGram(self, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
@@ -264,7 +264,6 @@ class DenseDesign:
         return product if self._basis is None else self._basis.to(product).T @ product
 
     def _zeros(self, n_rows: int, n_columns: int) -> Tensor:
-        """Return a float64 matrix of zeros on the device of the samples."""
         return torch.zeros(n_rows, n_columns, dtype=torch.float64, device=self.X.device)
 
 

@@ -165,7 +165,6 @@ def _box(wave_numbers: Tensor) -> float:
 
 
 def _too_many(sigma: float, extent: Tensor) -> str:
-    """Return the message for a kernel too narrow for the grid of modes."""
     return (
         f"feature_map='equispaced' would need a grid of more than {MAX_BOX:,} modes: "
         f"sigma={sigma:g} is small for data of extent {float(extent.max()):.3g}; raise sigma or "
@@ -274,7 +273,6 @@ def flat_index(index: Tensor, shape: list[int] | tuple[int, ...]) -> Tensor:
 
 
 def _finufft() -> Any:
-    """Return the module finufft; raise ValueError if it is not installed."""
     try:
         return importlib.import_module("finufft")
     except ImportError as error:

@@ -1,7 +1,8 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
-What a map is, and random Fourier features. Maps from landmarks are in ``landmarks``, that on a
-regular grid of frequencies in ``equispaced``; ``maps.MAPS`` lists them all.
+What a map is, random Fourier features, and maps from landmarks: Nystroem, and the exact kernel with
+every sample as a landmark. That on a regular grid of frequencies is in ``equispaced``;
+``msvr.MAPS`` lists them all.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ from typing import Protocol
 
 import torch
 from torch import Tensor
+
+ROUNDING = 1e-13
+"""Residual of the kernel's diagonal, which is 1, below which it is rounding and counts as 0."""
 
 
 class FeatureMap(Protocol):
@@ -110,3 +114,157 @@ def _pairs(n_components: int) -> int:
 def generator(seed: int) -> torch.Generator:
     """Return a generator of its own for a seed, on the CPU."""
     return torch.Generator().manual_seed(seed)
+
+
+@dataclass(frozen=True)
+class LandmarkFeatures(TensorMap):
+    """phi(x) = V k(Z, x) with V^T V the inverse of k(Z, Z) on landmarks Z (Nystroem).
+
+    Attributes
+    ----------
+    landmarks : tensor of shape (n_landmarks, n_inputs)
+    whitening : tensor of shape (n_landmarks, n_features)
+    sigma : tensor of shape ()
+    """
+
+    landmarks: Tensor
+    whitening: Tensor
+    sigma: Tensor
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of columns the map takes."""
+        return self.landmarks.shape[1]
+
+    @property
+    def basis(self) -> Tensor:
+        """Matrix V that the kernel's columns are multiplied by, (n_landmarks, n_features)."""
+        return self.whitening
+
+    def raw(self, X: Tensor) -> Tensor:
+        """Return the kernel of samples and landmarks, shape (n_samples, n_landmarks)."""
+        return rbf_kernel(X, self.landmarks, float(self.sigma))
+
+    def __call__(self, X: Tensor) -> Tensor:
+        """Return features of shape (n_samples, n_features)."""
+        return self.raw(X) @ self.whitening
+
+    def apply(self, X: Tensor, coef: Tensor) -> Tensor:
+        """Return Phi coef, shape (n_samples, n_outputs)."""
+        return self.raw(X) @ (self.whitening @ coef)
+
+
+def rbf_kernel(X: Tensor, Z: Tensor, sigma: float) -> Tensor:
+    """Return exp(-|x_i - z_j|^2 / sigma^2), shape (n_samples, n_landmarks)."""
+    return squared_distances(X, Z).mul_(-1 / sigma**2).exp_()
+
+
+def squared_distances(X: Tensor, Z: Tensor) -> Tensor:
+    """Return |x_i - z_j|^2 from the differences, which do not cancel far from the origin."""
+    return torch.cdist(X, Z, compute_mode="donot_use_mm_for_euclid_dist").square_()
+
+
+def nystroem(
+    X: Tensor,
+    sigma: float,
+    n_components: int,
+    seed: int,
+    kernel_tol: float = 1e-6,
+    *,
+    n_candidates: int = 16_384,
+) -> LandmarkFeatures:
+    """Choose landmarks by randomly pivoted Cholesky (Chen et al., 2023) and whiten.
+
+    As many landmarks as it takes to bring the mean error of k(x, x) down to `kernel_tol`, at most
+    `n_components`, among at most `n_candidates` samples drawn at random.
+    """
+    chosen = torch.arange(len(X))
+    if len(X) > n_candidates:
+        chosen = torch.randperm(len(X), generator=generator(seed))[:n_candidates].sort().values
+    candidates = X[chosen.to(X.device)]
+    n_pivots = min(n_components, len(candidates))
+    pivots = pivoted_cholesky(candidates.double(), sigma, n_pivots, seed, kernel_tol)
+    return _landmarks(X, candidates[pivots], sigma)
+
+
+def exact(
+    X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
+) -> LandmarkFeatures:
+    """Take every sample as a landmark: the exact kernel on the training data; for small n.
+
+    Eigenvectors of the kernel matrix with eigenvalues below rounding are dropped;
+    `n_components`, `seed` and `kernel_tol` are not used.
+    """
+    return _landmarks(X, X, sigma)
+
+
+def pivoted_cholesky(
+    X: Tensor,
+    sigma: float,
+    n_pivots: int,
+    seed: int,
+    kernel_tol: float = 0.0,
+    *,
+    n_proposals: int = 64,
+) -> Tensor:
+    """Return row indices drawn in proportion to the residual of the kernel's diagonal.
+
+    `n_proposals` are drawn at a time, and each is accepted with the probability that makes the
+    outcome that of drawing one at a time (Epperly, Tropp and Webber, 2024). Stops when the mean of
+    the residual is at most `kernel_tol`, or all of it is rounding.
+    """
+    source = generator(seed)
+    residual = X.new_ones(len(X))
+    factor = X.new_zeros(n_pivots, len(X))
+    pivots = torch.empty(0, dtype=torch.int64, device=X.device)
+    # A round accepts its first proposal at least, so no more rounds are needed than pivots.
+    for _ in range(n_pivots):
+        if len(pivots) == n_pivots or float(residual.mean()) <= kernel_tol:
+            break
+        drawn = torch.multinomial(residual.cpu(), n_proposals, replacement=True, generator=source)
+        chances = torch.rand(n_proposals, generator=source, dtype=torch.float64)
+        drawn = drawn.to(X.device)
+        known = factor[: len(pivots)]
+        block = rbf_kernel(X[drawn], X[drawn], sigma) - known[:, drawn].T @ known[:, drawn]
+        # Rounding must not separate the block from the residual of the draws.
+        block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
+        accepted, lower = _accept(block.cpu(), chances)
+        accepted = accepted[: n_pivots - len(pivots)]
+        lower = lower[: len(accepted), : len(accepted)].to(X)
+        new = drawn[accepted.to(X.device)]
+        columns = rbf_kernel(X[new], X, sigma) - known[:, new].T @ known
+        rows = torch.linalg.solve_triangular(lower, columns, upper=False)
+        factor[len(pivots) : len(pivots) + len(new)] = rows
+        residual = residual - rows.square().sum(dim=0)
+        residual = torch.where(residual > ROUNDING, residual, 0.0)
+        residual[new] = 0
+        pivots = torch.cat([pivots, new])
+    return pivots
+
+
+def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
+    """Return which proposals are accepted, and the Cholesky factor of their block.
+
+    A proposal is accepted if its residual after those before it exceeds its chance, in [0, 1),
+    times its residual before the round: the first always is.
+    """
+    remaining, columns, accepted = block.clone(), [], []
+    for i in range(len(block)):
+        pivot = float(remaining[i, i])
+        if pivot <= max(float(chances[i] * block[i, i]), ROUNDING):
+            continue
+        column = remaining[:, i] / pivot**0.5
+        remaining -= torch.outer(column, column)
+        columns.append(column)
+        accepted.append(i)
+    return torch.tensor(accepted), torch.stack(columns, dim=1)[accepted].tril()
+
+
+def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
+    """Return the feature map of landmarks, their kernel's null space left out."""
+    exact_landmarks = landmarks.double()
+    values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
+    kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps
+    whitening = vectors[:, kept] / values[kept].sqrt()
+    width = torch.tensor(float(sigma), dtype=X.dtype, device=X.device)
+    return LandmarkFeatures(landmarks, whitening.to(X).contiguous(), width)

@@ -1,13 +1,14 @@
-"""Iterative reweighted least squares for MSVR, in the primal, with backtracking.
+"""Iterative reweighted least squares for MSVR: the loss, and its minimum in the primal.
 
 Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
     F(W, b) = 1/2 |W|^2 + C sum_i L(|y_i - W^T phi_i - b|)
 
-F is convex and continuously differentiable, so it has one value at the optimum. Each iteration
-takes a direction from the normal equations of Eq. (9) (Eq. 11) and backtracks along it. The
-equations are those of a fixed Gram matrix until they slow down, then the reweighted ones, and so on
-in turns: the optimum and the stopping rule are the same.
+with the hyperspherical epsilon-insensitive loss L of Eq. (8). F is convex and continuously
+differentiable, so it has one value at the optimum. Each iteration takes a direction from the normal
+equations of Eq. (9) (Eq. 11) and backtracks along it. The equations are those of a fixed Gram
+matrix until they slow down, then the reweighted ones, in turns: the optimum and the stopping rule
+are the same.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import torch
 from torch import Tensor
 
 from suspnet.learning.design import Columns, Design, Direction, Gradient, NormalEquations
-from suspnet.learning.loss import loss, weight
 from suspnet.learning.ranks import all_reduce, broadcast
 
 SUFFICIENT_DECREASE = 1e-4
@@ -77,26 +77,12 @@ class Solution:
     objectives: list[float] = field(default_factory=list)
 
 
-def irwls(
-    design: Design,
-    Y: Tensor,
-    C: float,
-    epsilon: float,
-    *,
-    fit_intercept: bool = True,
-    max_iter: int = 200,
-    tol: float = 1e-8,
-    slow_decrease: float = 0.3,
-    max_slow_steps: int = 20,
-    on_iteration: Callable[[Iteration], None] | None = None,
-) -> Solution:
-    """Return the minimiser of F and how far it is from the optimum.
+@dataclass(frozen=True)
+class IRWLS:
+    """The solver: minimises F over W and b, and bounds how far it is from the optimum.
 
     Parameters
     ----------
-    design : Design
-        Phi, (n_samples, n_features).
-    Y : tensor of shape (n_samples, n_outputs)
     C, epsilon : float
         Penalty and radius of the tube.
     fit_intercept : bool
@@ -109,71 +95,121 @@ def irwls(
         Slow steps in a row after which the reweighted equations give way to the fixed ones: where
         many samples lie on the border of the tube they can cycle. The fixed ones give way after
         one.
-    on_iteration : callable, optional
-        Called with an ``Iteration`` after each.
-
-    Returns
-    -------
-    Solution
-        Its status says whether `tol` was reached.
-
-    Raises
-    ------
-    ValueError
-        If a system is singular to working precision.
     """
-    functional = _Functional(design, C, epsilon, fit_intercept)
-    coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
-    intercept = torch.zeros_like(coef[0])
-    residual = Y.double().clone()
-    objective, lower = functional.value(coef, residual), 0.0
-    gradient = functional.gradient(coef, residual)
-    equations: NormalEquations = design.fixed(C, fit_intercept)
-    other: NormalEquations | None = None
-    is_fixed, n_slow, decrement = True, 0, float("inf")
-    objectives, status, n_iter = [objective], Status.MAX_ITER, 0
-    # n_iter stays only where step is 0, which changes the equations, or ends the loop if reweighted
-    while (gap := _relative(objective - lower, objective)) > tol and n_iter < max_iter:
-        direction = functional.synchronised(equations.direction(gradient, tol * objective))
-        change, products = design.matvec_rmatvec(direction, functional.columns(residual, gradient))
-        lower = max(lower, functional.lower_bound(objective, gradient, direction, change, products))
-        before, decrement = decrement, functional.decrement(gradient, direction)
-        step, objective = functional.backtrack(
-            coef, residual, direction, change, objective, decrement
+
+    C: float
+    epsilon: float
+    fit_intercept: bool = True
+    max_iter: int = 200
+    tol: float = 1e-8
+    slow_decrease: float = 0.3
+    max_slow_steps: int = 20
+
+    def minimise(
+        self,
+        design: Design,
+        Y: Tensor,
+        on_iteration: Callable[[Iteration], None] | None = None,
+    ) -> Solution:
+        """Return the minimiser of F and how far it is from the optimum.
+
+        Parameters
+        ----------
+        design : Design
+            Phi, (n_samples, n_features).
+        Y : tensor of shape (n_samples, n_outputs)
+        on_iteration : callable, optional
+            Called with an ``Iteration`` after each.
+
+        Returns
+        -------
+        Solution
+            Its status says whether `tol` was reached.
+
+        Raises
+        ------
+        ValueError
+            If a system is singular to working precision.
+        """
+        functional = _Functional(design, self.C, self.epsilon, self.fit_intercept)
+        equations = _Equations(design, self)
+        coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
+        intercept = torch.zeros_like(coef[0])
+        residual = Y.double().clone()
+        objective, lower = functional.value(coef, residual), 0.0
+        gradient = functional.gradient(coef, residual)
+        objectives, n_iter, has_stagnated = [objective], 0, False
+        # Only a step of 0 leaves n_iter as it is: it changes the equations or, if these are the
+        # reweighted ones, ends the loop.
+        while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
+            direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
+            # One pass over the samples gives all that the step, the next gradient (of a whole step)
+            # and the bound need.
+            change, products = design.matvec_rmatvec(
+                direction, functional.columns(residual, gradient)
+            )
+            # The bound holds for any direction; the best one so far proves the gap.
+            lower = max(
+                lower, functional.lower_bound(objective, gradient, direction, change, products)
+            )
+            # The plain update raises F where epsilon is not small: only a step that lowers it is
+            # taken.
+            decrement = functional.decrement(gradient, direction)
+            step, objective = functional.backtrack(
+                coef, residual, direction, change, objective, decrement
+            )
+            if step == 0 and not equations.is_fixed:
+                gap = _gap(objective, lower)
+                has_stagnated = True
+                break
+            equations.follow(step, decrement)
+            if step == 0:
+                continue
+            coef += step * direction.coef
+            intercept += step * direction.intercept
+            residual -= step * change
+            product = products[:, : Y.shape[1]] if step == 1 else None
+            gradient = functional.gradient(coef, residual, product)
+            objectives.append(objective)
+            n_iter += 1
+            support = functional.support(gradient)  # a sum over ranks: all of them take part
+            if on_iteration is not None:
+                on_iteration(Iteration(n_iter, objective, gradient.norm, step, support))
+        status = Status.STAGNATED if has_stagnated else Status.MAX_ITER
+        return Solution(
+            coef,
+            intercept,
+            objective,
+            gradient.norm,
+            gap,
+            functional.support(gradient),
+            n_iter,
+            Status.CONVERGED if gap <= self.tol else status,
+            objectives,
         )
-        if step == 0 and not is_fixed:
-            gap = _relative(objective - lower, objective)
-            status = Status.STAGNATED
-            break
-        n_slow = n_slow + 1 if step == 0 or decrement > slow_decrease * before else 0
-        if n_slow >= (1 if is_fixed else max_slow_steps):
-            other = other or design.reweighted(C, fit_intercept)
-            is_fixed, n_slow, equations, other = not is_fixed, 0, other, equations
-        if step == 0:
-            continue
-        coef += step * direction.coef
-        intercept += step * direction.intercept
-        residual -= step * change
-        product = products[:, : Y.shape[1]] if step == 1 else None
-        gradient = functional.gradient(coef, residual, product)
-        objectives.append(objective)
-        n_iter += 1
-        told = Iteration(n_iter, objective, gradient.norm, step, functional.support(gradient))
-        if on_iteration is not None:
-            on_iteration(told)
-    if gap <= tol:
-        status = Status.CONVERGED
-    return Solution(
-        coef,
-        intercept,
-        objective,
-        gradient.norm,
-        gap,
-        functional.support(gradient),
-        n_iter,
-        status,
-        objectives,
-    )
+
+
+class _Equations:
+    """The fixed normal equations until a step is slow, the reweighted ones until many are."""
+
+    def __init__(self, design: Design, solver: IRWLS) -> None:
+        self.is_fixed, self._solver, self._design = True, solver, design
+        self._current: NormalEquations = design.fixed(solver.C, solver.fit_intercept)
+        self._other: NormalEquations | None = None
+        self._decrement, self._n_slow = float("inf"), 0
+
+    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+        return self._current.direction(gradient, accuracy)
+
+    def follow(self, step: float, decrement: float) -> None:
+        """Change to the other equations after a slow step of the fixed ones, or many others."""
+        solver = self._solver
+        is_slow = step == 0 or decrement > solver.slow_decrease * self._decrement
+        self._decrement, self._n_slow = decrement, self._n_slow + 1 if is_slow else 0
+        if self._n_slow >= (1 if self.is_fixed else solver.max_slow_steps):
+            other = self._other or self._design.reweighted(solver.C, solver.fit_intercept)
+            self._current, self._other = other, self._current
+            self.is_fixed, self._n_slow = not self.is_fixed, 0
 
 
 @dataclass(frozen=True)
@@ -283,6 +319,26 @@ class _Functional:
         return float(counts[0] / counts[1])
 
 
-def _relative(excess: float, objective: float) -> float:
-    """Return an excess over the objective, at least 0."""
-    return max(excess, 0.0) / max(objective, torch.finfo(torch.float64).tiny)
+def _gap(objective: float, lower: float) -> float:
+    return max(objective - lower, 0.0) / max(objective, torch.finfo(torch.float64).tiny)
+
+
+def loss(u: Tensor, epsilon: float) -> Tensor:
+    """Return L(u) = 0 below epsilon and (u - epsilon)^2 above, Eq. (8); same shape as `u`."""
+    return (u - epsilon).clamp(min=0).square()
+
+
+def derivative(u: Tensor, epsilon: float) -> Tensor:
+    """Return L'(u) = 2 (u - epsilon) above epsilon, 0 below; same shape as `u`."""
+    return 2 * (u - epsilon).clamp(min=0)
+
+
+def weight(u: Tensor, epsilon: float) -> Tensor:
+    """Return a(u) = L'(u) / u, so a_i of Eq. (10) is C a(u_i); 0 inside the tube and at u = 0.
+
+    For epsilon = 0 the weight is 2 everywhere, also at u = 0 (its limit).
+    """
+    if epsilon == 0:
+        return torch.full_like(u, 2.0)
+    outside = u > epsilon
+    return torch.where(outside, derivative(u, epsilon) / torch.where(outside, u, 1.0), 0.0)

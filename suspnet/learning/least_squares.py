@@ -1,23 +1,22 @@
-"""Batched Levenberg-Marquardt: direct least-squares fit of a model's curves, beyond the paper.
+"""Batched Levenberg-Marquardt: the least-squares fit of many rows at once.
 
-It is the model-based method a structural dynamicist would pick instead of a regression.
+Three parts make up the solver: `_Descent` gives damped steps of the quadratic models of all rows,
+`_Damping` searches for a step that is short enough, and `LevenbergMarquardt` puts them together and
+decides when a row has converged.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
-from sklearn.base import BaseEstimator
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_values
-from suspnet.ground.types import FloatArray
-
-Forward = Callable[[Tensor, Tensor], Tensor]
+Residual = Callable[[Tensor, Tensor], Tensor]
+"""``residual(theta, rows)`` gives (n, n_points) residuals for theta (n, n_parameters) and the
+indices (n,) of the rows that it belongs to; row by row, differentiable in theta."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 """Range of the damping, relative to the diagonal of J^T J; a row whose damping reaches an end
 stops."""
@@ -25,10 +24,10 @@ SMALLEST_SHRINKAGE, FIRST_GROWTH = 0.2, 2.0
 """Smallest factor on the damping after a step that is taken, and factor after the first one that is
 not, which doubles with each further one."""
 DIFFERENCE, ONE_SIDED_DIFFERENCE = 1e-4, 1e-5
-"""Steps of central and of one-sided differences; parameters are of the order of 1. A shorter step
-would leave less of the second differences than their rounding."""
+"""Steps of central and of one-sided differences; parameters are of the order of 1. In a shorter
+step the second differences would be mostly rounding."""
 AT_ONCE = 128
-"""Residuals of the Jacobian evaluated in one call at least: those of one row take as long as 30."""
+"""Least number of residuals of the Jacobian evaluated in one call: one takes as long as 30."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +52,9 @@ class LeastSquaresSolution:
     n_iter: int
 
 
-def levenberg_marquardt(
-    residual: Callable[[Tensor, Tensor], Tensor],
-    start: Tensor,
-    *,
-    max_iter: int = 100,
-    tol: float = 1e-8,
-    first_damping: float = 1e-3,
-    bounds: tuple[Tensor, Tensor] | None = None,
-    one_sided: bool = False,
-    least_decrease: float = 0.0,
-) -> LeastSquaresSolution:
-    """Minimise 1/2 |r(theta)|^2 for each row on its own, all rows at once.
+@dataclass(frozen=True)
+class LevenbergMarquardt:
+    """Minimises 1/2 |r(theta)|^2 for each row on its own, all rows at once.
 
     A step d solves (H + lambda diag H) d = -J^T r, where H is J^T J or J^T J + diag max(s, 0) with
     s_i = r^T d^2 r / d theta_i^2, whichever predicted the decrease by the step before better (as
@@ -74,16 +64,12 @@ def levenberg_marquardt(
     damping lambda follows the ratio of the decrease to the one predicted (Nielsen, Damping
     parameter in Marquardt's method, 1999).
 
-    Rows that have converged take one step more. Two searches of the same row can differ by a whole
-    step of length `tol`, as rounding decides whether one of about that length ends them; the step
-    more reduces this difference twice by the rate of convergence of Gauss-Newton.
+    Rows that have converged take one more step. Two searches of the same row can differ by a whole
+    step of length `tol`, as rounding decides whether one of about that length ends them; the
+    further step reduces this difference twice by the rate of convergence of Gauss-Newton.
 
     Parameters
     ----------
-    residual : callable
-        ``residual(theta, rows)`` gives (n, n_points) residuals for theta (n, n_parameters) and
-        the indices (n,) of the rows it belongs to; row by row, differentiable in theta.
-    start : tensor of shape (n_rows, n_parameters)
     max_iter : int
     tol : float
         A row has converged when every parameter moves by less than this (relative to 1 + |theta|).
@@ -96,90 +82,150 @@ def levenberg_marquardt(
     least_decrease : float
         A row has also converged when its next step would lower the cost by no more: for
         residuals in units of the noise, by a hundredth of what the noise does, say.
-
-    Returns
-    -------
-    LeastSquaresSolution
     """
-    low, high = bounds or (start.new_full((1,), -math.inf), start.new_full((1,), math.inf))
 
-    everything = rows = torch.arange(len(start), device=start.device)
-    theta = start.clamp(low, high)
-    values = residual(theta, rows)
-    gradient, second = torch.zeros_like(theta), torch.zeros_like(theta)
-    information = theta.new_zeros(*theta.shape, theta.shape[1])
-    moved = torch.ones_like(rows, dtype=torch.bool)
+    max_iter: int = 100
+    tol: float = 1e-8
+    first_damping: float = 1e-3
+    bounds: tuple[Tensor, Tensor] | None = None
+    one_sided: bool = False
+    least_decrease: float = 0.0
 
-    def linearise() -> None:
-        """Renew gradient, J^T J and second derivatives of rows that moved.
+    def minimise(self, residual: Residual, start: Tensor) -> LeastSquaresSolution:
+        """Return the fit of each row from its start, (n_rows, n_parameters)."""
+        unbounded = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
+        descent = _Descent(residual, start, self.bounds or unbounded, self.one_sided)
+        damping = _Damping(start.new_full((len(start),), self.first_damping))
+        every = rows = torch.arange(len(start), device=start.device)
+        converged = torch.zeros_like(rows, dtype=torch.bool)
+        n_iter = 0
+        while n_iter < self.max_iter and len(rows):
+            n_iter += 1
+            trial = descent.trial(rows, damping.value[rows])
+            better = (trial.decrease >= 0) & trial.solved
+            damping.follow(rows, better, trial.ratio)
+            converged[rows] = self._has_converged(trial, better, damping.value[rows])
+            descent.take(rows, better, trial)
+            rows = rows[~converged[rows] & (damping.value[rows] < LARGEST_DAMPING)]
+        trial = descent.trial(every, damping.value)
+        # so small a step changes the cost by no more than its rounding, which must not decide
+        last = converged & trial.solved & trial.is_small(self.tol)
+        last &= trial.cost <= trial.cost_before * (1 + 1e-12)
+        descent.take(every, last, trial)
+        descent.linearise()
+        return LeastSquaresSolution(
+            descent.theta, _cost(descent.values), descent.information, converged, n_iter
+        )
 
-        Parameters that are pressed against a bound are left out.
-        """
-        which = moved.nonzero()[:, 0]
-        if not len(which):
+    def _has_converged(self, trial: _Trial, better: Tensor, damping: Tensor) -> Tensor:
+        # a small step that raises the cost is an end only if it is not the damping that made it so
+        converged = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
+        if self.least_decrease:
+            converged |= trial.solved & (trial.left <= self.least_decrease)
+        return converged
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Steps of some rows that may be taken, and what the quadratic models expected of them."""
+
+    before: Tensor
+    theta: Tensor
+    values: Tensor
+    solved: Tensor
+    cost_before: Tensor
+    predicted: Tensor
+    left: Tensor
+    """-g^T d / 2 of the step before the bounds cut it: about what there is left to gain."""
+
+    @property
+    def cost(self) -> Tensor:
+        return _cost(self.values)
+
+    @property
+    def decrease(self) -> Tensor:
+        return self.cost_before - self.cost
+
+    @property
+    def ratio(self) -> Tensor:
+        return self.decrease / self.predicted
+
+    def is_small(self, tol: float) -> Tensor:
+        """Return whether no parameter of a row moves by more than `tol` times 1 + |theta|."""
+        step = self.theta - self.before
+        return (step.abs() <= tol * (1 + self.before.abs())).all(dim=1)
+
+
+class _Descent:
+    """Where every row is, with its quadratic models, made again only for rows that moved."""
+
+    def __init__(
+        self, residual: Residual, start: Tensor, bounds: tuple[Tensor, Tensor], one_sided: bool
+    ) -> None:
+        self.residual, self.bounds, self.one_sided = residual, bounds, one_sided
+        rows = torch.arange(len(start), device=start.device)
+        self.theta = start.clamp(*bounds)
+        self.values = residual(self.theta, rows)
+        self.gradient, self.second = torch.zeros_like(self.theta), torch.zeros_like(self.theta)
+        self.information = self.theta.new_zeros(*self.theta.shape, self.theta.shape[1])
+        self.is_curved = torch.zeros_like(rows, dtype=torch.bool)
+        self._moved = torch.ones_like(rows, dtype=torch.bool)
+
+    def linearise(self) -> None:
+        """Compute gradient, J^T J and second derivatives of rows that moved."""
+        rows = self._moved.nonzero()[:, 0]
+        if not len(rows):
             return
-        here, there = theta[which], values[which]
-        jacobian, curved = _derivatives(residual, here, which, there, one_sided)
-        slope = (jacobian @ there[:, :, None])[:, :, 0]
-        pressed = ((here <= low) & (slope > 0)) | ((here >= high) & (slope < 0))
+        theta, values, (low, high) = self.theta[rows], self.values[rows], self.bounds
+        jacobian, second = _derivatives(self.residual, theta, rows, values, self.one_sided)
+        slope = (jacobian @ values[:, :, None])[:, :, 0]
+        # what is pressed against a bound is left out
+        pressed = ((theta <= low) & (slope > 0)) | ((theta >= high) & (slope < 0))
         jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
-        gradient[which] = slope.masked_fill(pressed, 0.0)
-        information[which] = jacobian @ jacobian.transpose(1, 2)
-        second[which] = curved.clamp(min=0).masked_fill(pressed, 0.0)
-        moved[which] = False
+        self.gradient[rows] = slope.masked_fill(pressed, 0.0)
+        self.information[rows] = jacobian @ jacobian.transpose(1, 2)
+        self.second[rows] = second.clamp(min=0).masked_fill(pressed, 0.0)
+        self._moved[rows] = False
 
-    def move(which: Tensor, taken: Tensor, trial: Tensor, trial_values: Tensor) -> None:
-        """Let rows take their steps, where these are taken."""
-        theta[which] = torch.where(taken[:, None], trial, theta[which])
-        values[which] = torch.where(taken[:, None], trial_values, values[which])
-        moved[which] = taken
+    def trial(self, rows: Tensor, damping: Tensor) -> _Trial:
+        """Return damped steps; from then on a row has the model that predicted its step better."""
+        self.linearise()
+        before, gradient, plain = self.theta[rows], self.gradient[rows], self.information[rows]
+        is_curved, curvature = self.is_curved[rows], torch.diag_embed(self.second[rows])
+        step, solved = _damped_step(gradient, plain + is_curved[:, None, None] * curvature, damping)
+        theta = (before + step).clamp(*self.bounds)
+        values = self.residual(theta, rows)
+        cost_before = _cost(self.values[rows])
+        decrease = cost_before - _cost(values)
+        by_plain = _model_decrease(gradient, plain, theta - before)
+        by_curved = _model_decrease(gradient, plain + curvature, theta - before)
+        self.is_curved[rows] = (decrease - by_curved).abs() < (decrease - by_plain).abs()
+        predicted = torch.where(is_curved, by_curved, by_plain)
+        left = -0.5 * (gradient * step).sum(dim=1)
+        return _Trial(before, theta, values, solved, cost_before, predicted, left)
 
-    damping = theta.new_full((len(start),), first_damping)
-    growth = torch.full_like(damping, FIRST_GROWTH)
-    is_curved = torch.zeros_like(rows, dtype=torch.bool)
-    converged = torch.zeros_like(rows, dtype=torch.bool)
-    n_iter = 0
-    while n_iter < max_iter and len(rows):
-        n_iter += 1
-        linearise()
-        here, here_cost = theta[rows], _cost(values[rows])
-        curvature = torch.diag_embed(second[rows])
-        hessian = information[rows] + is_curved[rows, None, None] * curvature
-        step, solved = _damped_step(gradient[rows], hessian, damping[rows])
-        trial = (here + step).clamp(low, high)
-        trial_values = residual(trial, rows)
-        decrease = here_cost - _cost(trial_values)
-        better = (decrease >= 0) & solved
-        plain = _model_decrease(gradient[rows], information[rows], trial - here)
-        curved = _model_decrease(gradient[rows], information[rows] + curvature, trial - here)
-        ratio = decrease / torch.where(is_curved[rows], curved, plain)
-        is_curved[rows] = (decrease - curved).abs() < (decrease - plain).abs()
+    def take(self, rows: Tensor, taken: Tensor, trial: _Trial) -> None:
+        """Move rows to the end of their steps, where these are taken."""
+        self.theta[rows] = torch.where(taken[:, None], trial.theta, self.theta[rows])
+        self.values[rows] = torch.where(taken[:, None], trial.values, self.values[rows])
+        self._moved[rows] = taken
+
+
+class _Damping:
+    """The damping of every row, by Nielsen's rule."""
+
+    def __init__(self, first: Tensor) -> None:
+        self.value, self._growth = first, torch.full_like(first, FIRST_GROWTH)
+
+    def follow(self, rows: Tensor, better: Tensor, ratio: Tensor) -> None:
+        """Shrink it as far as the decrease was the one predicted; grow it if there was none."""
         shrinkage = (1 - (2 * ratio.nan_to_num(1.0) - 1) ** 3).clamp(SMALLEST_SHRINKAGE, 2.0)
-        factor = torch.where(better, shrinkage, growth[rows])
-        growth[rows] = torch.where(better, FIRST_GROWTH, 2 * growth[rows])
-        damping[rows] = (damping[rows] * factor).clamp(SMALLEST_DAMPING, LARGEST_DAMPING)
-        small = _is_small(trial - here, here, tol) & solved
-        converged[rows] = small & (better | (damping[rows] < 1))
-        if least_decrease:
-            left = -0.5 * (gradient[rows] * step).sum(dim=1)
-            converged[rows] |= solved & (left <= least_decrease)
-        move(rows, better, trial, trial_values)
-        rows = rows[~converged[rows] & (damping[rows] < LARGEST_DAMPING)]
-    linearise()
-    hessian = information + torch.diag_embed(is_curved[:, None] * second)
-    step, solved = _damped_step(gradient, hessian, damping)
-    trial = (theta + step).clamp(low, high)
-    trial_values = residual(trial, everything)
-    # so small a step changes the cost by no more than its rounding, which must not decide
-    taken = converged & solved & _is_small(trial - theta, theta, tol)
-    taken &= _cost(trial_values) <= _cost(values) * (1 + 1e-12)
-    move(everything, taken, trial, trial_values)
-    linearise()
-    return LeastSquaresSolution(theta, _cost(values), information, converged, n_iter)
+        factor = torch.where(better, shrinkage, self._growth[rows])
+        self._growth[rows] = torch.where(better, FIRST_GROWTH, 2 * self._growth[rows])
+        self.value[rows] = (self.value[rows] * factor).clamp(SMALLEST_DAMPING, LARGEST_DAMPING)
 
 
 def _cost(values: Tensor) -> Tensor:
-    """Return half the sum of squares of each row."""
     return 0.5 * values.square().sum(dim=1)
 
 
@@ -188,11 +234,6 @@ def _model_decrease(gradient: Tensor, hessian: Tensor, step: Tensor) -> Tensor:
     slope = gradient + 0.5 * (hessian @ step[:, :, None])[:, :, 0]
     decrease: Tensor = -(slope * step).sum(dim=1)
     return decrease
-
-
-def _is_small(step: Tensor, theta: Tensor, tol: float) -> Tensor:
-    """Return whether no parameter of a row moves by more than `tol` relative to 1 + |theta|."""
-    return (step.abs() <= tol * (1 + theta.abs())).all(dim=1)
 
 
 def _damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
@@ -204,98 +245,6 @@ def _damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> tuple[Te
     step, info = torch.linalg.solve_ex(system, -gradient[:, :, None])
     solved = (info == 0) & torch.isfinite(step[:, :, 0]).all(dim=1)
     return torch.where(solved[:, None], step[:, :, 0], 0.0), solved
-
-
-class CurveFit(BaseEstimator):  # type: ignore[misc]
-    """Fit a model's curves directly, starting from the nearest of a set of scattered curves.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a parameter is out of range.
-    """
-
-    settings: ClassVar[Mapping[str, Setting]] = {
-        "n_starts": Setting(
-            "Number of points scattered over the parameter range; the one with the nearest curves "
-            "is "
-            "the start of the fit",
-            low=1,
-        ),
-        "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
-        "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
-    }
-    """What each argument means and which values it takes."""
-
-    works_on_curves: ClassVar[bool] = True
-    distributable: ClassVar[bool] = False
-    gives_deviations: ClassVar[bool] = False
-
-    def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
-        check_values(CurveFit, n_starts=n_starts, max_iter=max_iter, tol=tol)
-        self.n_starts = n_starts
-        self.max_iter = max_iter
-        self.tol = tol
-
-    def state(self) -> dict[str, FloatArray]:
-        """Return no arrays: the method has parameters only."""
-        return {}
-
-    def fit_curves(
-        self, forward: Forward, observed: Tensor, known: Tensor, lower: float, upper: float, n: int
-    ) -> LeastSquaresSolution:
-        """Return the positive parameters whose curves lie nearest to those observed.
-
-        The residual of each curve is divided by its rms, to which the noise is proportional.
-
-        Parameters
-        ----------
-        forward : callable
-            ``forward(parameters, known)`` gives curves (n_rows, n_curves, n_points).
-        observed : tensor of shape (n_rows, n_curves, n_points)
-        known : tensor of shape (n_rows, n_known)
-            What is known of each row.
-        lower, upper : float
-            Range of the starts.
-        n : int
-            Number of parameters.
-        """
-        scale = observed.square().mean(dim=2, keepdim=True).sqrt()
-
-        def residual(log_parameters: Tensor, rows: Tensor) -> Tensor:
-            curves = forward(log_parameters.exp(), known[rows])
-            return ((observed[rows] - curves) / scale[rows]).flatten(1)
-
-        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n)
-        solution = levenberg_marquardt(residual, start.log(), max_iter=self.max_iter, tol=self.tol)
-        return LeastSquaresSolution(
-            solution.parameters.exp(),
-            solution.cost,
-            solution.information,
-            solution.converged,
-            solution.n_iter,
-        )
-
-    def _nearest_start(
-        self,
-        forward: Forward,
-        observed: Tensor,
-        known: Tensor,
-        scale: Tensor,
-        start_range: tuple[float, float],
-        n: int,
-    ) -> Tensor:
-        """Return for each row the Sobol point whose curves lie nearest to the row's."""
-        lower, upper = start_range
-        points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
-        starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))
-        mean_known = known.mean(dim=0, keepdim=True).expand(len(starts), -1)
-        curves = forward(starts, mean_known).flatten(1)
-        shape = observed.shape
-        weights = (1 / scale.square()).expand(shape).flatten(1)
-        flat = observed.flatten(1)
-        misfit = weights @ curves.square().T - 2 * (weights * flat) @ curves.T
-        return starts[misfit.argmin(dim=1)]
 
 
 def _derivatives(

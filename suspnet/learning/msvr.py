@@ -6,6 +6,7 @@ import functools
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -22,8 +23,17 @@ from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
-from suspnet.learning.irwls import Iteration, Solution, Status, irwls
-from suspnet.learning.maps import MAPS
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
+from suspnet.learning.feature_maps import (
+    FourierFeatures,
+    LandmarkFeatures,
+    exact,
+    nystroem,
+    orthogonal_fourier,
+    random_fourier,
+)
+from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
+from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
@@ -204,13 +214,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.callback = callback
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Fit to samples.
-
-        Parameters
-        ----------
-        X : array of shape (n_samples, n_inputs)
-        y : array of shape (n_samples,) or (n_samples, n_outputs)
-        """
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
         self._check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
@@ -242,23 +246,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
         """Return a predictor of each fold's samples by a model fitted to all other folds.
 
-        The models are those of `fit`, but all values of C and epsilon share one Gram matrix, from
-        which a fold's own is subtracted. Only for maps that do not depend on the samples
-        (``shares_gram``).
-
-        Parameters
-        ----------
-        X : array of shape (n_samples, n_inputs)
-        y : array of shape (n_samples, n_outputs)
-        folds : sequence of arrays
-            Row indices; each row is in one fold.
-
-        Returns
-        -------
-        callable
-            From a mapping with C and epsilon, where they are not the model's own, to a list of
-            predictions (n_fold, n_outputs). It raises ValueError if a system is singular to
-            working precision.
+        It takes a mapping with C and epsilon, where they are not the model's own, and gives a list
+        of predictions (n_fold, n_outputs). The models are those of `fit`, but all values of C and
+        epsilon share one Gram matrix, from which a fold's own is subtracted. Only for maps that do
+        not depend on the samples (``shares_gram``); `folds` are row indices, each row in one fold.
         """
         self._check_parameters()
         samples, targets = self._validated(X, y)
@@ -279,7 +270,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         def predict(setting: Mapping[str, float]) -> list[FloatArray]:
             model = clone(self).set_params(**setting)
             model._check_parameters()
-            solutions = (model._solve(design, kept) for design, kept in others)
+            solutions = (model._solve(design, rows) for design, rows in others)
             return [
                 part.predict(Direction(found.coef, found.intercept)).cpu().numpy()
                 for part, found in zip(parts, solutions, strict=True)
@@ -293,13 +284,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return self.feature_map in MAPS and not MAPS[self.feature_map].of_data
 
     def predict(self, X: ArrayLike) -> FloatArray:
-        """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was.
-
-        Raises
-        ------
-        NotFittedError, ValueError
-            If the model is not fitted or `X` does not fit it.
-        """
+        """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
@@ -318,13 +303,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return {"coef": self.coef_, "intercept": self.intercept_, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is; it predicts columns, (n_samples, n_outputs).
-
-        Raises
-        ------
-        ValueError
-            If arrays are missing or their shapes disagree.
-        """
+        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
         self._check_parameters()
         map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
@@ -347,7 +326,6 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     @property
     def _torch_dtype(self) -> torch.dtype:
-        """Return the precision of the features."""
         return torch.float32 if self.dtype == "float32" else torch.float64
 
     def _validated(self, X: ArrayLike, y: ArrayLike) -> tuple[Tensor, Tensor]:
@@ -363,26 +341,15 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
     def _make_map(self, samples: Tensor) -> Any:
-        """Return the feature map for some samples."""
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))
         make = MAPS[self.feature_map].make
         return make(samples, self.sigma, self.n_components, seed, self.kernel_tol)
 
     def _solve(self, design: Design, targets: Tensor) -> Solution:
-        """Return the minimiser of F for a design and targets."""
-        return irwls(
-            design,
-            targets,
-            self.C,
-            self.epsilon,
-            fit_intercept=self.fit_intercept,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            on_iteration=self.callback,
-        )
+        solver = IRWLS(self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol)
+        return solver.minimise(design, targets, self.callback)
 
     def _check_parameters(self) -> None:
-        """Raise TypeError or ValueError if a parameter is wrong."""
         check_settings(self)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
@@ -397,3 +364,40 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
                 f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
                 "feature_map='rff'"
             )
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """A kind of feature map: how it is made, what it is, and the design matrix it gives.
+
+    Attributes
+    ----------
+    make : callable
+        ``make(X, sigma, n_components, seed, kernel_tol)`` gives the map for samples X.
+    holds : type
+        What the map is, made again from its tensors.
+    design : type
+    of_data : bool
+        Whether the map depends on the samples.
+    float32 : bool
+        Whether its Gram matrix may be summed in single precision.
+    on_gpu : bool
+        Whether it runs on other devices than the CPU.
+    """
+
+    make: Callable[[Tensor, float, int, int, float], Any]
+    holds: type[Any]
+    design: type[Any] = DenseDesign
+    of_data: bool = True
+    float32: bool = False
+    on_gpu: bool = True
+
+
+MAPS = {
+    "rff": MapKind(random_fourier, FourierFeatures, of_data=False, float32=True),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
+    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
+    "exact": MapKind(exact, LandmarkFeatures),
+}
+"""The feature maps by name. To add one, write it next to these and enter it here."""

@@ -21,7 +21,7 @@ from torch import Tensor
 from suspnet.ground.settings import Setting, check_settings
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray
-from suspnet.learning.landmarks import rbf_kernel, squared_distances
+from suspnet.learning.feature_maps import rbf_kernel, squared_distances
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
@@ -270,7 +270,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return self
 
     def _check_parameters(self) -> None:
-        """Raise TypeError or ValueError if a parameter is wrong."""
         check_settings(self)
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
@@ -315,8 +314,9 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             if self.callback is not None:
                 length, noise = np.exp(theta)
                 likelihood = float(value.detach())
-                told = LikelihoodEvaluation(evaluations, likelihood, float(length), float(noise))
-                self.callback(told)
+                self.callback(
+                    LikelihoodEvaluation(evaluations, likelihood, float(length), float(noise))
+                )
             gradient = logs.grad if logs.grad is not None else torch.zeros_like(logs)
             return -float(value.detach()), -gradient.cpu().numpy()
 
@@ -346,7 +346,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
 
 def _cholesky(kernel: Tensor) -> Tensor:
-    """Return the lower Cholesky factor; raise ValueError if there is none."""
     factor: Tensor
     factor, info = torch.linalg.cholesky_ex(kernel)
     if int(info):

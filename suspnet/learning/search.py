@@ -150,11 +150,11 @@ class GridSearch:
                 levels[key] = sorted([*levels[key], value])
             near = _neighbours(levels, result.best)
             trials.measure([setting for setting in near if setting not in result.settings])
-        wider, told = self._beyond(name, levels, trials)
+        wider, capped = self._beyond(name, levels, trials)
         why = (
             f"the box was widened {self.widen} times" if self.widen else "the box is that asked for"
         )
-        result.edges.update(told)
+        result.edges.update(capped)
         result.edges.update({key: _words(key, result.best[key], why) for key in wider})
         return result
 
@@ -162,7 +162,7 @@ class GridSearch:
         self, name: str, levels: Levels, trials: _Trials
     ) -> tuple[dict[str, float], dict[str, str]]:
         """Return the next value beyond each edge the optimum is on, and what a cap forbids."""
-        wider, told = {}, {}
+        wider, capped = {}, {}
         best = trials.result.best
         for key, values in levels.items():
             value = best[key]
@@ -176,11 +176,10 @@ class GridSearch:
             if cap.get("low", 0.0) <= beyond <= cap.get("high", math.inf):
                 wider[key] = beyond
             else:
-                told[key] = _words(key, value, cap["reason"])
-        return wider, told
+                capped[key] = _words(key, value, cap["reason"])
+        return wider, capped
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
-        """Return a method's grid; raise ValueError if it has none."""
         if name not in self.grids:
             raise ValueError(f"the search has no grid for {name!r}, only for {sorted(self.grids)}")
         return self.grids[name]
@@ -188,8 +187,6 @@ class GridSearch:
 
 @dataclass
 class _Trials:
-    """The settings measured so far, with the RMSE of each fold."""
-
     estimator: Any
     X: FloatArray
     Y: FloatArray
@@ -200,7 +197,7 @@ class _Trials:
     errors: list[FloatArray] = field(default_factory=list)
 
     def measure(self, settings: Sequence[dict[str, Any]]) -> None:
-        """Add settings and their RMSE to the result; tell the listener of each."""
+        """Add settings and their RMSE to the result; call the listener with each."""
         result, first = self.result, len(self.result.settings)
         result.settings.extend(settings)
         result.rmse.extend([math.inf] * len(settings))
@@ -236,7 +233,6 @@ class _Trials:
 
 
 def _words(key: str, value: float, why: str) -> str:
-    """Return a sentence on an optimum on the edge of the grid."""
     return f"the best {key}, {value:g}, is on the edge: {why}"
 
 
@@ -264,10 +260,12 @@ def _groups(estimator: Any, settings: Sequence[Mapping[str, Any]]) -> list[list[
     groups: dict[str, list[int]] = {}
     for k, chosen in enumerate(settings):
         candidate = clone(estimator).set_params(**chosen)
-        apart: Any = chosen
+        shared: Any = chosen
         if isinstance(candidate, MSVR) and candidate.shares_gram:
-            apart = {key: value for key, value in chosen.items() if key not in SAME_GRAM_PARAMETERS}
-        groups.setdefault(repr(apart), []).append(k)
+            shared = {
+                key: value for key, value in chosen.items() if key not in SAME_GRAM_PARAMETERS
+            }
+        groups.setdefault(repr(shared), []).append(k)
     return list(groups.values())
 
 

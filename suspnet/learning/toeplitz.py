@@ -182,13 +182,11 @@ class ToeplitzEquations:
         return solution
 
     def _precondition(self, vector: Tensor) -> Tensor:
-        """Return the preconditioner times a vector."""
         found = vector / self._diagonal[:, None]
         found[self._leading] = self._inverse @ vector[self._leading]
         return found
 
     def _invert_leading(self, n_block: int) -> None:
-        """Invert the matrix's block of the strongest waves."""
         n_waves = len(self._design.waves)
         self._n_block = n_block
         self._leading = torch.cat([torch.arange(n_block), n_waves + torch.arange(n_block - 1)])

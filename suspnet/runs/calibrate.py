@@ -18,7 +18,7 @@ from suspnet.estimation.physics import WORN, Residual, Unexplained
 from suspnet.estimation.problem import CALIBRATE, TRAIN, Problem
 from suspnet.ground.types import FloatArray
 from suspnet.runs.predict import refine_stream, regress_stream
-from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 128
 """Refined calibration curves from which the usual misfit is learnt; the second where uncertain

@@ -1,24 +1,17 @@
-"""Folders of simulated trips: one simulation each, which goes on after an interruption."""
+"""Folders of simulated trips: one simulation each, which continues after an interruption."""
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Any
 
-from suspnet._version import __version__
 from suspnet.ground import ledger
-from suspnet.ground.storage import content_hash, locked, read_json, write_json
+from suspnet.ground.storage import locked, read_json, write_json
 from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.trains import Aboard, Trains
 
 log = logging.getLogger(__name__)
 TRUTH = "truth.json"
@@ -29,25 +22,9 @@ class FolderTakenError(ValueError):
     """A folder holds the trips of another simulation."""
 
 
-def described(
-    fleet: Fleet,
-    scenario: Scenario,
-    generator: Any,
-    seed: int,
-    scatter: float,
-    trains: Trains | Aboard | None = None,
-) -> str:
-    """Return a hash of all that the trips of a simulation depend on."""
-    parts: list[Any] = [asdict(fleet), asdict(scenario), type(generator).__name__]
-    parts += [asdict(generator), seed, scatter, __version__]
-    if trains is not None:
-        parts.append(asdict(trains))
-    return content_hash(json.loads(json.dumps(parts, default=str)))
-
-
 @contextmanager
 def own_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder into which no other simulation is writing: this one, or one beside it."""
+    """Yield a folder into which no other simulation is writing: this one, or one next to it."""
     for number in count(1):  # ends: there are fewer simulations than numbers
         tried = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
         existed = tried.is_dir()
@@ -73,7 +50,7 @@ def unfinished(
     ----------
     folder : Path
     made_from : str
-        As `described` gives it.
+        Hash of all that its trips depend on.
     n_all, n_missing : int
         Number of its trips or suspensions, and of those that are not there yet.
     what : {"trips", "suspensions"}
@@ -111,7 +88,6 @@ def unfinished(
 
 
 def _holds_trips(folder: Path) -> bool:
-    """Return whether a folder, or one in it, holds a manifest."""
     return any(any(folder.glob(pattern)) for pattern in ("*.yaml", "*/*.yaml"))
 
 

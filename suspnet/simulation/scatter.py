@@ -9,15 +9,14 @@ import numpy as np
 import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED, LogNormal
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
 
 MAX_DRAWS = 100
 """Number of draws after which no vehicle is taken to be physical."""
 STREAM = b"scatter"
-"""Sets the stream of these draws apart from those of trips and pay-load with the same seed."""
+"""Makes these draws independent of those of trips and payload with the same seed."""
 HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
 
 
@@ -102,6 +101,5 @@ def _with_numbers(
 
 
 def _decays(generator: QuarterCar | VerticalVehicle) -> bool:
-    """Return whether all free motion of the healthy vehicle decays."""
     a, *_ = generator.motion_system(torch.ones(len(PARAMETERS))).state_space()
     return bool(np.linalg.eigvals(a).real.max() < 0)

@@ -1,14 +1,16 @@
-"""The motion of one simulated trip: track and journey -> what the places of the sensors feel."""
+"""The signals of one simulated trip: its journey, the motion it causes, and what sensors record."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from suspnet.dynamics.journey import Journey
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
 from suspnet.dynamics.track import TrackProfile
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
 
 BLOCK = 1 << 18
@@ -17,6 +19,7 @@ LEAD_IN_S = 20.0
 """Time simulated before a trip that starts at speed [s], in which the transient decays."""
 MARGIN_M = 50.0
 """Length of track before the first and behind the last wheelset [m]."""
+STANDARD_GRAVITY = 9.80665
 
 
 def simulate_trip(
@@ -81,11 +84,212 @@ def profile_length_m(system: LinearSystem, journey: Journey) -> float:
 
 
 def _lead_in_s(journey: Journey) -> float:
-    """Return the time simulated before the trip begins, [s]."""
     return LEAD_IN_S if journey.speeds_m_per_s[0] > 0 else 0.0
 
 
 def _start_m(system: LinearSystem, journey: Journey) -> float:
-    """Return the position of the measured wheelset on the track when the trip begins, [m]."""
+    """Return the position of the measured wheelset on the track when the trip starts, [m]."""
     lead_m = _lead_in_s(journey) * float(journey.speeds_m_per_s[0])
     return max(system.behind_m) + lead_m + MARGIN_M
+
+
+@dataclass(frozen=True, eq=False)
+class Journey:
+    """Speed as straight lines between instants; position and acceleration follow exactly.
+
+    Attributes
+    ----------
+    times_s : array of shape (n_instants,), [s]
+        Ascending, from 0.
+    speeds_m_per_s : array of shape (n_instants,), [m/s]
+
+    Raises
+    ------
+    ValueError
+        If the instants do not ascend from 0 or a speed is negative.
+    """
+
+    times_s: FloatArray
+    speeds_m_per_s: FloatArray
+
+    def __post_init__(self) -> None:
+        times, speeds = self.times_s, self.speeds_m_per_s
+        if times.ndim != 1 or times.shape != speeds.shape or len(times) < 2:
+            raise ValueError("a journey needs at least two instants, each with a speed")
+        if times[0] != 0 or not (np.diff(times) > 0).all():
+            raise ValueError("the instants of a journey must ascend from 0")
+        if not (np.isfinite(speeds).all() and (speeds >= 0).all() and speeds.max() > 0):
+            raise ValueError("the speeds of a journey must be >= 0 and finite, one of them > 0")
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the journey, [s]."""
+        return float(self.times_s[-1])
+
+    @property
+    def distance_m(self) -> float:
+        """Distance covered, [m]."""
+        return float(self.at(self.times_s[-1:])[0][0])
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position [m], speed [m/s] and acceleration [m/s^2] at given times.
+
+        Before the first and after the last instant the speed stays what it is there.
+        """
+        knots, speeds = self.times_s, self.speeds_m_per_s
+        slopes = np.concatenate([[0.0], np.diff(speeds) / np.diff(knots), [0.0]])
+        covered = np.cumsum(np.diff(knots) * 0.5 * (speeds[1:] + speeds[:-1]))
+        positions = np.concatenate([[0.0, 0.0], covered])
+        piece = np.searchsorted(knots, times_s, side="right")
+        start = np.maximum(piece - 1, 0)
+        elapsed = times_s - knots[start]
+        acceleration = slopes[piece]
+        speed = speeds[start] + acceleration * elapsed
+        position = positions[start + 1] + (speeds[start] + 0.5 * acceleration * elapsed) * elapsed
+        return position, speed, acceleration
+
+
+def steady_journey(speed_m_per_s: float, duration_s: float) -> Journey:
+    """Return a journey at one speed."""
+    return Journey(np.array([0.0, duration_s]), np.full(2, speed_m_per_s))
+
+
+def service_journey(
+    cruise_m_per_s: float, duration_s: float, n_stops: int, seed: int, ripple: float = 0.01
+) -> Journey:
+    """Return a journey that starts from a station, cruises, calls at stops and ends at one.
+
+    The train gathers speed at 0.4 m/s^2, brakes at 0.6 m/s^2, waits 2 minutes; while cruising the
+    speed wanders by `ripple` (rms, a new value every minute). Every fifth stretch or so is run at
+    60 to 90 % of the cruising speed.
+
+    Parameters
+    ----------
+    cruise_m_per_s : float, [m/s]
+    duration_s : float, [s]
+    n_stops : int
+        Between the first and the last station.
+    seed : int
+    ripple : float, [-]
+
+    Raises
+    ------
+    ValueError
+        If the stretches between stops are too short to reach the cruising speed.
+    """
+    rng = np.random.default_rng(seed)
+    stretch_s = (duration_s - 120.0 * n_stops) / (n_stops + 1)
+    ramp_s = cruise_m_per_s / 0.4 + cruise_m_per_s / 0.6
+    if stretch_s < ramp_s + 120:
+        raise ValueError(
+            f"{n_stops} stops in {duration_s:g} s leave {stretch_s:.0f} s between them; speeding "
+            f"up to {cruise_m_per_s:g} m/s and braking take {ramp_s:.0f} s"
+        )
+    times, speeds = [0.0], [0.0]
+    for stop in range(n_stops + 1):
+        top = cruise_m_per_s * (rng.uniform(0.6, 0.9) if rng.random() < 0.2 else 1.0)
+        start = times[-1]
+        cruise = np.arange(start + top / 0.4, start + stretch_s - top / 0.6, 60.0)
+        times += [*cruise, start + stretch_s]
+        wander = 1 + ripple * rng.standard_normal(len(cruise))
+        speeds += [*np.minimum(top * wander, cruise_m_per_s), 0.0]
+        # brake from the last cruising speed only where braking has to start
+        times.insert(-1, start + stretch_s - speeds[-2] / 0.6)
+        speeds.insert(-1, speeds[-2])
+        if stop < n_stops:
+            times.append(times[-1] + 120.0)
+            speeds.append(0.0)
+    ascending = np.concatenate([[True], np.diff(times) > 1e-6])
+    return Journey(np.array(times)[ascending], np.array(speeds)[ascending])
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One accelerometer and its data logger.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    rate_hz: Annotated[
+        float, Setting("Sampling rate of the axle box's sensor", "Hz", above=0, most=1e6)
+    ]
+    snr_db: float | None = setting(
+        34.0, "White noise relative to the signal; null is none", "dB", low=-20, high=200
+    )
+    range_g: float | None = setting(
+        None,
+        "Acceleration beyond which the signal is cut off, 2 in Table VII; null is no limit",
+        "g",
+        above=0,
+        most=1e6,
+    )
+    precision: float = setting(
+        0.0, "White noise relative to range_g, 0.001 in Table VII", low=0, most=100000
+    )
+    offset_m_per_s2: float = setting(0.0, "Constant offset", "m/s²", low=-1e6, most=1e6)
+    drift_m_per_s2_per_h: float = setting(
+        0.0, "Drift of the offset", "m/s² per h", low=-1e6, most=1e6
+    )
+    dropouts_per_h: float = setting(
+        0.0,
+        "Mean number of drop-outs, in which the last value is held or is NaN, in turn",
+        "per h",
+        low=0,
+        most=100000,
+    )
+    dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, most=1e6)
+    clock_offset_s: float = setting(
+        0.0,
+        "Delay of the sensor's clock, which the manifest does not tell",
+        "s",
+        low=-1e6,
+        most=1e6,
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self, "sensor")
+        if self.precision > 0 and self.range_g is None:
+            raise ValueError("sensor `precision` is relative to `range_g`, which is not given")
+
+    @property
+    def range_m_per_s2(self) -> float | None:
+        """The largest acceleration that can be recorded, [m/s^2]."""
+        return None if self.range_g is None else self.range_g * STANDARD_GRAVITY
+
+    def record(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return what is recorded of an acceleration sampled at `rate_hz`, [m/s^2].
+
+        Parameters
+        ----------
+        signal : array of shape (n_samples,), [m/s^2]
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        array of shape (n_samples,), [m/s^2]
+        """
+        noise = 0.0
+        if self.snr_db is not None:
+            noise = float(np.sqrt(np.mean(signal**2))) * 10 ** (-self.snr_db / 20)
+        full_scale = self.range_m_per_s2 or math.inf
+        if self.precision > 0:
+            noise = math.hypot(noise, self.precision * full_scale)
+        late = np.arange(len(signal)) - round(self.clock_offset_s * self.rate_hz)
+        recorded = signal[late.clip(0, len(signal) - 1)]
+        recorded += noise * rng.standard_normal(len(signal))
+        hours = np.arange(len(signal)) / (self.rate_hz * 3600)
+        recorded += self.offset_m_per_s2 + self.drift_m_per_s2_per_h * hours
+        np.clip(recorded, -full_scale, full_scale, out=recorded)
+        return self._dropped(recorded, rng)
+
+    def _dropped(self, recorded: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return a recording with drop-outs at random times: held values and NaN in turn."""
+        length = round(self.dropout_s * self.rate_hz)
+        hours = len(recorded) / (self.rate_hz * 3600)
+        for i in range(rng.poisson(self.dropouts_per_h * hours)):
+            first = int(rng.integers(1, max(2, len(recorded) - length)))
+            recorded[first : first + length] = np.nan if i % 2 else recorded[first - 1]
+        return recorded

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import io
+import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -20,21 +21,21 @@ from joblib import effective_n_jobs
 from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
-from suspnet.dynamics import PARAMETERS, Vehicle
+from suspnet._version import __version__
+from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.track import cross_level_spectrum, make_profile, track_spectrum
+from suspnet.dynamics.track import make_profile
+from suspnet.dynamics.track_spectra import cross_level_spectrum, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.folders import TRUTH, described, is_whole, own_folder, unfinished
+from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, Suspension, Trains
+from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.simulation.scatter import scattered, true_numbers
-from suspnet.simulation.scenarios import Scenario
 from suspnet.simulation.signals import profile_length_m, simulate_trip
-from suspnet.simulation.trains import FIRST_DAY, Aboard
 
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)
@@ -63,29 +64,14 @@ class SimulatedVehicle(Protocol):
         ...
 
 
-def write_fleet(
-    folder: Path,
-    fleet: Fleet,
-    scenario: Scenario,
-    generator: SimulatedVehicle,
-    *,
-    seed: int = 0,
-    scatter: float = 0.0,
-    aboard: Aboard | None = None,
-    n_jobs: int = 1,
-    progress: bool = False,
-) -> list[Path]:
-    """Simulate trips and write each as a manifest with a folder of Parquet files.
-
-    The numbers of the healthy vehicle that was simulated stand in ``truth.json`` beside them. Until
-    all trips are there ``unfinished.json`` says which simulation they are of: the same one goes on
-    with those that are missing.
+@dataclass(frozen=True)
+class Simulation:
+    """What is simulated: trips of suspensions that follow a scenario.
 
     Parameters
     ----------
-    folder : Path
-        Another one beside it, folder_2 or so, if a simulation is just writing to it.
     fleet : Fleet
+        Of each suspension.
     scenario : Scenario
     generator : SimulatedVehicle
         ``QuarterCar`` or ``VerticalVehicle``.
@@ -95,6 +81,43 @@ def write_fleet(
     scatter : float, [-]
         How far the true numbers lie from the generator's nominal ones: 0 not at all, 1 as far as
         their priors say; see `scattered`.
+    """
+
+    fleet: Fleet
+    scenario: Scenario
+    generator: SimulatedVehicle
+    seed: int = 0
+    scatter: float = 0.0
+
+    def made_from(self, place: Trains | Aboard | None) -> str:
+        """Return a hash of all that the trips depend on."""
+        parts: list[Any] = [asdict(self.fleet), asdict(self.scenario)]
+        parts += [type(self.generator).__name__, asdict(self.generator)]  # type: ignore[call-overload]
+        parts += [self.seed, self.scatter, __version__]
+        if place is not None:
+            parts.append(asdict(place))
+        return content_hash(json.loads(json.dumps(parts, default=str)))
+
+
+def write_fleet(
+    folder: Path,
+    simulation: Simulation,
+    *,
+    aboard: Aboard | None = None,
+    n_jobs: int = 1,
+    progress: bool = False,
+) -> list[Path]:
+    """Simulate trips and write each as a manifest with a folder of Parquet files.
+
+    The numbers of the healthy vehicle that was simulated are stored in ``truth.json``. Until all
+    trips are there ``unfinished.json`` says which simulation they are of: the same one continues
+    with those that are missing.
+
+    Parameters
+    ----------
+    folder : Path
+        Another one next to it, folder_2 or so, if a simulation is writing to it.
+    simulation : Simulation
     aboard : Aboard, optional
         Where on which train the suspension is, and what its trips share with those of the others
         there. None: it is alone.
@@ -110,13 +133,14 @@ def write_fleet(
     Raises
     ------
     ValueError
-        If no physical vehicle can be drawn, or `fleet` asks for both sides of a vehicle that has no
-        roll, or if the folder holds other trips.
+        If no physical vehicle can be drawn, or the fleet asks for both sides of a vehicle that has
+        no roll, or if the folder holds other trips.
     LostWorkerError
         If the processes that wrote a trip were killed.
     """
-    made_from = described(fleet, scenario, generator, seed, scatter, aboard)
-    generator = scattered(generator, scatter, seed)
+    fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
+    made_from = simulation.made_from(aboard)
+    generator = scattered(simulation.generator, simulation.scatter, seed)
     _check_sides(fleet, generator)
     mileage = fleet.mileage_km()
     ratios = scenario.ratios(mileage, seed)
@@ -124,7 +148,7 @@ def write_fleet(
         "vehicle": generator.vehicle.name,
         "generator": type(generator).__name__,
         "parts": list(getattr(generator, "parts", ())),
-        "scatter": scatter,
+        "scatter": simulation.scatter,
         "seed": seed,
         "numbers": true_numbers(generator),
     }
@@ -138,17 +162,93 @@ def write_fleet(
         missing = [i for i, path in enumerate(paths) if not is_whole(path)]
         with unfinished(folder, made_from, fleet.n_trips, len(missing)):
             jobs = ((folder, i, float(mileage[i]), ratios[i]) for i in missing)
-            done = each(write, jobs, effective_n_jobs(n_jobs))
-            bar = progress_bar("trips", len(missing), items=done, unit="trip", shown=progress)
-            for _, outcome in bar:
-                if isinstance(outcome, LostWorkerError):
-                    raise outcome
+            _write_all(write, jobs, len(missing), "trip", n_jobs, progress)
             write_json(folder / TRUTH, truth)
     return paths
 
 
+def write_trains(
+    folder: Path,
+    trains: Trains,
+    simulation: Simulation,
+    *,
+    n_jobs: int = 1,
+    progress: bool = False,
+) -> list[Path]:
+    """Simulate the trips of every suspension of some trains.
+
+    Each suspension has a subfolder, train_1_car_2_leading, as `write_fleet` writes it: a vehicle,
+    payload and noise of its own that only the seed and its place decide, so that another train
+    changes none of them. Those of a train share start, mileage, track and speed of each trip.
+    ``truth.json`` in the folder itself says which of them wear: these follow the scenario, the
+    others share its payload and spread, and nothing of them wears. A ``VerticalVehicle`` is taken
+    at the bogie of each suspension. An interrupted simulation continues as that of a fleet.
+
+    Parameters
+    ----------
+    folder : Path
+        Another one next to it, folder_2 or so, if a simulation is writing to it.
+    trains : Trains
+    simulation : Simulation
+    n_jobs : int
+        Suspensions at the same time.
+    progress : bool
+
+    Returns
+    -------
+    list of Path
+        The suspensions' folders.
+
+    Raises
+    ------
+    ValueError, LostWorkerError
+        As `write_fleet`.
+    """
+    suspensions = trains.suspensions(simulation.seed)
+    made_from = simulation.made_from(trains)
+    write = functools.partial(_write_suspension, simulation=simulation)
+    truth = {
+        **asdict(trains),
+        "seed": simulation.seed,
+        "scenario": simulation.scenario.name,
+        "wearing": [one.name for one in suspensions if one.wears],
+        "suspensions": [one.name for one in suspensions],
+    }
+    with own_folder(folder) as folder:
+        missing = [one for one in suspensions if not is_finished(folder / one.name)]
+        with unfinished(folder, made_from, trains.n_all, len(missing), "suspensions"):
+            jobs = ((folder, one) for one in missing)
+            _write_all(write, jobs, len(missing), "suspension", n_jobs, progress)
+            write_json(folder / TRUTH, truth)
+        return [folder / one.name for one in suspensions]
+
+
+def _write_all(
+    write: Callable[[Any], object],
+    jobs: Iterable[Any],
+    n: int,
+    unit: str,
+    n_jobs: int,
+    progress: bool,
+) -> None:
+    done = each(write, jobs, effective_n_jobs(n_jobs))
+    for _, outcome in progress_bar(f"{unit}s", n, items=done, unit=unit, shown=progress):
+        if isinstance(outcome, LostWorkerError):
+            raise outcome
+
+
+def _write_suspension(work: tuple[Path, Suspension], simulation: Simulation) -> None:
+    folder, one = work
+    if not one.wears:
+        healthy = replace(simulation.scenario, name="healthy", changes={})
+        simulation = replace(simulation, scenario=healthy)
+    if isinstance(simulation.generator, VerticalVehicle):
+        there = replace(simulation.generator, bogie=one.aboard.bogie)
+        simulation = replace(simulation, generator=there)
+    write_fleet(folder / one.name, replace(simulation, seed=one.seed), aboard=one.aboard)
+
+
 def _name(index: int) -> str:
-    """Return the name of a trip."""
     return f"trip_{index + 1:03d}"
 
 
@@ -241,7 +341,6 @@ def _write_channels(
 
 
 def _check_sides(fleet: Fleet, generator: SimulatedVehicle) -> None:
-    """Raise ValueError unless the generator has the sides that the fleet asks for."""
     if fleet.sides == "both" and not generator.motion_system(torch.ones(5)).roll_per_m:
         raise ValueError(
             "`sides`=both needs a vehicle with roll and sensors off the middle (generator=family "
@@ -250,7 +349,6 @@ def _check_sides(fleet: Fleet, generator: SimulatedVehicle) -> None:
 
 
 def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
-    """Return a signal at another rate, low-passed."""
     ratio = Fraction(to_hz / from_hz).limit_denominator(1000)
     if ratio == 1:
         return signal.copy()
@@ -258,7 +356,6 @@ def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
 
 
 def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays of one length as a Parquet file, atomically."""
     stream = io.BytesIO()
     pq.write_table(pa.table(dict(columns)), stream, row_group_size=ROW_GROUP)
     write_atomically(path, stream.getvalue())

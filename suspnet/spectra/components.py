@@ -33,7 +33,7 @@ from suspnet.spectra.extraction import FeatureTable, PeakFeatures
 MISSING = 1
 """Reason code of a curve that is not finite."""
 ROUNDING = 1e-12
-"""Noise below which a bin is the healthy vehicle's in all curves: it tells nothing."""
+"""Noise below which a bin is the healthy vehicle's in all curves: it carries no information."""
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
@@ -233,7 +233,7 @@ class CurveFeatures:
         return values - healthy
 
     def missing(self, reasons: IntArray) -> str:
-        """Return what is wrong with a curve, in words, from one row of the reasons."""
+        """Return a text on what is wrong with a curve, from one row of the reasons."""
         return "curve (not finite)" if reasons.any() else ""
 
     def state(self) -> dict[str, FloatArray]:
@@ -277,13 +277,11 @@ class CurveFeatures:
         return replace(self, basis=CurveBasis(**tensors))
 
     def _learnt(self) -> CurveBasis:
-        """Return the basis; raise ValueError if it is not learnt yet."""
         if self.basis is None:
             raise ValueError("the feature set `curve` is not fitted to training curves yet")
         return self.basis
 
     def _inside(self, frequencies_hz: Tensor) -> Tensor:
-        """Return which bins lie in the band; raise ValueError if none does."""
         low = 0.0 if self.low_hz is None else self.low_hz
         high = torch.inf if self.high_hz is None else self.high_hz
         inside = (frequencies_hz >= low - 1e-9) & (frequencies_hz <= high + 1e-9)
@@ -314,7 +312,6 @@ def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
 
 
 def _span(frequencies_hz: Tensor) -> str:
-    """Return number and range of some bins in words."""
     if not len(frequencies_hz):
         return "no bins"
     low, high = float(frequencies_hz[0]), float(frequencies_hz[-1])

@@ -14,13 +14,16 @@ the secondary (Söderström and Stoica, Instrumental Variable Methods for System
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from suspnet.ground.checks import check_choice
+from suspnet.ground.types import FloatArray
 
 METHODS = ("H1", "H2", "Hv", "IV")
 Method = Literal["H1", "H2", "Hv", "IV"]
@@ -28,6 +31,8 @@ PAIRS = ((0, 1), (0, 2), (1, 2))
 """The channels of each column of `CrossSpectra.cross`."""
 CHAIN = ((0, 1, 2), (1, 2, 0))
 """Input, output and instrument of G_p and of G_s."""
+SMOOTHED_BINS = 5
+"""Number of neighbouring bins over which a trip's measured covariance is averaged."""
 
 
 @dataclass(frozen=True)
@@ -148,3 +153,93 @@ class CrossSpectra:
             rows.append(torch.stack(row, dim=-2))
             scales.append(torch.stack(row_scales, dim=-2))
         return torch.stack(rows, dim=-3), torch.stack(scales, dim=-3)
+
+    def measured_covariance(self, method: Method, correlation: Tensor) -> Tensor:
+        """Return the covariance that one trip's spectra (3, n_freq) show, (2, 2, n_freq).
+
+        Its numerators are smoothed over bins; `correlation` is that between bins, from lag 0 on.
+        """
+        residual, scale = self.covariance_parts(method)
+        covariance = _smoothed(residual) / scale
+        # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
+        n = self.n_averages * _independent(correlation)
+        return covariance * n / (n - 2)
+
+
+def _smoothed(covariance: Tensor) -> Tensor:
+    """Return the moving average over bins of a covariance (2, 2, n_freq)."""
+    half = SMOOTHED_BINS // 2
+    ends = [covariance[..., :1].expand(2, 2, half), covariance[..., -1:].expand(2, 2, half)]
+    return torch.cat([ends[0], covariance, ends[1]], dim=-1).unfold(-1, SMOOTHED_BINS, 1).mean(-1)
+
+
+def _independent(correlation: Tensor) -> float:
+    """Return how many of the smoothed bins are independent, by their correlation from lag 0 on."""
+    lags = torch.arange(len(correlation))
+    pairs = (SMOOTHED_BINS - lags).clamp(min=0) * torch.where(lags == 0, 1, 2)
+    return SMOOTHED_BINS**2 / float(pairs.to(correlation) @ correlation)
+
+
+def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator) -> CrossSpectra:
+    """Return one draw of averaged spectra for each row of their mean: M M^H / n with M = L T.
+
+    L L^H is the mean, T lower triangular with Gamma(n - i) squares on the diagonal, i = 0, 1, 2,
+    and unit complex normals below it.
+
+    Parameters
+    ----------
+    mean : CrossSpectra
+        Of shape (n_rows, 3, n_freq).
+    taps : array
+        From `moving_average_with`: they set the correlation of neighbouring bins.
+    source : torch.Generator
+    """
+    n = mean.n_averages
+    l11 = mean.auto[:, 0].sqrt()
+    l21, l31 = (mean.cross[:, k].conj() / l11 for k in (0, 1))
+    l22 = (mean.auto[:, 1] - l21.abs().square()).sqrt()
+    l32 = (mean.cross[:, 2].conj() - l31 * l21.conj()) / l22
+    l33 = (mean.auto[:, 2] - l31.abs().square() - l32.abs().square()).sqrt()
+    g = _normals((9, *l11.shape), taps, source)
+    t11, t22, t33 = (_gamma(n - i, g[i]).sqrt() for i in range(3))
+    t21, t31, t32 = (torch.complex(g[i], g[i + 1]) / math.sqrt(2) for i in (3, 5, 7))
+    m11, m21, m22 = l11 * t11, l21 * t11 + l22 * t21, l22 * t22
+    m31, m32, m33 = l31 * t11 + l32 * t21 + l33 * t31, l32 * t22 + l33 * t32, l33 * t33
+    auto = [m11.square(), m21.abs().square() + m22.square()]
+    auto.append(m31.abs().square() + m32.abs().square() + m33.square())
+    cross = [m11 * m21.conj(), m11 * m31.conj(), m21 * m31.conj() + m22 * m32.conj()]
+    return CrossSpectra(torch.stack(auto, 1) / n, torch.stack(cross, 1) / n, n)
+
+
+def _normals(shape: tuple[int, ...], taps: FloatArray, source: torch.Generator) -> Tensor:
+    """Return unit normals, correlated along the last axis as `taps` say."""
+    wide = torch.empty(
+        *shape[:-1], shape[-1] + len(taps) - 1, dtype=torch.float64, device=source.device
+    ).normal_(generator=source)
+    return sum(  # type: ignore[return-value]
+        float(tap) * wide[..., k : k + shape[-1]] for k, tap in enumerate(taps)
+    )
+
+
+def moving_average_with(correlation: FloatArray) -> FloatArray:
+    """Return taps h with sum_i h_i h_(i+k) = correlation[k], by spectral factorisation.
+
+    Parameters
+    ----------
+    correlation : array of shape (n_lags,)
+        From lag 0 on; its spectrum must not be negative.
+
+    Returns
+    -------
+    array of shape (n_lags,)
+    """
+    roots = np.roots(np.concatenate([correlation[:0:-1], correlation]))
+    inside = roots[np.argsort(np.abs(roots))][: len(correlation) - 1]
+    taps = np.atleast_1d(np.real(np.poly(inside)))
+    return np.asarray(taps * np.sqrt(correlation[0] / (taps @ taps)))
+
+
+def _gamma(shape: float, normal: Tensor) -> Tensor:
+    """Return Gamma(shape, 1) draws from unit normals by Wilson and Hilferty's cube."""
+    root = 1 - 1 / (9 * shape) + normal / (3 * math.sqrt(shape))
+    return shape * root.clamp(min=0) ** 3

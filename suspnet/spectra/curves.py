@@ -1,4 +1,8 @@
-"""Noisy curves of section III-B: magnitudes of degraded vehicles on a grid of bins, white noise."""
+"""The paper's noisy curves (section III-B): magnitudes on a grid of bins, with white noise.
+
+The rms of the noise is the curve's own rms times 10^(-SNR/20), so 34 dB is the 2 % sensor precision
+of section III-E, 26 dB 5 % and 54 dB 0.2 %.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,7 @@ from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.settings import check_settings, setting
-from suspnet.spectra.directions import Directions, directions
-from suspnet.spectra.misfit import CurveMisfit
-from suspnet.spectra.noise import add_noise
-from suspnet.spectra.observation import check_counts
+from suspnet.spectra.observation import Directions, Observer, check_counts, directions
 
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; the paper has 1000."""
@@ -99,7 +100,7 @@ class CurveSettings:
         return self.low_hz + self.step_hz * torch.arange(n_bins, dtype=torch.float64)
 
     def words(self) -> str:
-        """Return in words what is observed, with which noise."""
+        """Return a text on what is observed, with which noise."""
         return (
             f"Magnitudes of the responses, {self.low_hz:.3g} to {self.high_hz:.3g} Hz, with white "
             f"noise of {self.snr_db:g} dB, {100 * 10 ** (-self.snr_db / 20):.2g} % of each curve's "
@@ -146,3 +147,50 @@ class CurveObserver:
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
         """Return the misfit of observed magnitudes, whose noise follows from their own rms."""
         return CurveMisfit(self, curves, tuple(used))
+
+
+@dataclass(frozen=True)
+class CurveMisfit:
+    """Magnitudes with white noise, its rms relative to the rms of each observed curve.
+
+    Attributes
+    ----------
+    observer : Observer
+        With `settings.snr_db`.
+    observed : tensor of shape (n_rows, 2, n_freq), [-]
+    used : sequence of int
+        Which of G_p (0) and G_s (1) are used.
+    """
+
+    observer: Observer
+    observed: Tensor
+    used: Sequence[int] = (0, 1)
+    expected: float = 1.0
+    """Mean square of a residual if the model is true."""
+
+    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
+        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
+        observed = self.observed[rows][:, list(self.used)]
+        rms = noise_rms(observed, self.observer.settings.snr_db)
+        expected = self.observer.noise_free(ratios)[:, list(self.used)]
+        return ((observed - expected) / rms).flatten(1)
+
+
+def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:
+    """Return curves plus white Gaussian noise of rms = rms(curve) 10^(-SNR/20).
+
+    Parameters
+    ----------
+    magnitudes : tensor of shape (..., n_freq), [-]
+    snr_db : float, [dB]
+    seed : int
+        The same seed on the same kind of device gives the same noise.
+    """
+    source = torch.Generator(magnitudes.device).manual_seed(seed)
+    noise = torch.empty_like(magnitudes).normal_(generator=source)
+    return noise.mul_(noise_rms(magnitudes, snr_db)).add_(magnitudes)
+
+
+def noise_rms(magnitudes: Tensor, snr_db: float) -> Tensor:
+    """Return the rms of the noise of each curve, shape (..., 1)."""
+    return magnitudes.square().mean(dim=-1, keepdim=True).sqrt() * 10 ** (-snr_db / 20)

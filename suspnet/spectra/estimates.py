@@ -1,35 +1,54 @@
-"""Settings of estimates from trips: how trips are recorded, and which frequencies are used."""
+"""Estimates of transfer functions from trips: how trips are recorded, and what they would give.
+
+Averaged spectra of n independent averages are a complex Wishart matrix over n about their mean. The
+estimator that the recording goes through is applied to draws of it: bias (H1 in noise), leakage and
+the noise of each bin are those of the trip.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import QuarterCar, ResponseGenerator, Vehicle
-from suspnet.dynamics.track import track_spectrum
+from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.ground.settings import check_settings, setting
-from suspnet.spectra.cross_spectra import Method
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.cross_spectra import (
+    CrossSpectra,
+    Method,
+    moving_average_with,
+    sample_spectra,
+)
 from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.observation import check_counts
+from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, Responses
+from suspnet.spectra.observation import Directions, check_counts, directions
+from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import Welch
 
 SPEED_HALF_WIDTH = 0.08
 """Half width of the speeds that one model reads; measured, errors of corrected estimates were up to
-about twice those at the speed of the training at 0.1 beside it."""
+about twice those at the speed of the training at 0.1 from it."""
 LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
 """Ends of the band, and of what is used of G_s: multiples of the first natural frequency, then of
-the second. Between the last two the primary damper parts from its bushing and the axle guidance;
-the body sounds there with modes of its structure, of which the model holds the first."""
+the second. Between the last two the primary damper separates from its bushing and the axle
+guidance; the body sounds there with modes of its structure, of which the model holds the first."""
 HIGHEST_HZ = 25.0
 """Highest end of a band that follows from the vehicle: recordings are read up to a quarter of their
-rate, which is 100 Hz unless told otherwise; [Hz]."""
+rate, which is 100 Hz by default; [Hz]."""
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; a band up to 25 Hz has 500."""
+WEAK, WEAK_OF_ONE = 4.0, 0.5
+"""A bin is weak if the deviation of the healthy vehicle's log-response exceeds this multiple of the
+median over the band and, times the root of the number of averages, this number: its estimate is a
+ratio of two nearly vanishing spectra and has the tails of one."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +246,7 @@ class EstimateSettings:
         return EstimateObserver(self, generator)
 
     def words(self) -> str:
-        """Return in words what is observed, with which noise."""
+        """Return a text on what is observed, with which noise."""
         band = "" if self.low_hz is None else f", {self.low_hz:.3g} to {self.high_hz:.3g} Hz"
         bias = "" if self.method == "IV" else f" The bias of {self.method} in noise is known."
         return (
@@ -235,6 +254,198 @@ class EstimateSettings:
             f"{self.track}{band}. White noise of each sensor: {self.snr_db:g} dB over its whole "
             f"band. All three sensors are used, whichever curves the protocol names.{bias}"
         )
+
+
+class EstimateObserver:
+    """Estimates of G_p and G_s, as trips of a generator's vehicles would give them.
+
+    Parameters
+    ----------
+    settings : EstimateSettings
+        Bound to a vehicle.
+    generator : ResponseGenerator
+    speeds : Speeds, optional
+        Of a trip; None is that of the settings, and of generators that depend on none.
+    """
+
+    def __init__(
+        self,
+        settings: EstimateSettings,
+        generator: ResponseGenerator,
+        speeds: Speeds | None = None,
+    ) -> None:
+        self.settings, self.generator = settings, generator
+        self.frequencies_hz = settings.frequencies_hz()
+        nominal = generator.speed_m_per_s
+        relative = None
+        if nominal is not None and speeds is not None:
+            ratios = tuple(speed / nominal for speed in speeds.m_per_s)
+            relative = None if ratios == (1.0,) else replace(speeds, m_per_s=ratios)
+        self._is_nominal = relative is None
+        self._correlating = moving_average_with(settings.welch.correlation().numpy())
+        self._mean = ExpectedSpectra(
+            generator,
+            settings.welch,
+            self.frequencies_hz,
+            track_spectrum(settings.track, settings.short_waves),
+            settings.speed_m_per_s,
+            relative,
+        )
+
+    def at(self, speeds: Speeds) -> EstimateObserver:
+        """Return the observer of a trip at other speeds.
+
+        Noise densities and directions are those of the nominal speed.
+        """
+        observer = EstimateObserver(self.settings, self.generator, speeds)
+        if observer._is_nominal:
+            return self._nominal
+        observer._nominal = self._nominal  # with what it has computed already
+        return observer
+
+    @cached_property
+    def _nominal(self) -> EstimateObserver:
+        return self if self._is_nominal else EstimateObserver(self.settings, self.generator)
+
+    @cached_property
+    def _noise(self) -> Tensor:
+        """Noise density of each sensor, (3,), [(m/s^2)^2/Hz]."""
+        if not self._is_nominal:
+            return self._nominal._noise
+        return self.noise_densities(self._mean.gains, self.settings.rates_hz)
+
+    @cached_property
+    def _healthy(self) -> CrossSpectra:
+        """Expected spectra of the healthy vehicle, (1, 3, n_freq)."""
+        return self.expected(torch.ones(1, len(PARAMETERS), dtype=torch.float64))
+
+    @cached_property
+    def weak(self) -> Tensor:
+        """Which bins in use are `WEAK` in the healthy vehicle, bool (2, n_freq).
+
+        At f = v / (2 wheelbase) a bogie's axles move against each other: it does not bounce, and
+        the body is an instrument of nothing.
+        """
+        covariance = self._healthy.covariance(self.settings.method)
+        deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
+        used = deviations.masked_fill(self.beyond, math.nan)
+        weak = deviations > WEAK * used.nanmedian(dim=1, keepdim=True).values
+        weak &= deviations * math.sqrt(self.settings.n_averages) > WEAK_OF_ONE
+        return weak & ~self.beyond
+
+    @cached_property
+    def beyond(self) -> Tensor:
+        """Which bins lie beyond `body_high_hz`, where G_s is not used, bool (2, n_freq)."""
+        return self.settings.beyond(self.frequencies_hz)
+
+    def for_features(self, curves: Tensor) -> Tensor:
+        """Return estimates as the feature set is to see them: of the nominal speed, none weak.
+
+        G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's. Of what is
+        left relative to healthy a weak bin gets the straight line between its neighbours. G_s
+        beyond `body_high_hz` is that of the healthy vehicle.
+        """
+        if self._is_nominal and not bool((self.weak | self.beyond).any()):
+            return curves
+        method = self.settings.method
+        relative = curves / self._healthy.responses(method).to(curves)
+        relative = relative.masked_fill(self.beyond.to(curves.device), 1.0)
+        parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
+        return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
+
+    @cached_property
+    def directions(self) -> Directions:
+        """The directions of the generator's uncertain numbers that its curves show."""
+        return directions(self) if self._is_nominal else self._nominal.directions
+
+    def noise_free(self, ratios: Tensor) -> Tensor:
+        """Return the limit of the estimates for infinitely long trips, (n_vehicles, 2, n_freq).
+
+        It includes leakage, and the bias of H1, H2 and Hv by the sensors' noise.
+        """
+        return self.expected(ratios).responses(self.settings.method)
+
+    def observe(self, ratios: Tensor, seed: int) -> Tensor:
+        """Return estimates of G_p and G_s from one trip of each vehicle, (n_vehicles, 2, n_freq).
+
+        The generator's uncertain quantities are drawn, too.
+        """
+        unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
+        rows = self.generator.sample_unmeasured(ratios, int(unmeasured >> np.uint64(1)))
+        expected = self.expected(rows)
+        source = torch.Generator(expected.auto.device).manual_seed(int(noise >> np.uint64(1)))
+        return self._drawn(expected, source)
+
+    def observe_again(self, spectra: CrossSpectra, n_draws: int, seed: int) -> Tensor:
+        """Return estimates of further trips with the same spectra, (n_draws, 2, n_freq).
+
+        `spectra` are of shape (3, n_freq) on the observer's bins, with as many averages.
+        """
+        auto, cross = (part.expand(n_draws, -1, -1) for part in (spectra.auto, spectra.cross))
+        source = torch.Generator(auto.device).manual_seed(seed)
+        return self._drawn(CrossSpectra(auto, cross, spectra.n_averages), source)
+
+    def _drawn(self, mean: CrossSpectra, source: torch.Generator) -> Tensor:
+        return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
+
+    def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:
+        """Return the misfit of estimates (n, 2, n_freq), their covariance that of vehicles `near`.
+
+        Both responses are used, whatever `used` says.
+        """
+        covariance = self.without_unused(self.covariance(near.to(curves.device)))
+        return EstimateMisfit(self, curves, covariance)
+
+    def measured_misfit(self, spectra: CrossSpectra) -> EstimateMisfit:
+        """Return the misfit of one trip's spectra (3, n_freq), with the covariance they show."""
+        method, correlation = self.settings.method, self.settings.welch.correlation()
+        covariance = spectra.measured_covariance(method, correlation)
+        return EstimateMisfit(
+            self, spectra.responses(method)[None], self.without_unused(covariance[None])
+        )
+
+    def without_unused(self, covariance: Tensor) -> Tensor:
+        """Return a covariance (n_vehicles, 2, 2, n_freq) in which unused bins count for nothing.
+
+        Bins `weak` or `beyond` have infinite variance and no covariance.
+        """
+        unused = (self.weak | self.beyond).to(covariance.device)
+        covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
+        return covariance.masked_fill(torch.diag_embed(unused.T).permute(1, 2, 0), math.inf)
+
+    def covariance(self, ratios: Tensor) -> Tensor:
+        """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
+        return self.expected(ratios).covariance(self.settings.method)
+
+    def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
+        """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""
+        return self._mean.track_density(frequencies_hz)
+
+    def noise_densities(self, responses: Responses, rates_hz: Sequence[float]) -> Tensor:
+        """Return the noise density of each of some sensors, (n_sensors,), [(m/s^2)^2/Hz].
+
+        ``responses(ratios, frequencies_hz)`` gives those from the axle box, (1, n_sensors, n_freq).
+        """
+        return self._mean.noise_densities(responses, rates_hz, self.settings.snr_db)
+
+    def expected(self, ratios: Tensor) -> CrossSpectra:
+        """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
+        auto, cross = self._mean(ratios)
+        return CrossSpectra(auto + self._noise.to(auto)[:, None], cross, self.settings.n_averages)
+
+
+def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
+    """Return rows (n, n_freq) with weak bins interpolated; beyond the last good one, its value."""
+    good = torch.nonzero(~weak)[:, 0]
+    if not bool(weak.any()) or not len(good):
+        return relative
+    bins = torch.arange(len(weak))
+    after = torch.searchsorted(good, bins).clamp(max=len(good) - 1)
+    right = good[after]
+    left = torch.where(right > bins, good[(after - 1).clamp(min=0)], right)
+    gap = (right - left).clamp(min=1)
+    share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
+    return relative[:, left] + share * (relative[:, right] - relative[:, left])
 
 
 OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}

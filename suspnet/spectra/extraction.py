@@ -54,7 +54,7 @@ class FeatureTable:
 
 
 class FeatureSet(Protocol):
-    """What turns curves into the inputs of a regression.
+    """What turns curves into the inputs of a regression. A subclass that learns nothing is brief.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class FeatureSet(Protocol):
     @property
     def is_fitted(self) -> bool:
         """Whether the feature set has learnt from training curves, or has nothing to learn."""
-        ...
+        return True
 
     def fitted(self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor) -> Self:
         """Return the feature set with what it learns from training curves.
@@ -92,11 +92,11 @@ class FeatureSet(Protocol):
         healthy : tensor of shape (2, n_freq), [-]
         frequencies_hz : tensor of shape (n_freq,), [Hz]
         """
-        ...
+        return self
 
     def blank(self) -> Self:
         """Return the feature set without what it has learnt."""
-        ...
+        return self
 
     def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
         """Return the features of curves (n_curves, 2, n_freq)."""
@@ -107,20 +107,20 @@ class FeatureSet(Protocol):
         ...
 
     def missing(self, reasons: IntArray) -> str:
-        """Return what is missing of one curve and why, in words."""
+        """Return a text on what is missing of one curve and why."""
         ...
 
     def state(self) -> dict[str, FloatArray]:
         """Return what was learnt from training curves, for storage."""
-        ...
+        return {}
 
     def restored(self, arrays: Mapping[str, FloatArray]) -> Self:
         """Return the feature set with what was stored."""
-        ...
+        return self
 
 
 @dataclass(frozen=True)
-class PeakFeatures:
+class PeakFeatures(FeatureSet):
     """Position, height and width of chosen peaks of both responses.
 
     Parameters
@@ -188,33 +188,12 @@ class PeakFeatures:
         return values / healthy
 
     def missing(self, reasons: IntArray) -> str:
-        """Return which peaks are missing and why, in words, from one row of the reasons."""
+        """Return a text on which peaks are missing and why, from one row of the reasons."""
         return ", ".join(
             f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
             for peak, reason in zip(self.peaks, reasons, strict=True)
             if reason
         )
-
-    is_fitted: ClassVar[bool] = True
-    """It learns nothing from training curves."""
-
-    def fitted(
-        self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor
-    ) -> PeakFeatures:
-        """Return the same: it learns nothing from training curves."""
-        return self
-
-    def blank(self) -> PeakFeatures:
-        """Return the same: it learns nothing from training curves."""
-        return self
-
-    def state(self) -> dict[str, FloatArray]:
-        """Return nothing: it learns no arrays."""
-        return {}
-
-    def restored(self, arrays: Mapping[str, FloatArray]) -> PeakFeatures:
-        """Return the same: it learns no arrays."""
-        return self
 
     def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
         """Return the features of curves.
@@ -273,7 +252,6 @@ class PeakFeatures:
         return replace(peak, reason=reason).blanked()
 
     def _fit(self, name: str) -> PeakFit:
-        """Return how a named peak is smoothed, found and fitted."""
         below, above = _WINDOWS[name]
         if self.shape == "gaussian":
             below, above = min(below, GAUSSIAN_WINDOW), min(above, GAUSSIAN_WINDOW)

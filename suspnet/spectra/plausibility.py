@@ -20,7 +20,7 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle,
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra
 
 SLOW = (0.2, 0.4)
 """Band in which the gain is checked, in multiples of the first natural frequency."""

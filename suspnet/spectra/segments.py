@@ -10,8 +10,7 @@ from torch import Tensor
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CHAIN
-from suspnet.spectra.transfer_estimate import SegmentSpectra, segment_spectra
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import SegmentSpectra, Welch, segment_spectra
 
 LOUD = 30.0
 """Segments with more power than this multiple of the median are left out before any average."""

@@ -11,7 +11,7 @@ half distance and of one side's share, are in balance::
         + delta_p (z - P w) + delta_s (z - y) = 0,                                (1)
 
 with M_f the roll inertia over the square of the springs' half distance, rho the anti-roll bar,
-lambda how far apart the frame's sensors are relative to the axle box's, P = (1 + Z) / 2 of both
+lambda the distance of the frame's sensors relative to the axle box's, P = (1 + Z) / 2 of both
 wheelsets, Z the phase of the second one, and z the mean of the frame at its centre. That follows
 from w and y by the balance of its bounce, wherever v is measured::
 
@@ -156,7 +156,7 @@ def side_difference(
     partial = _without(spectra, 0)
     roll, roll_covariance = _roll(omega, partial, bounce, n_averages)
     f, covariance = _responses(spectra, partial, n_averages)
-    apart, moved = roll[0], np.array([1.0, roll[1], roll[2]])
+    distance, moved = roll[0], np.array([1.0, roll[1], roll[2]])
     terms = _roll_terms(omega, bounce, f[0], f[1])
     weights = np.einsum("k,kif->if", moved, _roll_terms(omega, bounce, *np.eye(2)[:, :, None]))
     variance = np.einsum("if,ijf,jf->f", weights, covariance, weights.conj()).real
@@ -165,7 +165,7 @@ def side_difference(
         *(-bounce.slopes * np.stack([stretch_p, stretch_p, stretch_s, stretch_s])),
         weights[0],
         weights[1] * bounce.body,
-        -apart * bounce.kappas[0] * bounce.wheelsets * bounce.box,
+        -distance * bounce.kappas[0] * bounce.wheelsets * bounce.box,
     ]
     prior = np.diag([D_DEVIATION] * 4 + [GAIN_DEVIATION] * 3 + [0.0] * 2) ** 2
     prior[7:, 7:] = roll_covariance[1:, 1:]
@@ -226,15 +226,17 @@ def _roll(
     power = partial[2, 2].real
     box, body = partial[2, 1] / power, partial[2, 3] / power
     coherence = np.abs(partial[2, 1]) ** 2 / (power * partial[1, 1].real)
-    told = coherence > CHANCE / n_averages
+    coherent = coherence > CHANCE / n_averages
     scale = bounce.kappas[0] * bounce.wheelsets
-    unexplained = (1 - coherence[told]) / coherence[told] * (partial[1, 1].real / power)[told]
-    variance = np.abs(scale[told]) ** 2 * unexplained / n_averages
+    unexplained = (
+        (1 - coherence[coherent]) / coherence[coherent] * (partial[1, 1].real / power)[coherent]
+    )
+    variance = np.abs(scale[coherent]) ** 2 * unexplained / n_averages
     variance += (ROLL_MODEL_ERROR * bounce.k_p) ** 2
-    columns = _roll_terms(omega, bounce, np.ones_like(body), body)[:, told]
+    columns = _roll_terms(omega, bounce, np.ones_like(body), body)[:, coherent]
     prior, deviations = np.array(ROLL_PRIOR).T
     mean, covariance, _ = _regression(
-        columns, (scale * box)[told], variance, prior, np.diag(deviations**2)
+        columns, (scale * box)[coherent], variance, prior, np.diag(deviations**2)
     )
     found = np.array([1.0, mean[1], mean[2]]) / mean[0]
     jacobian = np.eye(3) / mean[0]

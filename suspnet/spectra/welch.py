@@ -1,4 +1,4 @@
-"""Welch's method: windowed, overlapping segments, and what they do to averaged spectra."""
+"""Welch's method: windowed, overlapping segments, their averages, and transfer functions."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from scipy.signal import get_window
 from torch import Tensor
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
+from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, Method
 
 NEGLIGIBLE = 1e-4
 """Leakage and correlation between bins below this, relative to a bin's own, are neglected."""
+SEGMENTS = 64
+"""Number of segments transformed at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -97,3 +101,173 @@ def _symmetric(power: FloatArray) -> Tensor:
     k = int(np.flatnonzero(power[:half] > NEGLIGIBLE * power[0])[-1])
     taps = np.concatenate([power[k:0:-1], power[: k + 1]])
     return torch.as_tensor(taps / taps.sum())
+
+
+@dataclass(frozen=True)
+class SegmentSpectra:
+    """Windowed Fourier transforms of a recording's segments, in a band.
+
+    Attributes
+    ----------
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    values : complex tensor of shape (n_segments, n_channels, n_freq)
+        Scaled such that the mean of abs(values)^2 is the one-sided power density.
+    first : int64 tensor of shape (n_segments,)
+        First sample of each segment.
+    welch : Welch
+    """
+
+    frequencies_hz: Tensor
+    values: Tensor
+    first: Tensor
+    welch: Welch
+
+    def average(self, chosen: Tensor) -> CrossSpectra:
+        """Return the spectra averaged over chosen segments, a bool tensor (n_segments,).
+
+        Raises
+        ------
+        ValueError
+            If none is chosen.
+        """
+        n_segments = int(chosen.sum())
+        if n_segments == 0:
+            raise ValueError("no segment is chosen: there is nothing to average")
+        values = self.values[chosen]
+        auto = values.abs().square().mean(dim=0)
+        n_channels = values.shape[1]
+        pairs = [(x, y) for x, y in PAIRS if y < n_channels]
+        cross = torch.stack([(values[:, x].conj() * values[:, y]).mean(dim=0) for x, y in pairs])
+        return CrossSpectra(auto, cross, self.welch.n_averages(n_segments))
+
+
+def segment_spectra(
+    signals: Tensor,
+    rate_hz: float,
+    welch: Welch,
+    low_hz: float = 0.0,
+    high_hz: float = math.inf,
+    usable: Tensor | None = None,
+) -> SegmentSpectra:
+    """Return the spectra of all segments without an unusable sample, the mean of each removed.
+
+    Parameters
+    ----------
+    signals : tensor of shape (n_channels, n_samples), [m/s^2]
+    rate_hz : float, [Hz]
+    welch : Welch
+    low_hz, high_hz : float, [Hz]
+        Band that is kept.
+    usable : bool tensor of shape (n_samples,), optional
+        Segments with a sample that is not usable are left out.
+
+    Raises
+    ------
+    ValueError
+        If the recording is shorter than a segment.
+    """
+    length, step = welch.sizes(rate_hz)
+    if signals.shape[1] < length:
+        raise ValueError(
+            f"{signals.shape[1] / rate_hz:.1f} s of recording are shorter than one segment of "
+            f"{welch.segment_s:g} s"
+        )
+    window = torch.as_tensor(get_window(welch.window, length))
+    frequencies = torch.arange(length // 2 + 1, dtype=torch.float64) * (rate_hz / length)
+    inside = (frequencies >= low_hz - 1e-9) & (frequencies <= high_hz + 1e-9)
+    scale = torch.full_like(frequencies, math.sqrt(2 / (rate_hz * float(window @ window))))
+    scale[0] /= math.sqrt(2)
+    if length % 2 == 0:
+        scale[-1] /= math.sqrt(2)
+    pieces = signals.to(torch.float64).unfold(1, length, step).transpose(0, 1)
+    first = torch.arange(len(pieces)) * step
+    if usable is not None:
+        whole = usable.unfold(0, length, step).all(dim=1)
+        pieces, first = pieces[whole], first[whole]
+    blocks = [torch.empty(0, len(signals), int(inside.sum()), dtype=torch.complex128)]
+    for block in pieces.split(SEGMENTS) if len(pieces) else ():
+        windowed = (block - block.mean(dim=-1, keepdim=True)) * window
+        blocks.append(torch.fft.rfft(windowed)[..., inside] * scale[inside])
+    return SegmentSpectra(frequencies[inside], torch.cat(blocks), first, welch)
+
+
+@dataclass(frozen=True)
+class TransferEstimate:
+    """A transfer function and how well it is known.
+
+    Attributes
+    ----------
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    response : complex tensor of shape (n_freq,), [unit of y / unit of x]
+    coherence : tensor of shape (n_freq,), [-]
+        abs(S_xy)^2 / (S_xx S_yy).
+    deviation : tensor of shape (n_freq,), [-]
+        Standard deviation of the log-magnitude.
+    n_averages : float
+    """
+
+    frequencies_hz: Tensor
+    response: Tensor
+    coherence: Tensor
+    deviation: Tensor
+    n_averages: float
+
+
+def tfestimate(
+    x: ArrayLike,
+    y: ArrayLike,
+    rate_hz: float,
+    welch: Welch | None = None,
+    method: Method = "H1",
+    instrument: ArrayLike | None = None,
+    normalise: bool = False,
+) -> TransferEstimate:
+    """Return the transfer function from x to y by Welch's method.
+
+    Parameters
+    ----------
+    x, y : arrays of shape (n_samples,)
+        Input and output.
+    rate_hz : float, [Hz]
+    welch : Welch, optional
+    method : {"H1", "H2", "Hv", "IV"}
+    instrument : array of shape (n_samples,), optional
+        The third sensor of IV.
+    normalise : bool
+        Divide each signal by its own standard deviation first, as the paper does; the scale is
+        restored afterwards, so that the gain stays the physical one.
+
+    Raises
+    ------
+    ValueError
+        If the signals differ in length, hold NaN, are constant or shorter than a segment.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).normal(size=4000)
+    >>> estimate = tfestimate(x, 2 * x, rate_hz=100.0, welch=Welch(segment_s=2.0))
+    >>> round(float(estimate.response[10].real), 6), round(float(estimate.coherence[10]), 6)
+    (2.0, 1.0)
+    """
+    arrays = [np.asarray(a, dtype=np.float64) for a in (x, y, instrument) if a is not None]
+    names = [n for n, a in (("x", x), ("y", y), ("instrument", instrument)) if a is not None]
+    for name, array in zip(names, arrays, strict=True):
+        if array.ndim != 1 or array.shape != arrays[0].shape:
+            raise ValueError(f"`{name}` must have shape {arrays[0].shape}, got {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"`{name}` holds {int((~np.isfinite(array)).sum())} NaN or inf")
+        if np.ptp(array) == 0:
+            raise ValueError(f"`{name}` is constant: nothing can be estimated from it")
+    scales = [array.std() if normalise else 1.0 for array in arrays]
+    signals = torch.as_tensor(np.stack([a / s for a, s in zip(arrays, scales, strict=True)]))
+    segments = segment_spectra(signals, rate_hz, welch or Welch())
+    spectra = segments.average(torch.ones(len(segments.values), dtype=torch.bool))
+    third = 2 if instrument is not None else None
+    response = spectra.transfer(0, 1, method, third) * (scales[1] / scales[0])
+    return TransferEstimate(
+        segments.frequencies_hz,
+        response,
+        spectra.coherence(0, 1),
+        spectra.deviation(0, 1, method, third),
+        spectra.n_averages,
+    )

@@ -32,7 +32,7 @@ from suspnet.spectra.segments import (
     recording_segments,
     segment_speeds,
 )
-from suspnet.spectra.transfer_estimate import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra
 from suspnet.trips.checked_manifests import Opened, check_columns
 from suspnet.trips.commissionings import models_at
 from suspnet.trips.models import models_of

@@ -26,8 +26,7 @@ from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.segments import NoEstimateError, recording_segments
-from suspnet.spectra.transfer_estimate import SegmentSpectra
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)

@@ -34,8 +34,7 @@ from rich_train import FAMILY, RichTrain  # noqa: E402
 from rich_train_trips import true_ratios, write_train_trips  # noqa: E402
 from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
-from suspnet.dynamics.distribution import LogNormal  # noqa: E402
-from suspnet.dynamics.quantities import PARTS  # noqa: E402
+from suspnet.dynamics.quantities import PARTS, LogNormal  # noqa: E402
 from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
 from suspnet.estimation.commissioning_run import commission_folder  # noqa: E402
 from suspnet.estimation.estimate import Estimate  # noqa: E402

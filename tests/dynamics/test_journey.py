@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
-from suspnet.dynamics.journey import Journey, service_journey, steady_journey
+from suspnet.simulation.signals import Journey, service_journey, steady_journey
 
 KNOTS = np.array([0.0, 3.0, 10.0, 10.5, 20.0])
 SPEEDS = np.array([2.0, 8.0, 8.0, 0.0, 5.0])

@@ -11,7 +11,7 @@ from protocols import shipped_protocol
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.conformal import Conformal
 from suspnet.estimation.fitted import ModelFileError

@@ -17,9 +17,8 @@ from suspnet.estimation.from_curves import corrected, estimate_curves
 from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_spectra
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import Intervals
-from suspnet.spectra import estimate_observer
-from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.wishart import moving_average_with, sample_spectra
+from suspnet.spectra import estimates as estimate_observer
+from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 
 LEVEL = 0.9
 WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}

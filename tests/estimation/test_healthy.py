@@ -7,7 +7,7 @@ import pytest
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.healthy import HealthyValues
 from suspnet.estimation.ood import Flags

@@ -20,8 +20,7 @@ from suspnet.estimation.ood import (
 )
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.refine import Refined, refine
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.misfit import CurveMisfit
+from suspnet.spectra.curves import CurveMisfit, CurveSettings
 
 CLOUD, MISFIT = 1, 3
 OWN = KINDS.index("physics")

@@ -15,9 +15,9 @@ from suspnet.estimation import refine as module
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.refine import BEYOND, Refined, refine
-from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.misfit import CurveMisfit, EstimateMisfit
+from suspnet.spectra.expected_spectra import EstimateMisfit
 
 SNR_DB = 34.0
 SETTINGS = CurveSettings(snr_db=SNR_DB, low_hz=0.3, high_hz=15.0, step_hz=0.05, cache_dir=None)

@@ -17,11 +17,9 @@ from suspnet.estimation.from_spectra import estimate_spectra
 from suspnet.estimation.ood import Flags
 from suspnet.estimation.speed_bin import combined
 from suspnet.estimation.speed_groups import same_speed
-from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimate_observer import SPEED
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.cross_spectra import CrossSpectra, sample_spectra
+from suspnet.spectra.estimates import SPEED, EstimateSettings
 from suspnet.spectra.speeds import Speeds
-from suspnet.spectra.wishart import sample_spectra
 
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
 STILL = 44.0

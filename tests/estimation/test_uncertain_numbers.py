@@ -9,13 +9,12 @@ from scipy import optimize
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import QUANTITIES
+from suspnet.dynamics.quantities import QUANTITIES, LogNormal
 from suspnet.estimation.information import fisher_information, output_bounds
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.refine import refine
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.misfit import EstimateMisfit
+from suspnet.spectra.expected_spectra import EstimateMisfit
 
 PARTS = ("bushings", "rubber", "guidance")
 SETTINGS = EstimateSettings(snr_db=34.0, minutes=10.0, cache_dir=None).bound(AM96)

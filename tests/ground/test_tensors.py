@@ -9,7 +9,7 @@ from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.ground.tensors import complex_log, squared_size
 from suspnet.learning import MSVR, MVGPR
 from suspnet.spectra.peaks import findpeaks
-from suspnet.spectra.transfer_estimate import tfestimate
+from suspnet.spectra.welch import tfestimate
 
 RATIOS = np.random.default_rng(0).uniform(0.5, 2.0, (3, 5))
 BINS_HZ = np.arange(1, 200) * 0.1

@@ -7,7 +7,7 @@ from learning_reference import smooth_data
 
 from suspnet.learning.design import DenseDesign, Direction, FixedGram, Gradient
 from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
-from suspnet.learning.irwls import irwls
+from suspnet.learning.irwls import IRWLS
 
 SIGMA = 1.3
 
@@ -225,8 +225,10 @@ def test_ranks_together_reach_the_solution_of_all_samples(epsilon, fit_intercept
     X, Y = (torch.tensor(values) for values in smooth_data(3, 60))
     feature_map = random_fourier(X, 1.0, 20, 0)
     setting = {"fit_intercept": fit_intercept, "max_iter": 500, "tol": 1e-12}
-    rank = irwls(DenseDesign(feature_map, X, total_of_two), Y, 10.0, epsilon, **setting)
-    both = irwls(DenseDesign(feature_map, X.repeat(2, 1)), Y.repeat(2, 1), 10.0, epsilon, **setting)
+    rank = IRWLS(10.0, epsilon, **setting).minimise(DenseDesign(feature_map, X, total_of_two), Y)
+    both = IRWLS(10.0, epsilon, **setting).minimise(
+        DenseDesign(feature_map, X.repeat(2, 1)), Y.repeat(2, 1)
+    )
     assert rank.objective == pytest.approx(both.objective, rel=1e-11)
     assert rank.support_fraction == both.support_fraction
     np.testing.assert_allclose(rank.coef, both.coef, atol=1e-5, rtol=0)

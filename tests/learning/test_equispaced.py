@@ -14,7 +14,7 @@ from learning_reference import lbfgs_msvr, naive_rbf, smooth_data
 from suspnet.learning import MSVR
 from suspnet.learning.design import DenseDesign, Direction, Gradient
 from suspnet.learning.equispaced import MAX_BOX, EquispacedFeatures, equispaced_fourier
-from suspnet.learning.irwls import Status, irwls
+from suspnet.learning.irwls import IRWLS, Status
 from suspnet.learning.toeplitz import ConjugateGradients, EquispacedDesign
 
 needs_finufft = pytest.mark.skipif(
@@ -368,9 +368,9 @@ def test_ranks_together_reach_the_solution_of_all_samples(fit_intercept):
     X, Y = (torch.tensor(values) for values in smooth_data(3, 60))
     modes = equispaced_fourier(X, 1.0, 1, 0)
     setting = {"fit_intercept": fit_intercept, "max_iter": 500, "tol": 1e-10}
-    rank = irwls(EquispacedDesign(modes, X, lambda v: v.mul_(2)), Y, 10.0, 0.1, **setting)
+    rank = IRWLS(10.0, 0.1, **setting).minimise(EquispacedDesign(modes, X, lambda v: v.mul_(2)), Y)
     both = EquispacedDesign(modes, X.repeat(2, 1))
-    both = irwls(both, Y.repeat(2, 1), 10.0, 0.1, **setting)
+    both = IRWLS(10.0, 0.1, **setting).minimise(both, Y.repeat(2, 1))
     assert rank.status == both.status == Status.CONVERGED
     assert rank.objective == pytest.approx(both.objective, rel=1e-9)
     np.testing.assert_allclose(rank.intercept, both.intercept, atol=1e-3, rtol=0)
@@ -402,14 +402,14 @@ def test_estimator_reaches_the_minimum_of_its_own_features(n_inputs, epsilon, fi
 def half_way():
     X, Y = (torch.tensor(values) for values in data(2))
     modes = equispaced_fourier(X, 1.5, 1, 0, 1e-8)
-    return modes, X, Y, irwls(DenseDesign(modes, X), Y, 10.0, 0.3, max_iter=1000)
+    return modes, X, Y, IRWLS(10.0, 0.3, max_iter=1000).minimise(DenseDesign(modes, X), Y)
 
 
 @needs_finufft
 @pytest.mark.parametrize("n_iter", [1, 2, 3, 4])
 def test_gap_bounds_the_excess_on_the_way(n_iter):
     modes, X, Y, best = half_way()
-    found = irwls(EquispacedDesign(modes, X), Y, 10.0, 0.3, max_iter=n_iter, tol=0.0)
+    found = IRWLS(10.0, 0.3, max_iter=n_iter, tol=0.0).minimise(EquispacedDesign(modes, X), Y)
     assert found.n_iter == n_iter
     assert 0 < found.objective / best.objective - 1 + 1e-8
     excess = (found.objective - best.objective) / found.objective

@@ -21,8 +21,7 @@ from sklearn.svm import LinearSVR
 
 from suspnet.learning.design import DenseDesign, Direction, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import Status, _Functional, irwls
-from suspnet.learning.loss import loss
+from suspnet.learning.irwls import IRWLS, Status, _Functional, loss
 
 N_COMPONENTS = 40
 PATHS = {
@@ -52,7 +51,7 @@ def test_minimum_is_that_of_lbfgs(C, sigma, epsilon):
     blocks, Phi, Y = problem(sigma)
     _, _, minimum = lbfgs_msvr(Phi, Y.numpy(), C, epsilon)
     assert minimum > 0.1
-    found = irwls(blocks, Y, C, epsilon, fit_intercept=False, max_iter=1000)
+    found = IRWLS(C, epsilon, fit_intercept=False, max_iter=1000).minimise(blocks, Y)
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(minimum, rel=1e-6)
     # F is at least its quadratic model with the reweighted Hessian, so the gap is a bound, not
@@ -85,15 +84,9 @@ def test_every_path_leads_to_the_minimum(path, C, epsilon, fit_intercept, n_outp
     design, _, Y = small_problem(n_outputs)
     minimum = small_minimum(C, epsilon, fit_intercept, n_outputs)
     slow = path == "fixed" and C * epsilon > 1  # thousands of iterations
-    found = irwls(
-        design,
-        Y,
-        C,
-        epsilon,
-        fit_intercept=fit_intercept,
-        max_iter=100 if slow else 3000,
-        **PATHS[path],
-    )
+    found = IRWLS(
+        C, epsilon, fit_intercept=fit_intercept, max_iter=100 if slow else 3000, **PATHS[path]
+    ).minimise(design, Y)
     assert found.status == Status.CONVERGED or slow
     assert minimum > 0.1
     # L-BFGS stops at a relative decrease of 1e-15 a step, within about 1e-11 of the minimum.
@@ -107,16 +100,9 @@ def test_every_path_leads_to_the_minimum(path, C, epsilon, fit_intercept, n_outp
 def test_gap_bounds_the_excess_on_the_way(path, epsilon, fit_intercept, n_iter):
     design, _, Y = small_problem()
     minimum = small_minimum(10.0, epsilon, fit_intercept)
-    found = irwls(
-        design,
-        Y,
-        10.0,
-        epsilon,
-        fit_intercept=fit_intercept,
-        max_iter=n_iter,
-        tol=0.0,
-        **PATHS[path],
-    )
+    found = IRWLS(
+        10.0, epsilon, fit_intercept=fit_intercept, max_iter=n_iter, tol=0.0, **PATHS[path]
+    ).minimise(design, Y)
     assert found.n_iter == n_iter
     excess = (found.objective - minimum) / found.objective
     # Rounding, and what L-BFGS leaves.
@@ -138,17 +124,9 @@ def test_fixed_step_projects_residuals_onto_the_ball_and_is_ridge_regression(
         ridge.fit(Phi, Y.numpy() - residual * (epsilon / outside if epsilon else 0.0))
         W, b = ridge.coef_.T, ridge.intercept_
         steps = []
-        found = irwls(
-            design,
-            Y,
-            C,
-            epsilon,
-            fit_intercept=fit_intercept,
-            max_iter=n_iter,
-            tol=0.0,
-            on_iteration=lambda told, steps=steps: steps.append(told.step),
-            **PATHS["fixed"],
-        )
+        found = IRWLS(
+            C, epsilon, fit_intercept=fit_intercept, max_iter=n_iter, tol=0.0, **PATHS["fixed"]
+        ).minimise(design, Y, on_iteration=lambda told, steps=steps: steps.append(told.step))
         assert steps == [1.0] * n_iter  # F lies below the quadratic
         # Systems of condition 1e5 or less.
         np.testing.assert_allclose(found.coef, W, atol=1e-9, rtol=0)
@@ -160,17 +138,9 @@ def test_path_through_reweighted_equations_is_the_textbooks(fit_intercept):
     design, Phi, Y = small_problem()
     C, epsilon, steps = 10.0, 0.3, []
     first, second = (
-        irwls(
-            design,
-            Y,
-            C,
-            epsilon,
-            fit_intercept=fit_intercept,
-            max_iter=n,
-            tol=0.0,
-            on_iteration=lambda told: steps.append(told.step),
-            **PATHS["reweighted"],
-        )
+        IRWLS(
+            C, epsilon, fit_intercept=fit_intercept, max_iter=n, tol=0.0, **PATHS["reweighted"]
+        ).minimise(design, Y, on_iteration=lambda told: steps.append(told.step))
         for n in (1, 2)
     )
     W, b = first.coef.numpy(), first.intercept.numpy()
@@ -290,7 +260,7 @@ def test_gap_is_that_of_the_best_bound(path, monkeypatch, max_iter):
     plain = _Functional.lower_bound
     monkeypatch.setattr(_Functional, "lower_bound", spying)
     design, _, Y = small_problem()
-    found = irwls(design, Y, 10.0, 0.3, max_iter=max_iter, tol=1e-6, **PATHS[path])
+    found = IRWLS(10.0, 0.3, max_iter=max_iter, tol=1e-6, **PATHS[path]).minimise(design, Y)
     gap = (found.objective - max(0.0, *bounds)) / found.objective
     assert found.gap == pytest.approx(max(gap, 0.0), abs=1e-15)
     assert (found.gap <= 1e-6) == (found.status == Status.CONVERGED)
@@ -300,10 +270,10 @@ def test_gap_is_that_of_the_best_bound(path, monkeypatch, max_iter):
 
 def test_solver_stops_exactly_at_its_tolerance():
     design, _, Y = small_problem()
-    gap = irwls(design, Y, 10.0, 0.3, max_iter=10, tol=0.0).gap
+    gap = IRWLS(10.0, 0.3, max_iter=10, tol=0.0).minimise(design, Y).gap
     assert 1e-6 < gap < 0.1
     for tol, status in ((gap, Status.CONVERGED), (gap * 0.999, Status.MAX_ITER)):
-        found = irwls(design, Y, 10.0, 0.3, max_iter=10, tol=tol)
+        found = IRWLS(10.0, 0.3, max_iter=10, tol=tol).minimise(design, Y)
         assert (found.gap, found.status, found.n_iter) == (gap, status, 10)
 
 
@@ -337,13 +307,8 @@ class Rigged:
 def test_wrong_fixed_equations_do_not_change_the_minimum(factor):
     design, _, Y = small_problem()
     steps = []
-    found = irwls(
-        Rigged(design, factor, 1.0),
-        Y,
-        10.0,
-        0.1,
-        max_iter=1000,
-        on_iteration=lambda told: steps.append(told.step),
+    found = IRWLS(10.0, 0.1, max_iter=1000).minimise(
+        Rigged(design, factor, 1.0), Y, on_iteration=lambda told: steps.append(told.step)
     )
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
@@ -354,14 +319,16 @@ def test_wrong_fixed_equations_do_not_change_the_minimum(factor):
 @pytest.mark.parametrize("factor", [0.3, 2.5])
 def test_wrong_reweighted_equations_do_not_change_the_minimum(factor):
     design, _, Y = small_problem()
-    found = irwls(Rigged(design, 1.0, factor), Y, 10.0, 0.1, max_iter=3000, **PATHS["reweighted"])
+    found = IRWLS(10.0, 0.1, max_iter=3000, **PATHS["reweighted"]).minimise(
+        Rigged(design, 1.0, factor), Y
+    )
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
 
 
 def test_directions_that_only_lead_uphill_end_in_stagnation():
     design, _, Y = small_problem()
-    found = irwls(Rigged(design, -1.0, -1.0), Y, 10.0, 0.1)
+    found = IRWLS(10.0, 0.1).minimise(Rigged(design, -1.0, -1.0), Y)
     assert found.status == Status.STAGNATED
     assert found.n_iter == 0
     assert found.objectives == [found.objective]
@@ -379,7 +346,7 @@ def test_badly_rounded_gram_matrix_is_only_a_worse_preconditioner(scale, noise):
     spoilt._gram = Gram(
         scale * (whole.products + noise * (error + error.T)), scale * whole.sums, scale * 60
     )
-    found = irwls(spoilt, Y, 10.0, 0.01, max_iter=3000)
+    found = IRWLS(10.0, 0.01, max_iter=3000).minimise(spoilt, Y)
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.01, True), rel=2e-8)
 
@@ -389,7 +356,7 @@ def test_gram_matrix_that_is_not_positive_is_named():
     spoilt = DenseDesign(design.feature_map, design.X)
     spoilt._gram = dataclasses.replace(design.gram(), products=-design.gram().products)
     with pytest.raises(ValueError, match=r"20 x 20 system .* singular to working precision"):
-        irwls(spoilt, Y, 10.0, 0.01)
+        IRWLS(10.0, 0.01).minimise(spoilt, Y)
 
 
 @pytest.mark.parametrize("n_components", [40, 300])
@@ -401,7 +368,9 @@ def test_float32_features_lead_to_the_float64_minimum(C, epsilon, n_components):
     phi = random_fourier(X, 1.0, n_components, 0)
     single = DenseDesign(phi, X)
     double = DenseDesign(lambda rows: phi(rows.float()).double(), X.double())
-    found, best = (irwls(design, Y, C, epsilon, max_iter=1000) for design in (single, double))
+    found, best = (
+        IRWLS(C, epsilon, max_iter=1000).minimise(design, Y) for design in (single, double)
+    )
     reached = naive_msvr_objective(
         phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), C, epsilon
     )
@@ -417,8 +386,10 @@ def test_float32_reaches_the_minimum_to_its_rounding(C):
     X, Y = smooth_data(0, 400)
     X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
     phi = random_fourier(X, 1.0, 40, 0)
-    found = irwls(DenseDesign(phi, X), Y, C, 0.0)
-    best = irwls(DenseDesign(lambda rows: phi(rows.float()).double(), X.double()), Y, C, 0.0)
+    found = IRWLS(C, 0.0).minimise(DenseDesign(phi, X), Y)
+    best = IRWLS(C, 0.0).minimise(
+        DenseDesign(lambda rows: phi(rows.float()).double(), X.double()), Y
+    )
     reached = naive_msvr_objective(
         phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), C, 0.0
     )
@@ -431,14 +402,14 @@ def test_float32_says_when_it_cannot():
     X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
     design = DenseDesign(random_fourier(X, 1.0, 300, 0), X)
     with pytest.raises(ValueError, match=r"singular to working precision.*lower C"):
-        irwls(design, Y, 1e7, 1e-3)
+        IRWLS(1e7, 1e-3).minimise(design, Y)
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.3])
 def test_minimum_with_intercept_is_that_of_lbfgs(epsilon):
     blocks, Phi, Y = problem()
     W, b, minimum = lbfgs_msvr(Phi, Y.numpy(), 10.0, epsilon, fit_intercept=True)
-    found = irwls(blocks, Y, 10.0, epsilon, tol=1e-13, max_iter=5000)
+    found = IRWLS(10.0, epsilon, tol=1e-13, max_iter=5000).minimise(blocks, Y)
     assert np.abs(b).max() > 0.1
     assert found.objective == pytest.approx(minimum, rel=1e-9)
     # |W - W*|^2 <= 2 (F - F*): relative 1e-12 in F of order 10 leaves 1e-5 in W.
@@ -448,7 +419,7 @@ def test_minimum_with_intercept_is_that_of_lbfgs(epsilon):
 
 def test_objective_is_equation_7():
     blocks, Phi, Y = problem(n_samples=60)
-    found = irwls(blocks, Y, 10.0, 0.05)
+    found = IRWLS(10.0, 0.05).minimise(blocks, Y)
     naive = naive_msvr_objective(
         Phi, Y.numpy(), found.coef.numpy(), found.intercept.numpy(), 10.0, 0.05
     )
@@ -461,7 +432,7 @@ def test_objective_is_equation_7():
 def test_without_tube_and_intercept_it_is_ridge(C):
     blocks, Phi, Y = problem()
     ridge = Ridge(alpha=1 / (2 * C), fit_intercept=False, solver="cholesky").fit(Phi, Y.numpy())
-    found = irwls(blocks, Y, C, 0.0, fit_intercept=False, tol=1e-14)
+    found = IRWLS(C, 0.0, fit_intercept=False, tol=1e-14).minimise(blocks, Y)
     assert found.n_iter == 1
     assert np.abs(ridge.coef_).max() > 0.1
     # One linear system of condition 1e4 or less, solved twice.
@@ -471,7 +442,7 @@ def test_without_tube_and_intercept_it_is_ridge(C):
 def test_without_tube_but_with_intercept_it_is_ridge_with_free_intercept():
     blocks, Phi, Y = problem()
     ridge = Ridge(alpha=1 / 20, solver="cholesky").fit(Phi, Y.numpy())
-    found = irwls(blocks, Y, 10.0, 0.0, tol=1e-14)
+    found = IRWLS(10.0, 0.0, tol=1e-14).minimise(blocks, Y)
     np.testing.assert_allclose(found.coef, ridge.coef_.T, rtol=0, atol=1e-10)
     np.testing.assert_allclose(found.intercept, ridge.intercept_, rtol=0, atol=1e-10)
 
@@ -490,7 +461,9 @@ def test_one_output_is_linear_svr_with_squared_loss(C, epsilon):
         tol=1e-12,
         max_iter=100_000,
     ).fit(Phi, y)
-    found = irwls(blocks, Y[:, :1], C, epsilon, fit_intercept=False, tol=1e-13, max_iter=5000)
+    found = IRWLS(C, epsilon, fit_intercept=False, tol=1e-13, max_iter=5000).minimise(
+        blocks, Y[:, :1]
+    )
     reference = naive_msvr_objective(Phi, y[:, None], other.coef_[:, None], np.zeros(1), C, epsilon)
     assert found.objective == pytest.approx(reference, rel=1e-8)
     # liblinear stops at a relative gradient of 1e-12, whose effect here is below 1e-5.
@@ -501,9 +474,9 @@ def test_one_output_is_linear_svr_with_squared_loss(C, epsilon):
 @pytest.mark.parametrize(("epsilon", "n"), [(1e-3, 2), (0.3, 1), (0.3, 5)])
 def test_gradient_norm_is_that_of_autograd(path, fit_intercept, epsilon, n):
     blocks, Phi, Y = problem()
-    found = irwls(
-        blocks, Y, 10.0, epsilon, fit_intercept=fit_intercept, max_iter=n, tol=0.0, **PATHS[path]
-    )
+    found = IRWLS(
+        10.0, epsilon, fit_intercept=fit_intercept, max_iter=n, tol=0.0, **PATHS[path]
+    ).minimise(blocks, Y)
     W, b = found.coef.clone().requires_grad_(), found.intercept.clone().requires_grad_()
     u = (Y - torch.tensor(Phi) @ W - b).norm(dim=1)
     gradients = torch.autograd.grad(0.5 * W.square().sum() + 10.0 * loss(u, epsilon).sum(), (W, b))
@@ -514,7 +487,7 @@ def test_gradient_norm_is_that_of_autograd(path, fit_intercept, epsilon, n):
 
 def test_everything_inside_the_tube_gives_the_zero_model():
     blocks, _, Y = problem()
-    found = irwls(blocks, Y, 10.0, 1e3)
+    found = IRWLS(10.0, 1e3).minimise(blocks, Y)
     assert found.status == Status.CONVERGED
     assert found.n_iter == 0
     assert found.objective == 0
@@ -527,7 +500,9 @@ def test_everything_inside_the_tube_gives_the_zero_model():
 @pytest.mark.parametrize("C", [1.0, 1e4])
 def test_objective_never_rises(path, C, epsilon, fit_intercept):
     blocks, _, Y = problem(sigma=0.5)
-    found = irwls(blocks, Y, C, epsilon, fit_intercept=fit_intercept, max_iter=60, **PATHS[path])
+    found = IRWLS(C, epsilon, fit_intercept=fit_intercept, max_iter=60, **PATHS[path]).minimise(
+        blocks, Y
+    )
     assert len(found.objectives) == found.n_iter + 1
     assert found.n_iter >= 1
     assert (np.diff(found.objectives) <= 0).all()
@@ -536,7 +511,7 @@ def test_objective_never_rises(path, C, epsilon, fit_intercept):
 
 def test_support_fraction_counts_samples_outside_the_tube():
     blocks, Phi, Y = problem()
-    found = irwls(blocks, Y, 10.0, 0.1, max_iter=1000)
+    found = IRWLS(10.0, 0.1, max_iter=1000).minimise(blocks, Y)
     u = np.linalg.norm(Y.numpy() - Phi @ found.coef.numpy() - found.intercept.numpy(), axis=1)
     assert 0.05 < found.support_fraction < 0.95
     assert found.support_fraction == pytest.approx(np.mean(u > 0.1), abs=1e-12)
@@ -544,7 +519,7 @@ def test_support_fraction_counts_samples_outside_the_tube():
 
 def test_status_and_gap_tell_of_an_early_end():
     blocks, _, Y = problem()
-    found = irwls(blocks, Y, 100.0, 0.3, max_iter=1)
+    found = IRWLS(100.0, 0.3, max_iter=1).minimise(blocks, Y)
     assert found.status == Status.MAX_ITER
     assert found.n_iter == 1
     assert found.gap > 1e-8
@@ -553,13 +528,15 @@ def test_status_and_gap_tell_of_an_early_end():
 def test_targets_stay_untouched():
     blocks, _, Y = problem()
     before = Y.clone()
-    irwls(blocks, Y, 10.0, 0.05)
+    IRWLS(10.0, 0.05).minimise(blocks, Y)
     assert torch.equal(Y, before)
 
 
 def test_blocks_of_any_height_give_the_same_solution():
     blocks, _, Y = problem()
     small = DenseDesign(blocks.feature_map, blocks.X, block_rows=11)
-    whole, pieces = (irwls(b, Y, 10.0, 0.05, tol=1e-12, max_iter=2000) for b in (blocks, small))
+    whole, pieces = (
+        IRWLS(10.0, 0.05, tol=1e-12, max_iter=2000).minimise(b, Y) for b in (blocks, small)
+    )
     # Sums in another order, through as many iterations.
     np.testing.assert_allclose(pieces.coef, whole.coef, atol=1e-7, rtol=0)

@@ -6,8 +6,8 @@ import torch
 from learning_reference import naive_rbf
 from scipy import stats
 
-from suspnet.learning import landmarks
-from suspnet.learning.landmarks import exact, nystroem, pivoted_cholesky
+from suspnet.learning import feature_maps as landmarks
+from suspnet.learning.feature_maps import exact, nystroem, pivoted_cholesky
 
 SIGMA = 1.3
 

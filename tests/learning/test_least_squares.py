@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import optimize
 
-from suspnet.learning import CurveFit, levenberg_marquardt
+from suspnet.learning import CurveFit, LevenbergMarquardt
 from suspnet.learning.least_squares import _derivatives
 
 TIMES = torch.linspace(0, 4, 40, dtype=torch.float64)
@@ -39,7 +39,7 @@ def _oscillator(parameters, known):
 def test_each_row_is_the_fit_of_scipy():
     truth, data = decays()
     start = torch.ones_like(truth)
-    found = levenberg_marquardt(lambda theta, rows: data[rows] - _decay(theta), start)
+    found = LevenbergMarquardt().minimise(lambda theta, rows: data[rows] - _decay(theta), start)
     assert bool(found.converged.all())
     for row, observed in enumerate(data):
         other = optimize.least_squares(
@@ -83,8 +83,8 @@ def test_search_ends_where_little_is_left_to_gain():
     def residual(theta, rows):
         return (data[rows] - _decay(theta)) / sigma
 
-    exact = levenberg_marquardt(residual, start)
-    found = levenberg_marquardt(residual, start, least_decrease=0.01)
+    exact = LevenbergMarquardt().minimise(residual, start)
+    found = LevenbergMarquardt(least_decrease=0.01).minimise(residual, start)
     assert bool(found.converged.all())
     assert found.n_iter < exact.n_iter
     assert float((found.cost - exact.cost).max()) < 0.02
@@ -126,7 +126,7 @@ def test_curved_residuals_take_few_steps():
     def residual(theta, rows):
         return torch.cat([theta, 1 - 0.05 * torch.cos(8 * theta)], dim=1)
 
-    found = levenberg_marquardt(residual, start)
+    found = LevenbergMarquardt().minimise(residual, start)
     assert bool(found.converged.all())
     assert found.n_iter <= 6
     np.testing.assert_allclose(found.parameters, 0, atol=1e-9)
@@ -135,8 +135,8 @@ def test_curved_residuals_take_few_steps():
 @pytest.mark.parametrize("settings", [{}, {"tol": 1e-3}, {"max_iter": 2}])
 def test_information_is_the_product_of_derivatives_at_the_parameters(settings):
     truth, data = decays()
-    found = levenberg_marquardt(
-        lambda theta, rows: data[rows] - _decay(theta), torch.ones_like(truth), **settings
+    found = LevenbergMarquardt(**settings).minimise(
+        lambda theta, rows: data[rows] - _decay(theta), torch.ones_like(truth)
     )
     for theta, information in zip(found.parameters.numpy(), found.information, strict=True):
         a, b, _ = theta
@@ -150,8 +150,8 @@ def test_bounded_fit_is_that_of_scipy():
     truth, data = decays(n_rows=8, seed=4)
     lower, upper = np.array([0.8, 0.7, -0.5]), np.array([1.6, 1.5, 0.5])
     bounds = torch.tensor(lower), torch.tensor(upper)
-    found = levenberg_marquardt(
-        lambda theta, rows: data[rows] - _decay(theta), torch.ones_like(truth), bounds=bounds
+    found = LevenbergMarquardt(bounds=bounds).minimise(
+        lambda theta, rows: data[rows] - _decay(theta), torch.ones_like(truth)
     )
     assert bool(found.converged.all())
     pressed = 0
@@ -177,9 +177,9 @@ def test_bounded_fit_is_that_of_scipy():
 def test_rows_do_not_see_each_other():
     truth, data = decays()
     start = torch.ones_like(truth)
-    together = levenberg_marquardt(lambda theta, rows: data[rows] - _decay(theta), start)
+    together = LevenbergMarquardt().minimise(lambda theta, rows: data[rows] - _decay(theta), start)
     for row in range(len(data)):
-        alone = levenberg_marquardt(
+        alone = LevenbergMarquardt().minimise(
             lambda theta, rows, row=row: data[row : row + 1] - _decay(theta), start[row : row + 1]
         )
         np.testing.assert_allclose(alone.parameters[0], together.parameters[row], rtol=1e-9)
@@ -188,7 +188,7 @@ def test_rows_do_not_see_each_other():
 def test_rosenbrock_ends_in_its_valley():
     # The classical start, one on the other side, and the minimum itself.
     start = torch.tensor([[-1.2, 1.0], [3.0, -2.0], [1.0, 1.0]], dtype=torch.float64)
-    found = levenberg_marquardt(_rosenbrock, start, max_iter=200)
+    found = LevenbergMarquardt(max_iter=200).minimise(_rosenbrock, start)
     assert bool(found.converged.all())
     np.testing.assert_allclose(found.parameters, np.ones((3, 2)), atol=1e-7, rtol=0)
     np.testing.assert_allclose(found.cost, np.zeros(3), atol=1e-14)
@@ -203,7 +203,7 @@ def test_step_that_is_not_taken_costs_one_evaluation(one_sided):
         return _rosenbrock(theta, rows)
 
     start = torch.tensor([[-1.2, 1.0]], dtype=torch.float64)
-    found = levenberg_marquardt(residual, start, one_sided=one_sided)
+    found = LevenbergMarquardt(one_sided=one_sided).minimise(residual, start)
     assert len(set(points)) == len(points)
     for_jacobian = 2 if one_sided else 4
     n_places = (len(points) - 1 - found.n_iter - 1) / for_jacobian  # the start, trials, the last
@@ -214,7 +214,7 @@ def test_step_that_is_not_taken_costs_one_evaluation(one_sided):
 def test_linear_problem_is_least_squares():
     rng = np.random.default_rng(1)
     A, y = rng.standard_normal((20, 3)), rng.standard_normal((4, 20))
-    found = levenberg_marquardt(
+    found = LevenbergMarquardt().minimise(
         lambda theta, rows: torch.tensor(y)[rows] - theta @ torch.tensor(A).T,
         torch.zeros(4, 3, dtype=torch.float64),
     )
@@ -226,8 +226,8 @@ def test_linear_problem_is_least_squares():
 @pytest.mark.parametrize("first_damping", [1e-3, 1e-6, 1e-12])
 def test_parameter_without_effect_stays_and_does_not_hold_the_others(first_damping):
     start = torch.tensor([[3.0, 7.0]], dtype=torch.float64)
-    found = levenberg_marquardt(
-        lambda theta, rows: theta[:, :1] - 2 + 0 * theta[:, 1:], start, first_damping=first_damping
+    found = LevenbergMarquardt(first_damping=first_damping).minimise(
+        lambda theta, rows: theta[:, :1] - 2 + 0 * theta[:, 1:], start
     )
     assert bool(found.converged[0])
     np.testing.assert_allclose(found.parameters, [[2.0, 7.0]], rtol=1e-8)
@@ -238,11 +238,8 @@ def test_little_damping_solves_a_linear_problem_in_one_step():
     slopes = torch.tensor([[1.0, 0.5], [0.0, 2.0]], dtype=torch.float64)
 
     def left_after_one_step(first_damping):
-        found = levenberg_marquardt(
-            lambda theta, rows: (theta - 3) @ slopes,
-            torch.zeros(1, 2, dtype=torch.float64),
-            max_iter=1,
-            first_damping=first_damping,
+        found = LevenbergMarquardt(max_iter=1, first_damping=first_damping).minimise(
+            lambda theta, rows: (theta - 3) @ slopes, torch.zeros(1, 2, dtype=torch.float64)
         )
         return (found.parameters[0] - 3).numpy()
 
@@ -257,10 +254,10 @@ def test_little_damping_solves_a_linear_problem_in_one_step():
 def test_start_beyond_the_bounds_is_brought_inside():
     bounds = torch.tensor([0.0]), torch.tensor([5.0])
     start = torch.tensor([[-9.0], [99.0], [3.0]], dtype=torch.float64)
-    found = levenberg_marquardt(lambda theta, rows: theta - 2, start, bounds=bounds)
+    found = LevenbergMarquardt(bounds=bounds).minimise(lambda theta, rows: theta - 2, start)
     np.testing.assert_allclose(found.parameters, np.full((3, 1), 2.0), rtol=1e-8)
     assert start.tolist() == [[-9.0], [99.0], [3.0]]
-    held = levenberg_marquardt(lambda theta, rows: theta - 7, start, bounds=bounds)
+    held = LevenbergMarquardt(bounds=bounds).minimise(lambda theta, rows: theta - 7, start)
     assert held.parameters.tolist() == [[5.0]] * 3
     assert bool(held.converged.all())
 
@@ -268,7 +265,7 @@ def test_start_beyond_the_bounds_is_brought_inside():
 def test_bound_is_left_when_the_others_have_moved():
     bounds = torch.tensor([-1.5, -0.5]).double(), torch.tensor([2.0, 3.0]).double()
     start = torch.tensor([[-1.5, 3.0], [2.0, -0.5], [1.9, 3.0]], dtype=torch.float64)
-    found = levenberg_marquardt(_rosenbrock, start, max_iter=200, bounds=bounds)
+    found = LevenbergMarquardt(max_iter=200, bounds=bounds).minimise(_rosenbrock, start)
     assert bool(found.converged.all())
     np.testing.assert_allclose(found.parameters, np.ones((3, 2)), atol=1e-7, rtol=0)
 
@@ -276,7 +273,7 @@ def test_bound_is_left_when_the_others_have_moved():
 def test_cost_is_half_the_sum_of_squares_and_never_above_the_start():
     start = torch.tensor([[-1.2, 1.0], [5.0, 5.0]], dtype=torch.float64)
     before = 0.5 * _rosenbrock(start, None).square().sum(dim=1)
-    found = levenberg_marquardt(_rosenbrock, start, max_iter=3)
+    found = LevenbergMarquardt(max_iter=3).minimise(_rosenbrock, start)
     after = 0.5 * _rosenbrock(found.parameters, None).square().sum(dim=1)
     np.testing.assert_allclose(found.cost, after, rtol=1e-14)
     assert bool((found.cost < before).all())
@@ -285,20 +282,20 @@ def test_cost_is_half_the_sum_of_squares_and_never_above_the_start():
 def test_start_stays_untouched():
     start = torch.tensor([[-1.2, 1.0]], dtype=torch.float64)
     before = start.clone()
-    levenberg_marquardt(_rosenbrock, start)
+    LevenbergMarquardt().minimise(_rosenbrock, start)
     assert torch.equal(start, before)
 
 
 def test_one_iteration_is_reported_as_not_converged():
     start = torch.tensor([[-1.2, 1.0], [3.0, -2.0]], dtype=torch.float64)
-    found = levenberg_marquardt(_rosenbrock, start, max_iter=1)
+    found = LevenbergMarquardt(max_iter=1).minimise(_rosenbrock, start)
     assert found.n_iter == 1
     assert not bool(found.converged.any())
 
 
 def test_residual_that_is_not_finite_is_not_called_converged():
     start = torch.tensor([[1.0]], dtype=torch.float64)
-    found = levenberg_marquardt(lambda theta, rows: theta * torch.nan, start)
+    found = LevenbergMarquardt().minimise(lambda theta, rows: theta * torch.nan, start)
     assert not bool(found.converged.any())
 
 

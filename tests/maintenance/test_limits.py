@@ -21,7 +21,7 @@ from suspnet.maintenance.limits import (
     read_limits,
 )
 from suspnet.maintenance.trend import trend
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = yaml.safe_load((CONFIGS / "scenarios.yaml").read_text())

@@ -14,9 +14,8 @@ from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.writing import write_fleet
+from suspnet.simulation.fleet import Fleet, Scenario
+from suspnet.simulation.writing import Simulation, write_fleet
 
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
 COMMON_HZ = 100.0
@@ -142,7 +141,7 @@ def simulated(folder, seed=0, sides=None, vehicle=AM96, **options):
         )
     fleet = Fleet(sides=sides, **options)
     scenario = Scenario("random", spread=0.3)
-    (path,) = write_fleet(folder, fleet, scenario, generator, seed=seed)
+    (path,) = write_fleet(folder, Simulation(fleet, scenario, generator, seed=seed))
     recording = loaded(path)
     signals = dict(zip(CHANNELS, recording.signals, strict=True))
     if all(recording.paired):

@@ -12,16 +12,16 @@ from trip_fixtures import AM96
 
 from suspnet.cli.kinds import build
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.journey import steady_journey
 from suspnet.dynamics.quantities import PARTS
-from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.dynamics.track import make_profile
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.scatter import scattered
+from suspnet.simulation.signals import steady_journey
 from suspnet.simulation.writing import profile_length_m, simulate_trip
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
 from suspnet.spectra.plausibility import check_channels
-from suspnet.spectra.transfer_estimate import segment_spectra
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import Welch, segment_spectra
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 VEHICLES = sorted(path.stem for path in (CONFIGS / "vehicle").glob("*.yaml"))

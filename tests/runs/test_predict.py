@@ -20,9 +20,8 @@ from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
 from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import predict_stream
-from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.misfit import CurveMisfit
 
 SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 METHODS = {

@@ -11,17 +11,16 @@ from suspnet.dynamics import QuarterCar
 from suspnet.ground.storage import locked
 from suspnet.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.simulation import writing
-from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.fleet import Fleet, Scenario
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.writing import write_fleet
+from suspnet.simulation.writing import Simulation, write_fleet
 
 FLEET = Fleet(n_trips=4, minutes=0.1, sensors=SENSORS)
 LOADS = Scenario("loads")
 
 
 def simulate(folder, fleet=FLEET, seed=3, **options):
-    return write_fleet(folder, fleet, LOADS, QuarterCar(AM96), seed=seed, **options)
+    return write_fleet(folder, Simulation(fleet, LOADS, QuarterCar(AM96), seed=seed), **options)
 
 
 def contents(folder):

@@ -9,8 +9,7 @@ from scipy import stats
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
-from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.simulation import scatter
 from suspnet.simulation.scatter import scattered, true_numbers
 

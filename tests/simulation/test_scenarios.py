@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 
 MILEAGE = np.linspace(0, 300_000, 61)
 FADE = {"from_km": 100_000.0, "to_km": 200_000.0, "ratio": 0.6}

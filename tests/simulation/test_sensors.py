@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.simulation.sensors import STANDARD_GRAVITY, Sensor
+from suspnet.simulation.signals import STANDARD_GRAVITY, Sensor
 
 RATE_HZ = 100.0
 

@@ -10,18 +10,24 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.journey import Journey, steady_journey
 from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
+from suspnet.dynamics.track import TrackProfile, make_profile
+from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.ground.storage import read_json
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.scatter import scattered, true_numbers
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.signals import BLOCK, LEAD_IN_S, profile_length_m, simulate_trip
-from suspnet.simulation.writing import Fleet, write_fleet
-from suspnet.spectra.transfer_estimate import tfestimate
-from suspnet.spectra.welch import Welch
+from suspnet.simulation.signals import (
+    BLOCK,
+    LEAD_IN_S,
+    Journey,
+    profile_length_m,
+    simulate_trip,
+    steady_journey,
+)
+from suspnet.simulation.writing import Fleet, Simulation, write_fleet
+from suspnet.spectra.welch import Welch, tfestimate
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
 GENERATORS = {
@@ -215,7 +221,9 @@ def test_longer_trip_is_the_same_in_its_first_part(monkeypatch):
 def test_same_seed_writes_the_same_bytes(tmp_path):
     scenario = Scenario("some", spread=0.1)
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
-        write_fleet(tmp_path / folder, fleet(), scenario, GENERATORS["leading"], seed=seed)
+        write_fleet(
+            tmp_path / folder, Simulation(fleet(), scenario, GENERATORS["leading"], seed=seed)
+        )
     first, again, other = (contents(tmp_path / folder) for folder in "abc")
     assert len(first) == 2 * (1 + 4) + 1  # truth.json
     assert first == again
@@ -226,8 +234,12 @@ def test_same_seed_writes_the_same_bytes(tmp_path):
 
 
 def test_trip_depends_on_its_own_number_alone(tmp_path):
-    write_fleet(tmp_path / "one", fleet(n_trips=1), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
-    write_fleet(tmp_path / "two", fleet(n_trips=2), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
+    write_fleet(
+        tmp_path / "one", Simulation(fleet(n_trips=1), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
+    )
+    write_fleet(
+        tmp_path / "two", Simulation(fleet(n_trips=2), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
+    )
     one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
     for name in CHANNELS:
         assert one[f"trip_001/{name}.parquet"] == two[f"trip_001/{name}.parquet"]
@@ -241,7 +253,7 @@ def test_files_are_those_of_the_manifest(tmp_path):
         "body": {"rate_hz": 160.0},
     }
     trips = fleet(n_trips=3, sensors=sensors, speed_m_per_s=40.0, suspension="left")
-    paths = write_fleet(tmp_path, trips, scenario, GENERATORS["leading"], seed=3)
+    paths = write_fleet(tmp_path, Simulation(trips, scenario, GENERATORS["leading"], seed=3))
     assert [path.name for path in paths] == ["trip_001.yaml", "trip_002.yaml", "trip_003.yaml"]
     ratios = scenario.ratios(trips.mileage_km(), 3)
     for i, path in enumerate(paths):
@@ -278,9 +290,7 @@ def test_channels_of_other_rates_are_resampled_with_their_content(tmp_path):
         sensors["bogie"]["rate_hz"] = rate_hz
         write_fleet(
             tmp_path / f"{rate_hz:g}",
-            fleet(n_trips=1, sensors=sensors),
-            ONE_LOAD,
-            GENERATORS["leading"],
+            Simulation(fleet(n_trips=1, sensors=sensors), ONE_LOAD, GENERATORS["leading"]),
         )
     fine, coarse = (column(tmp_path / rate / "trip_001/bogie.parquet") for rate in ("400", "200"))
     transforms = [np.fft.rfft(x * np.hanning(len(x))) / len(x) for x in (fine, coarse)]
@@ -297,7 +307,10 @@ def test_sensors_add_their_own_noise_on_each_trip(tmp_path):
         sensors = {name: {"rate_hz": 200.0, "snr_db": snr_db} for name in CHANNELS}
         for seed in (0, 1):
             folder = tmp_path / f"{snr_db}-{seed}"
-            write_fleet(folder, fleet(sensors=sensors), ONE_LOAD, GENERATORS["leading"], seed=seed)
+            write_fleet(
+                folder,
+                Simulation(fleet(sensors=sensors), ONE_LOAD, GENERATORS["leading"], seed=seed),
+            )
             for trip in ("trip_001", "trip_002"):
                 for name in CHANNELS:
                     signal = column(folder / trip / f"{name}.parquet")
@@ -317,7 +330,7 @@ def test_sensors_add_their_own_noise_on_each_trip(tmp_path):
 
 def test_service_journey_is_written_with_its_speed(tmp_path):
     trips = fleet(n_trips=1, journey="service", n_stops=1, minutes=10.0, speed_m_per_s=20.0)
-    (path,) = write_fleet(tmp_path, trips, ONE_LOAD, GENERATORS["quarter_car"], seed=2)
+    (path,) = write_fleet(tmp_path, Simulation(trips, ONE_LOAD, GENERATORS["quarter_car"], seed=2))
     manifest = read_manifest(path)
     speed = column(manifest.file_of(manifest.speed))
     assert len(speed) == 601
@@ -360,12 +373,14 @@ def pair(folder, trip, place):
 
 def test_vehicle_that_rolls_is_written_with_sensors_on_both_sides(tmp_path):
     silent = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
-    (path,) = write_fleet(tmp_path / "a", fleet(n_trips=1, sensors=silent), ONE_LOAD, FAMILY)
+    (path,) = write_fleet(
+        tmp_path / "a", Simulation(fleet(n_trips=1, sensors=silent), ONE_LOAD, FAMILY)
+    )
     channels = read_manifest(path).channels
     assert [[one.side for one in channels[name]] for name in CHANNELS] == 3 * [["left", "right"]]
-    write_fleet(tmp_path / "b", fleet(n_trips=1), ONE_LOAD, FAMILY)
+    write_fleet(tmp_path / "b", Simulation(fleet(n_trips=1), ONE_LOAD, FAMILY))
     off = replace(FAMILY, sensor_lateral_m=(0.0, 0.0, 0.0))
-    write_fleet(tmp_path / "middle", fleet(n_trips=1, sensors=silent), ONE_LOAD, off)
+    write_fleet(tmp_path / "middle", Simulation(fleet(n_trips=1, sensors=silent), ONE_LOAD, off))
     for name in CHANNELS:
         clean, noisy = (pair(tmp_path / folder, "trip_001", name) for folder in "ab")
         middle = column(tmp_path / "middle" / "trip_001" / f"{name}.parquet")
@@ -384,8 +399,8 @@ def test_one_sensor_alone_is_the_left_one_of_both(tmp_path):
     other = replace(FAMILY, sensor_lateral_m=(1.0, -0.9, 1.1))
     for generator, side in ((FAMILY, "left"), (other, "right")):
         both, one = tmp_path / f"both {side}", tmp_path / f"one {side}"
-        write_fleet(both, trips, ONE_LOAD, generator)
-        (path,) = write_fleet(one, replace(trips, sides="left"), ONE_LOAD, generator)
+        write_fleet(both, Simulation(trips, ONE_LOAD, generator))
+        (path,) = write_fleet(one, Simulation(replace(trips, sides="left"), ONE_LOAD, generator))
         sides = [read_manifest(path).channels[name].side for name in CHANNELS]
         assert sides == ["left", side, "left"]
         for name, where in zip(CHANNELS, sides, strict=True):
@@ -399,7 +414,7 @@ def test_mean_level_of_the_track_is_the_same_with_and_without_cross_level(tmp_pa
     trips = fleet(n_trips=1, sensors=sensors)
     plain = replace(FAMILY, parts=())
     for name, generator in (("family", FAMILY), ("plain", plain)):
-        write_fleet(tmp_path / name, trips, ONE_LOAD, generator)
+        write_fleet(tmp_path / name, Simulation(trips, ONE_LOAD, generator))
     left, right = pair(tmp_path / "family", "trip_001", "axle_box")
     track = column(tmp_path / "plain" / "trip_001" / "axle_box.parquet")
     np.testing.assert_allclose((left + right) / 2, track, rtol=0, atol=1e-5 * np.abs(track).max())
@@ -412,7 +427,10 @@ def test_mean_level_of_the_track_is_the_same_with_and_without_cross_level(tmp_pa
 
 def test_scattered_fleet_says_what_it_was_and_wears_relative_to_it(tmp_path):
     for folder, trips in (("two", 2), ("three", 3)):
-        write_fleet(tmp_path / folder, fleet(n_trips=trips), ONE_LOAD, FAMILY, seed=7, scatter=1.0)
+        write_fleet(
+            tmp_path / folder,
+            Simulation(fleet(n_trips=trips), ONE_LOAD, FAMILY, seed=7, scatter=1.0),
+        )
     truth, same = (read_json(tmp_path / folder / "truth.json") for folder in ("two", "three"))
     assert truth == same
     assert (truth["vehicle"], truth["scatter"], truth["seed"]) == ("am96", 1.0, 7)
@@ -421,7 +439,7 @@ def test_scattered_fleet_says_what_it_was_and_wears_relative_to_it(tmp_path):
     for name in CHANNELS:
         two, three = (pair(tmp_path / folder, "trip_001", name) for folder in ("two", "three"))
         np.testing.assert_array_equal(two, three)
-    write_fleet(tmp_path / "none", fleet(n_trips=1), ONE_LOAD, FAMILY, seed=7)
+    write_fleet(tmp_path / "none", Simulation(fleet(n_trips=1), ONE_LOAD, FAMILY, seed=7))
     numbers = read_json(tmp_path / "none" / "truth.json")["numbers"]
     assert {one["ratio"] for one in numbers.values()} == {1.0}
 
@@ -433,7 +451,7 @@ def test_both_sides_of_a_vehicle_without_roll_are_rejected(tmp_path):
     middle = replace(FAMILY, sensor_lateral_m=(0.0, 0.0, 0.0))
     for generator in (*GENERATORS.values(), middle):
         with pytest.raises(ValueError, match="`sides`=both needs a vehicle with roll"):
-            write_fleet(tmp_path, fleet(sides="both"), ONE_LOAD, generator)
+            write_fleet(tmp_path, Simulation(fleet(sides="both"), ONE_LOAD, generator))
     assert not list(tmp_path.iterdir())
 
 
@@ -475,5 +493,5 @@ def test_profile_too_short_for_the_journey_is_rejected():
 def test_service_journey_too_short_for_its_stops_is_rejected(tmp_path):
     trips = fleet(journey="service", n_stops=3, minutes=5.0)
     with pytest.raises(ValueError, match="3 stops in 300 s leave"):
-        write_fleet(tmp_path, trips, ONE_LOAD, GENERATORS["quarter_car"])
+        write_fleet(tmp_path, Simulation(trips, ONE_LOAD, GENERATORS["quarter_car"]))
     assert not list(tmp_path.iterdir())

@@ -10,12 +10,10 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.recordings.manifest_files import UNFINISHED, partial_words, read_manifest
-from suspnet.simulation import fleet_writing, writing
-from suspnet.simulation.fleet import Fleet
-from suspnet.simulation.fleet_writing import write_trains
+from suspnet.simulation import writing
+from suspnet.simulation.fleet import Fleet, Scenario, Trains
 from suspnet.simulation.folders import FolderTakenError
-from suspnet.simulation.scenarios import Scenario
-from suspnet.simulation.trains import Trains
+from suspnet.simulation.writing import Simulation, write_trains
 from suspnet.trips.grouping import find_groups
 
 FLEET = Fleet(n_trips=2, minutes=0.1, last_mileage_km=1000.0, sensors=SENSORS)
@@ -26,8 +24,9 @@ SECTION_S = 20 * 60
 
 def simulate(folder, trains=None, fleet=FLEET, generator=None, **options):
     generator = generator or QuarterCar(AM96)
-    given = {"seed": 5, "scatter": 1.0} | options
-    return write_trains(folder, trains or Trains(1, 1, 1), fleet, WORN, generator, **given)
+    drawn = {name: options.pop(name, value) for name, value in (("seed", 5), ("scatter", 1.0))}
+    simulation = Simulation(fleet, WORN, generator, **drawn)
+    return write_trains(folder, trains or Trains(1, 1, 1), simulation, **options)
 
 
 def contents(folder):
@@ -161,10 +160,10 @@ def test_those_that_wear_are_told_and_nothing_of_the_others_wears(fleet):
 def test_vertical_vehicle_is_taken_at_the_bogie_of_its_suspension(tmp_path, monkeypatch):
     bogies = {}
 
-    def noted(folder, fleet, scenario, generator, **_):
-        bogies[folder.name] = generator.bogie
+    def noted(folder, simulation, **_):
+        bogies[folder.name] = simulation.generator.bogie
 
-    monkeypatch.setattr(fleet_writing, "write_fleet", noted)
+    monkeypatch.setattr(writing, "write_fleet", noted)
     simulate(tmp_path / "fleet", generator=VerticalVehicle(AM96))
     assert bogies == {"train_1_car_1_leading": "leading", "train_1_car_1_trailing": "trailing"}
 
@@ -230,7 +229,7 @@ def test_trips_of_another_simulation_stay(stopped, kind):
         with pytest.raises(FolderTakenError, match="fleet already holds trips; give another"):
             simulate(stopped, **other)
     with pytest.raises(FolderTakenError, match="fleet already holds trips; give another"):
-        writing.write_fleet(stopped, FLEET, WORN, QuarterCar(AM96), seed=5, scatter=1.0)
+        writing.write_fleet(stopped, Simulation(FLEET, WORN, QuarterCar(AM96), seed=5, scatter=1.0))
     assert contents(stopped) == before
 
 

@@ -14,8 +14,7 @@ from suspnet.estimation.feature_data import FeatureData
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.ground.storage import dump_arrays, read_arrays
 from suspnet.spectra.components import FLOOR
-from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.noise import add_noise, noise_rms
+from suspnet.spectra.curves import CurveSettings, add_noise, noise_rms
 
 SMALL = CurveSettings(n_train=300, n_test=40, n_calibrate=150, cache_dir=None)
 

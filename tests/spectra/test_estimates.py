@@ -13,12 +13,9 @@ from scipy.signal import get_window
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
-from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.transfer_estimate import segment_spectra
-from suspnet.spectra.welch import Welch
-from suspnet.spectra.wishart import moving_average_with, sample_spectra
+from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
+from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
+from suspnet.spectra.welch import Welch, segment_spectra
 
 METHODS = ["H1", "H2", "Hv", "IV"]
 RATE_HZ, N_RECORDS, N_DRAWS = 32.0, 400, 3000

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.spectra.curves import add_noise
 from suspnet.spectra.extraction import PEAK_NAMES, PeakFeatures
-from suspnet.spectra.noise import add_noise
 from suspnet.spectra.peaks import PeakFit, PeakReason, findpeaks
 
 GRID = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)

@@ -11,9 +11,9 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.estimation.information import fisher_information
-from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.misfit import CurveMisfit, EstimateMisfit
+from suspnet.spectra.expected_spectra import EstimateMisfit
 
 CURVES = CurveSettings(snr_db=30.0, low_hz=0.3, high_hz=12.0, step_hz=0.1, cache_dir=None)
 TRIPS = EstimateSettings(snr_db=30.0, minutes=10.0, high_hz=9.9, cache_dir=None).bound(AM96)

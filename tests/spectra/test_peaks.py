@@ -7,7 +7,7 @@ import pytest
 import reference
 import torch
 
-from suspnet.spectra import parabola
+from suspnet.spectra import peaks as parabola
 from suspnet.spectra.peaks import PeakFit, PeakReason, findpeaks, smooth
 
 GRID = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)

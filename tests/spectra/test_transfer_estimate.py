@@ -8,10 +8,9 @@ import torch
 import trips_reference
 from scipy import signal
 
-from suspnet.spectra import transfer_estimate
+from suspnet.spectra import welch as transfer_estimate
 from suspnet.spectra.cross_spectra import CHAIN, METHODS, PAIRS, CrossSpectra
-from suspnet.spectra.transfer_estimate import segment_spectra, tfestimate
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import Welch, segment_spectra, tfestimate
 
 SEGMENT = 64  # samples, at 1 Hz
 WELCH = Welch(segment_s=float(SEGMENT))

@@ -12,7 +12,7 @@ from trip_records import fleet as made_up
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.distribution import LogNormal
+from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.maintenance.limits import DEFAULT_LIMITS

@@ -26,7 +26,7 @@ from suspnet.dynamics.motion import SampledMotion
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation import Fleet, Scenario, write_fleet
+from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
 from suspnet.trips.trip import evaluate_trip
 
 SPEED = 70.0
@@ -381,7 +381,7 @@ def test_trips_without_effects_are_those_of_suspnet(tmp_path):
     ratios = scenario.ratios(fleet.mileage_km(), 5)
     found = write_rich_trips(tmp_path / "rich", (), ratios, fleet, seed=5)
     generator = VerticalVehicle(AM96, speed_m_per_s=SPEED)
-    expected = write_fleet(tmp_path / "plain", fleet, scenario, generator, seed=5)
+    expected = write_fleet(tmp_path / "plain", Simulation(fleet, scenario, generator, seed=5))
     for mine, theirs in zip(found, expected, strict=True):
         a, b = read_manifest(mine), read_manifest(theirs)
         assert (a.truth, a.mileage_km, a.start, a.vehicle) == (

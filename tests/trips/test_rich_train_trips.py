@@ -13,7 +13,7 @@ from vehicles import AM96
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation import Fleet, Scenario, write_fleet
+from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
 from suspnet.spectra.cross_spectra import PAIRS
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -40,7 +40,8 @@ def test_trips_without_effects_are_those_of_suspnet(tmp_path):
     ratios = scenario.ratios(fleet.mileage_km(), 5)
     found = write_train_trips(tmp_path / "rich", RichTrain(), ratios, fleet, 5, sides="left")
     expected = write_fleet(
-        tmp_path / "plain", fleet, scenario, VerticalVehicle(AM96, speed_m_per_s=55.0), seed=5
+        tmp_path / "plain",
+        Simulation(fleet, scenario, VerticalVehicle(AM96, speed_m_per_s=55.0), seed=5),
     )
     for mine, theirs in zip(found, expected, strict=True):
         a, b = read_manifest(mine), read_manifest(theirs)

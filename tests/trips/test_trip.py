@@ -27,7 +27,7 @@ from suspnet.estimation.ood import Flags
 from suspnet.history.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError
-from suspnet.simulation.scenarios import Scenario
+from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.welch import Welch
 from suspnet.trips import trip
 from suspnet.trips.trip import evaluate_trip

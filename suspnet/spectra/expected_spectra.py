@@ -1,0 +1,197 @@
+"""Spectra as trips of a generator's vehicles would give them, and the misfit of estimates to them.
+
+The spectra of the three sensors follow from the track, the speed and the vehicle. Their mean
+estimate is the true one smeared over neighbouring bins by the window.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.dynamics.track_spectra import TrackSpectrum, acceleration_density
+from suspnet.ground.tensors import complex_log, squared_size
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.cross_spectra import PAIRS
+from suspnet.spectra.observation import Observer
+from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.welch import Welch
+
+Responses = Callable[[Tensor, Tensor], Tensor]
+SPEED = len(PARAMETERS)
+"""Column of the speed in ratios that hold it."""
+WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
+"""Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
+
+
+class ExpectedSpectra:
+    """Mean of the estimated spectra of axle box, frame and body, without the sensors' noise.
+
+    Parameters
+    ----------
+    generator : ResponseGenerator
+    welch : Welch
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+        Bins of the estimate.
+    track : TrackSpectrum
+    speed_m_per_s : float, [m/s]
+    relative : Speeds, optional
+        Speeds of the trip relative to `speed_m_per_s`; None is that one alone.
+    """
+
+    def __init__(
+        self,
+        generator: ResponseGenerator,
+        welch: Welch,
+        frequencies_hz: Tensor,
+        track: TrackSpectrum,
+        speed_m_per_s: float,
+        relative: Speeds | None = None,
+    ) -> None:
+        self._generator, self._track, self._relative = generator, track, relative
+        self._speed_m_per_s, self._smear = speed_m_per_s, welch.smear()
+        # neighbours on either side leak into the outer bins, too
+        more = torch.arange(1, len(self._smear) // 2 + 1, dtype=torch.float64) / welch.segment_s
+        bins = frequencies_hz
+        self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
+        self._density = self._density_at(1.0)
+
+    def __call__(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
+        """Return auto and cross spectra of each vehicle, each (n_vehicles, 3, n_freq)."""
+        if self._relative is None:
+            auto, cross = self._spectra(ratios, self._density)
+        else:
+            ratios = torch.as_tensor(ratios)
+            pairs = zip(self._relative.m_per_s, self._relative.weights, strict=True)
+            found = [self._spectra(*self._at_speed(ratios, v, w)) for v, w in pairs]
+            auto, cross = (torch.stack(parts).sum(dim=0) for parts in zip(*found, strict=True))
+        return self._smeared(auto), self._smeared(cross)
+
+    def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
+        """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""
+        return acceleration_density(self._track, frequencies_hz, self._speed_m_per_s)
+
+    def noise_densities(
+        self, responses: Responses, rates_hz: Sequence[float], snr_db: float
+    ) -> Tensor:
+        """Return the noise density of sensors, (n_sensors,), [(m/s^2)^2/Hz].
+
+        White noise of `snr_db` relative to the rms of the healthy vehicle's signal over the whole
+        band of a sensor.
+        """
+        densities = []
+        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+        for sensor, rate_hz in enumerate(rates_hz):
+            grid = np.geomspace(WIDE_BAND_LOW_HZ, rate_hz / 2, WIDE_BAND_POINTS)
+            response = responses(healthy, torch.as_tensor(grid))[0, sensor]
+            gain = response.abs().square().cpu().numpy()
+            power = np.trapezoid(gain * self.track_density(grid), grid)
+            densities.append(10 ** (-snr_db / 10) * power / (rate_hz / 2))
+        return torch.tensor(densities, dtype=torch.float64)
+
+    def gains(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
+        """Return the root of each channel's power over that of the mean track, (n, 3, n_freq)."""
+        channels = self._generator.channels(ratios, frequencies_hz)
+        return channels.abs().square().sum(dim=1).sqrt()
+
+    def _at_speed(self, ratios: Tensor, relative: float, weight: float) -> tuple[Tensor, Tensor]:
+        """Return ratios with a speed, relative to nominal, and the track's weighted density."""
+        speed = ratios.new_full((len(ratios), 1), relative)
+        if ratios.shape[1] > SPEED:
+            speed = speed * ratios[:, SPEED : SPEED + 1]
+        columns = [ratios[:, :SPEED], speed, ratios[:, SPEED + 1 :]]
+        return torch.cat(columns, dim=1), weight * self._density_at(relative)
+
+    def _density_at(self, relative: float) -> Tensor:
+        speed = self._speed_m_per_s * relative
+        return torch.as_tensor(acceleration_density(self._track, self._bins.numpy(), speed))
+
+    def _spectra(self, ratios: Tensor, density: Tensor) -> tuple[Tensor, Tensor]:
+        """Return auto and cross spectra without leakage, on all bins: sums over inputs."""
+        channels = self._generator.channels(ratios, self._bins)
+        track = density.to(channels.device)
+        auto = squared_size(channels).sum(dim=1) * track
+        pairs = [(channels[:, :, x].conj() * channels[:, :, y]).sum(dim=1) for x, y in PAIRS]
+        return auto, torch.stack(pairs, dim=1) * track
+
+    def _smeared(self, spectra: Tensor) -> Tensor:
+        """Return spectra on the inner bins, each the weighted sum of its neighbours."""
+        n_inner = spectra.shape[-1] - len(self._smear) + 1
+        return sum(  # type: ignore[return-value]
+            float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
+        )
+
+
+@dataclass(frozen=True)
+class EstimateMisfit:
+    """Complex responses estimated from trips, with the covariance of their logarithms.
+
+    With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
+    expected logarithms and r the correlation of neighbouring bins (see
+    ``Welch.correlated_bins``), the residuals are real and imaginary part of L^-1 u sqrt(2 / r).
+
+    Attributes
+    ----------
+    observer : Observer
+        With `settings.welch`.
+    observed : complex tensor of shape (n_rows, 2, n_freq), [-]
+    covariance : complex tensor of shape (n_rows, 2, 2, n_freq), [-]
+        Infinite where an estimate is not to be used.
+    """
+
+    observer: Observer
+    observed: Tensor
+    covariance: Tensor
+
+    @property
+    def expected(self) -> float:
+        """Mean square of a residual if the model is true: 1 / r, times the share in use."""
+        return self._share / self._correlated
+
+    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
+        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the estimates `rows`.
+
+        The covariance is that of the observation: it does not move with the ratios.
+        """
+        u = complex_log(self.observed[rows] / self.observer.noise_free(ratios))
+        return self.whitened(u, rows)
+
+    def whitened(self, u: Tensor, rows: Tensor, spread: float | Tensor = 0.0) -> Tensor:
+        """Return the residuals (n, n_points) of relative differences.
+
+        Parameters
+        ----------
+        u : complex tensor of shape (n, 2, n_freq), [-]
+        rows : tensor of shape (n,)
+            The estimates that they belong to.
+        spread : float or tensor of shape (n_freq,), [-]
+            Rms error of the model that is allowed for on top of the noise; a bin in which it is
+            infinite does not count.
+        """
+        covariance = self.covariance[rows]
+        l_pp = (covariance[:, 0, 0].real + spread**2).sqrt()
+        l_sp = covariance[:, 1, 0] / l_pp
+        l_ss = (covariance[:, 1, 1].real + spread**2 - squared_size(l_sp)).sqrt()
+        white_p = u[:, 0] / l_pp
+        white_s = (u[:, 1] - l_sp * white_p) / l_ss
+        parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
+        return torch.stack(parts, dim=1).flatten(1) * math.sqrt(2 / self._correlated)
+
+    @cached_property
+    def _share(self) -> float:
+        """Share of the estimates that are used; the residuals of the others are 0."""
+        used = self.covariance.diagonal(dim1=1, dim2=2).real.isfinite()
+        return float(used.double().mean())
+
+    @cached_property
+    def _correlated(self) -> float:
+        """Return r, the number of neighbouring bins with the information of one."""
+        correlated: float = self.observer.settings.welch.correlated_bins
+        return correlated
