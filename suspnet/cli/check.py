@@ -42,7 +42,6 @@ def check(arguments: Namespace) -> int:
 
 
 def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> list[TripCheck]:
-    """Return the check of each manifest, in their order."""
     opened = Opened() if n_workers == 1 else None  # processes share nothing
     names = picture_names(paths)
     done = each(partial(_check_one, settings=settings, opened=opened), names.items(), n_workers)
@@ -55,7 +54,6 @@ def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> 
 
 
 def _check_one(item: tuple[Path, str], settings: CheckSettings, opened: Opened | None) -> TripCheck:
-    """Return the check of a manifest whose picture has a name."""
     return check_trip(item[0], settings, item[1], opened)
 
 

@@ -69,7 +69,6 @@ def read_values(config: DictConfig) -> None:
 
 
 def _switch(name: str, value: Any) -> bool:
-    """Return whether a switch is on."""
     if isinstance(value, bool):
         return value
     known = WORDS.get(value.lower()) if isinstance(value, str) else None
@@ -147,7 +146,6 @@ def _check_broker(group: str, option: Any, typed: Collection[str]) -> None:
 
 @functools.cache
 def _shipped_broker() -> dict[str, Any]:
-    """Return the settings of a broker as shipped."""
     shipped = OmegaConf.to_container(OmegaConf.load(Path(CONFIGS) / "base" / "broker.yaml"))
     assert isinstance(shipped, dict)
     return {str(key): value for key, value in shipped.items()}
@@ -179,7 +177,6 @@ def _check_places(config: DictConfig, typed: Collection[str]) -> None:
 
 @functools.cache
 def _shipped() -> list[tuple[Path, Any]]:
-    """Return the content of each configuration as shipped."""
     files = Path(CONFIGS).rglob("*.yaml")
     return [(file, yaml.load(file.read_bytes(), LOADER)) for file in files]
 

@@ -152,7 +152,6 @@ def _below_outputs(folder: Path) -> Path:
 
 
 def _quoted(value: str | None) -> str:
-    """Return a value as Hydra's command line takes it."""
     if value is None:
         return "null"
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
@@ -208,7 +207,6 @@ def start_again(folder: Path) -> None:
 
 
 def _is_finished(folder: Path) -> bool:
-    """Return whether a folder holds a training that ended."""
     return any((folder / name).is_file() for name in FINISHED)
 
 
@@ -226,7 +224,6 @@ def _wanted(config: DictConfig) -> Any:
 
 
 def _compared(content: Any) -> Any:
-    """Return a configuration without the keys that change no number."""
     config = OmegaConf.create(_with_kinds(content, ""))
     for key in NOT_COMPARED:
         section, _, last = key.rpartition(".")

@@ -42,7 +42,6 @@ def history(arguments: Namespace) -> None:
 
 
 def _listed(store: History, _: Namespace) -> str:
-    """Return a table of the suspensions."""
     rows = []
     for one in store.series():
         known = one.mileage_km[np.isfinite(one.mileage_km)]
@@ -54,7 +53,6 @@ def _listed(store: History, _: Namespace) -> str:
 
 
 def _event(store: History, arguments: Namespace) -> str:
-    """Keep maintenance and return it in words."""
     event = Event(arguments.at_km, arguments.kind, arguments.words)
     store.add_event(arguments.vehicle, _place(arguments), event)
     return f"{_place(arguments)}: {event}"
@@ -90,7 +88,6 @@ def _alarms(store: History, arguments: Namespace) -> str:
 
 
 def _acknowledge(store: History, arguments: Namespace) -> str:
-    """Keep acknowledgements of the open alarms of a parameter, and return them in words."""
     vehicle, place = arguments.vehicle, _place(arguments)
     causes = [arguments.cause] if arguments.cause else list(Cause)
     chosen = [
@@ -112,7 +109,6 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
 
 
 def _export(store: History, arguments: Namespace) -> str:
-    """Write all that is kept as tables and say where they are."""
     tables: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("trips", "events", "alarms", "acknowledgements")
     }
@@ -138,7 +134,6 @@ def _plain(kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
 
 
 def _place(arguments: Namespace) -> Place:
-    """Return which suspension is meant."""
     return Place(**{name: getattr(arguments, name) for name in PLACE})
 
 

@@ -43,5 +43,4 @@ def init(arguments: Namespace) -> None:
 
 
 def _count(n: int, noun: str) -> str:
-    """Return a number with its noun."""
     return f"{n} {noun}{'s' * (n != 1)}"

@@ -179,7 +179,6 @@ def history_parser() -> ArgumentParser:
 
 
 def _add_suspension(command: ArgumentParser) -> None:
-    """Add the arguments that say which suspension is meant."""
     command.add_argument("--vehicle", required=True, help="as in the manifests [text]")
     for field in fields(Place):
         command.add_argument(

@@ -79,8 +79,6 @@ def main(name: str) -> None:
 
 
 def _task_of(name: str) -> Callable[[DictConfig], None]:
-    """Return the function of a program that Hydra calls with a configuration."""
-
     def compose(config: DictConfig) -> None:
         _imported(name).compose(config)
 

@@ -151,7 +151,6 @@ class Reference:
         return found
 
     def _keys(self, path: Keys, value: Any) -> list[Key]:
-        """Return the keys at or below a value."""
         own = self._sentence(path)
         if isinstance(value, dict) and value:
             below = [
@@ -187,7 +186,6 @@ class Reference:
         return ""
 
     def _kind(self, path: Keys) -> Any:
-        """Return the kind of the object at a path; "" if it names none."""
         node: Any = self._plain
         for name in path:
             node = node.get(name) if isinstance(node, dict) else None
@@ -200,7 +198,6 @@ class Reference:
         return next(filter(None, said), "")
 
     def _options(self, group: str) -> dict[str, str]:
-        """Return the options of a group with a phrase on each."""
         files = {f.stem: f for folder in self._folders for f in (folder / group).glob("*.yaml")}
         found = {name: phrase(file) for name, file in sorted(files.items())}
         if group in TABLES:
@@ -255,7 +252,6 @@ def _two_columns(left: str, right: str, width: int) -> list[str]:
 
 
 def _wrapped(words: str, indent: int) -> list[str]:
-    """Return a text in lines of at most ``COLUMNS``."""
     return textwrap.wrap(
         words,
         COLUMNS,

@@ -51,7 +51,6 @@ def end_at_once() -> None:
 
 
 def _end(number: int, frame: object) -> None:
-    """End the process at once."""
     os.write(sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode())
     os._exit(128 + number)
 

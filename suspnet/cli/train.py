@@ -135,7 +135,6 @@ def _ranges(config: DictConfig, speeds: Sequence[float]) -> list[SpeedRange]:
 
 
 def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
-    """Return a configuration with the speed of one range."""
     found = config.copy()
     found.speed_m_per_s = one.trained_m_per_s
     found.data.speed_half_width = one.half_width

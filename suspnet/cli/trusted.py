@@ -212,7 +212,6 @@ def _check_key(key: str, name: str, value: Any) -> None:
 
 
 def _check_resolvers(name: str, text: str) -> None:
-    """Raise ValueError if a text calls a resolver other than ours."""
     for resolver in _resolvers(text):
         if resolver not in RESOLVERS:
             raise ValueError(
@@ -266,7 +265,6 @@ def _check_resolved(config: DictConfig) -> None:
 
 
 def _check_cluster(config: DictConfig) -> None:
-    """Raise ValueError if a file names a cluster, as written or as resolved."""
     group, _, key = CLUSTER.partition(".")
     written = [value for name, _, value in walk(OmegaConf.to_container(config), "") if name == key]
     monitor = config.get(group)
@@ -366,7 +364,6 @@ def _check_launcher(launcher: Any) -> None:
 
 
 def _shipped_launcher(target: str) -> dict[str, Any]:
-    """Return the settings of an installed launcher as its plugin ships them."""
     store = ConfigStore.instance()
     for file in store.list("hydra/launcher"):
         content = OmegaConf.to_container(store.load(f"hydra/launcher/{file}").node)
@@ -405,7 +402,6 @@ def _block(name: str, value: Any) -> dict[str, Any]:
 
 
 def _check_choice(name: str, value: Any, trusted: tuple[str, ...]) -> None:
-    """Raise ValueError unless a target is one of those trusted."""
     if not isinstance(value, str) or value not in trusted:
         raise ValueError(f"`{name}` must be one of {', '.join(trusted)}; got {value!r}")
 
@@ -419,7 +415,6 @@ def _check_plain(name: str, key: str, value: Any) -> None:
 
 
 def _check_number(name: str, value: Any) -> None:
-    """Raise ValueError unless a changed setting of Hydra's is a number, a boolean or null."""
     if value is not None and not isinstance(value, int | float):
         raise ValueError(f"`{name}` must be as shipped, or a number; got {value!r}")
 
