@@ -22,13 +22,13 @@ from suspnet import (
     Problem,
     TripSettings,
     VerticalVehicle,
+    commission,
     load_model,
+    read_healthy,
     read_protocol,
     read_vehicles,
     train,
 )
-from suspnet.estimation.commissioning import commission
-from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
 
 plt.style.use("tableau-colorblind10")

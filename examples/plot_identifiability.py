@@ -13,9 +13,16 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 
-from suspnet import PARAMETERS, EstimateSettings, VerticalVehicle, read_vehicles
-from suspnet.estimation.information import cramer_rao, fisher_information
-from suspnet.estimation.sensor_information import places, recording_information
+from suspnet import (
+    PARAMETERS,
+    EstimateSettings,
+    VerticalVehicle,
+    cramer_rao,
+    fisher_information,
+    read_vehicles,
+    recording_information,
+    sensor_places,
+)
 
 plt.style.use("tableau-colorblind10")
 MINUTES = 20.0
@@ -40,7 +47,7 @@ for name, deviation in uncertain.items():
     print(f"{name:24} {deviation:4.0%}")
 pairs = VerticalVehicle(vehicle, parts=("roll",), distribution=uncertain)
 left_only = replace(pairs, sensor_lateral_m=(1.0, 1.0, 1.0))
-print("\nplaces of sensors:", *places(pairs), sep="\n  ")
+print("\nplaces of sensors:", *sensor_places(pairs), sep="\n  ")
 
 # %%
 # The bound

@@ -22,12 +22,13 @@ from suspnet.maintenance import (
     alarm_table,
     cusum,
     make_plan,
-    plan_calendar,
+    make_series,
     remaining_lives,
     residuals,
     threshold,
     watch,
 )
+from suspnet.report.calendar_figure import plan_calendar
 
 plt.style.use("tableau-colorblind10")
 
@@ -56,7 +57,7 @@ flagged = np.zeros(len(km), dtype=bool)
 # are older than ten. Its threshold comes from a stated budget, one false alarm in 1,000,000 km over
 # all four parameters.
 settings = ChangeSettings()
-watched = watch(km, values, half_widths, flagged, {}, DEFAULT_LIMITS, settings)
+watched = watch(make_series(km, values, half_widths, flagged), DEFAULT_LIMITS, settings)
 print(alarm_table(watched.alarms))
 
 limit = threshold(2000 / settings.km_per_false_alarm / 4, settings.n_reference)

@@ -1,21 +1,23 @@
 """Fixtures shared by the tests: the AM96 and the protocols, as shipped."""
 
-import copy
 import gc
 import os
 from collections.abc import Callable
 
+import built_once
 import pytest
 import torch
 from cli_runner import blank_figures
+from composed_once import composed_once
 from hypothesis import settings
-from omegaconf import OmegaConf
+from pairs import mark_beyond_pairs
 from protocols import shipped_protocol
 from threadpoolctl import threadpool_limits
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, Vehicle
 from suspnet.estimation.protocols import Protocol, Task
+from suspnet.recordings import formats
 
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")
@@ -37,8 +39,13 @@ def pytest_collect_file():
     return [found for found in (yield) if type(found) is pytest.Module]
 
 
+@pytest.hookimpl(tryfirst=True)  # before those that are slow are left out
 def pytest_collection_modifyitems(items):
-    """Give each slow test half an hour; pyproject.toml has the time limit of the others."""
+    """Leave large products to slow runs, and give each slow test half an hour.
+
+    pyproject.toml has the time limit of the others.
+    """
+    mark_beyond_pairs(items)
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(1800))
@@ -57,24 +64,34 @@ def _one_thread():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _configurations_read_once():
-    """Read each text of a configuration once: Hydra reads the same 20 files in each composition.
-
-    What cannot be read is tried again each time, so that errors are those of the file.
-    """
-    load, known = OmegaConf.load, {}
-
-    def load_once(file_):
-        if not hasattr(file_, "read"):
-            return load(file_)
-        begin, text = file_.tell(), file_.read()
-        if text not in known:
-            file_.seek(begin)
-            known[text] = load(file_)
-        return copy.deepcopy(known[text])
-
+def _built_in_one_folder(tmp_path_factory):
+    """Name the folder of what the processes of this run build for each other."""
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(OmegaConf, "load", staticmethod(load_once))
+        patch.setenv(built_once.FOLDER, str(root / "built"))
+        yield
+
+
+READ_APART = ("recordings", "cli", "benchmarks", "tests")
+"""Folders whose tests read every file as users do, in a process of its own."""
+READ_HERE = ("test_check_agrees", "test_commissioning_fleet", "test_commissioning_program")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _parquet_read_in_this_process(request):
+    """Read simulated trips without a process for each of their four files, a third of the time."""
+    name, folder = request.path.stem, request.path.parent.name
+    with pytest.MonkeyPatch.context() as patch:
+        if name in READ_HERE or (folder not in READ_APART and name != "test_same_estimate"):
+            patch.setitem(formats.READERS, ".parquet", formats.open_parquet)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _configurations_composed_once():
+    with composed_once():
         yield
 
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from suspnet.history.records import Quality, TripResult
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place, Quality, TripResult
 
 N_TRIPS = 40
 SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}

@@ -24,7 +24,7 @@ from PIL import Image
 from suspnet.cli import evaluate, program, simulate, train
 from suspnet.ground.storage import read_arrays, read_json
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.trips.result_cache import FOLDER
+from suspnet.trips.earlier import FOLDER
 
 RATES_HZ = (400.0, 250.0, 250.0)
 FEW = [

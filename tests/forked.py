@@ -14,7 +14,8 @@ from pathlib import Path
 from suspnet.cli.start import start
 
 IMPORTED = (
-    *("suspnet.cli.evaluate", "suspnet.cli.serve", "suspnet.cli.simulate", "suspnet.cli.train"),
+    *("suspnet.cli.evaluate", "suspnet.cli.replay", "suspnet.cli.serve"),
+    *("suspnet.cli.simulate", "suspnet.cli.train"),
 )
 """What the server imports once, for all processes."""
 
@@ -71,3 +72,10 @@ def as_typed(name, arguments, cwd, variables):
     os.environ.update(variables)
     sys.argv = [f"{name}.py", *arguments]
     start(name)
+
+
+def into_pipe(writer, name, arguments, cwd):
+    """Do as `as_typed` does, with standard output into a pipe."""
+    os.dup2(writer.fileno(), 1)
+    writer.close()
+    as_typed(name, arguments, cwd, {})

@@ -8,9 +8,8 @@ import numpy as np
 from trip_records import curves
 from waitress import wasyncore
 
+from suspnet.ground.records import Place, Quality, TripResult
 from suspnet.history import History
-from suspnet.history.records import Quality, TripResult
-from suspnet.recordings.manifest import Place
 from suspnet.report.board import Board, BoardSettings
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher

@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from suspnet.live.stream_state import dump_state, load_state
+from suspnet.live.journal import dump_state, load_state
 from suspnet.recordings import load_recording
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest

@@ -1,15 +1,18 @@
 """A small fleet on disk and models that read it, made once for all tests that ask for them."""
 
+import hashlib
 from dataclasses import replace
 from functools import cache
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
+from built_once import built_once
 from protocols import shipped_protocol
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
+from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
 from suspnet.recordings.manifest import CHANNELS
@@ -42,6 +45,16 @@ class NoLog:
 @cache
 def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **changes):
     """Return a model for the small fleet's vehicle, sensors and length of trips."""
+    given = repr((speed, n_train, snr_db, n_calibrate, sorted(changes.items())))
+    name = f"model_{hashlib.sha256(given.encode()).hexdigest()[:16]}"
+
+    def build(folder):
+        save_model(folder, _trained(speed, n_train, snr_db, n_calibrate, changes))
+
+    return load_model(built_once(name, build))
+
+
+def _trained(speed, n_train, snr_db, n_calibrate, changes):
     task = shipped_protocol("trips", **changes).task("all")
     options = BAND | {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ}
     settings = EstimateSettings(n_train, 300, n_calibrate, speed, cache_dir=None, **options)

@@ -4,8 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspnet.history.records import NO_ESTIMATE, Quality, TripCurves, TripResult
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import NO_ESTIMATE, Place, Quality, TripCurves, TripResult
+from suspnet.maintenance.alarms import Watched
+from suspnet.maintenance.series import series_of
+from suspnet.maintenance.state import State
+from suspnet.report.trend import trend_of_trips
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 SPREAD = {"k_p": 0.002, "c_p": 0.02, "k_s": 0.006, "c_s": 0.008, "M_s": 0.03}
@@ -93,3 +96,11 @@ def flagged(result, **estimates):
     return replace(
         result, flags=FLAG, half_widths=HALF_WIDTHS, estimates=result.estimates | estimates
     )
+
+
+def trend_of(results, outputs=OUTPUTS, level=0.9, commissionings=(), **known):
+    """Return what figures show of trips; `known` is limits, alarms, lives and events."""
+    series = series_of(results, known.get("events", ()))
+    watched = Watched(known.get("alarms", []))
+    state = State(series, known.get("limits", {}), watched, known.get("lives", {}))
+    return trend_of_trips(results, state, outputs, level, commissionings)

@@ -18,7 +18,7 @@ import yaml
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
-from suspnet.ground.plain_files import read_plain
+from suspnet.ground.storage import read_plain
 from suspnet.recordings.core_yaml import parse_yaml
 
 

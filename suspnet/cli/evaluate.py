@@ -17,11 +17,11 @@ from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITH
 from suspnet.cli.kinds import build, named_runs, plain, read_vehicles
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.checks import check_choice
+from suspnet.ground.limits import Severity
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
-from suspnet.maintenance.limits import Severity
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import evaluate
+from suspnet.runs.evaluate import FreshCurves, evaluate
 from suspnet.runs.identifiability import write_identifiability
 from suspnet.runs.maintenance import write_maintenance
 from suspnet.runs.reliability import write_reliability
@@ -87,17 +87,20 @@ def compose(config: DictConfig) -> int:
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
+    fresh = FreshCurves(
+        seed=config.seed,
+        n_test=config.data.n_test,
+        snr_db=config.data.snr_db,
+        protocol=build(config, "protocol") if config.get("protocol") else None,
+        threads=program.n_threads(config.threads),
+        progress=config.progress,
+    )
     results = [
         evaluate(
             folder,
             output / folder.name if len(runs) > 1 else output,
-            seed=config.seed,
-            n_test=config.data.n_test,
-            snr_db=config.data.snr_db,
-            protocol=build(config, "protocol") if config.get("protocol") else None,
-            threads=program.n_threads(config.threads),
+            fresh,
             device=config.device,
-            progress=config.progress,
             figures=config.figures,
         )
         for folder in runs

@@ -13,14 +13,14 @@ import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
-from suspnet.dynamics import PARAMETERS
 from suspnet.ground import ledger
-from suspnet.history import Event, History, HistoryError
-from suspnet.history.acknowledging import acknowledge_alarms
-from suspnet.history.schema import PLACE
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import PLACE, Place
+from suspnet.ground.tables import write_table
+from suspnet.history import History, HistoryError
+from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
-from suspnet.recordings.manifest import Place
-from suspnet.report.output import write_table
+from suspnet.maintenance.series import Event
 
 
 def history(arguments: Namespace) -> None:
@@ -59,7 +59,7 @@ def _event(store: History, arguments: Namespace) -> str:
 
 
 def _alarms(store: History, arguments: Namespace) -> str:
-    """Return a table of the alarms, the worst first, those that nobody has seen before others."""
+    """Return a table of the alarms, the worst first, those not yet acknowledged before others."""
     seen = store.all_acknowledgements()
     chosen = [
         (alarm, newest_of(alarm, seen.get(key, [])), key)

@@ -6,6 +6,7 @@ from argparse import Namespace
 from functools import partial
 
 from suspnet.ground.storage import write_atomically
+from suspnet.ground.wording import count
 from suspnet.recordings.checked_mapping import TripError, all_of
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
@@ -35,7 +36,7 @@ def init(arguments: Namespace) -> None:
     found = template(signals, path, [how for _, how in seen if how])
     write_atomically(path, found.text, force=arguments.force)
     print(
-        f"-> {path}: {_count(len(signals), 'column')} of {_count(len(files), 'file')}\n"
+        f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks)}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
         f"then run: suspnet-check {path}"

@@ -17,7 +17,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, check_file
 from suspnet.ground.checks import check_choice
-from suspnet.ground.plain_files import read_plain
+from suspnet.ground.storage import read_plain
 
 if TYPE_CHECKING:
     from suspnet.dynamics import Vehicle

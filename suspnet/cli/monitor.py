@@ -15,7 +15,7 @@ from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
-from suspnet.live.suspensions import read_suspensions
+from suspnet.live.suspension import read_suspensions
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ def compose(config: DictConfig) -> None:
         closing(source),
         closing(Results(store, settings, source.publish, events)) as results,
     ):
-        monitor = Monitor(suspensions, source, journal, results.tell, live.idle_s)
+        monitor = Monitor(suspensions, source, journal, results.report, live.idle_s)
         n_frames = monitor.resume()
         log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)
         try:

@@ -11,8 +11,8 @@ from dataclasses import fields
 from pathlib import Path
 
 from suspnet.ground.parameters import PARAMETERS
-from suspnet.history.events import KINDS
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place
+from suspnet.maintenance.series import KINDS
 
 CHECK_DESCRIPTION = """\
 Read manifests and recordings, with a model or without. Show everything that is wrong with all of

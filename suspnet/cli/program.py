@@ -35,7 +35,7 @@ from suspnet.cli.config_values import read_values
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.ground import progress
 from suspnet.ground.checks import check_number
-from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
+from suspnet.ground.limits import DEFAULT_LIMITS, read_limits
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
 

@@ -11,9 +11,9 @@ from omegaconf import DictConfig
 from suspnet.cli import program
 from suspnet.cli.kinds import build
 from suspnet.ground.progress import bar
+from suspnet.ground.wording import count
 from suspnet.live.replay import Pace, Replay
 from suspnet.live.sinks import Sink
-from suspnet.maintenance.schedule import count
 
 
 @program.task

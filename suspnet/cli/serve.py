@@ -132,7 +132,7 @@ def _check_store(store: str) -> None:
 
 def _check_address(config: DictConfig) -> None:
     """Raise ValueError if others could reach the pages and nobody has asked for that."""
-    from suspnet.web.security import is_loopback
+    from suspnet.web.server import is_loopback
 
     if ":" in config.host or not config.host:
         raise ValueError(f"`host` must be an IPv4 address or a name, got {config.host!r}")

@@ -16,7 +16,6 @@ from suspnet.cli import folders, naming, program
 from suspnet.cli.commission_fleet import several_suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
-from suspnet.estimation.commissioning_run import check_generator, commission_folder
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.estimation.physics import Residual
@@ -24,9 +23,9 @@ from suspnet.estimation.problem import Problem
 from suspnet.ground.checks import check_number
 from suspnet.learning import ranks
 from suspnet.report.commissioning_page import training_notes, write_outcome
+from suspnet.runs.commissioning import check_generator, commission_folder
 from suspnet.runs.scores import Metrics
-from suspnet.runs.speeds import speed_ranges, train_ranges
-from suspnet.runs.train import train
+from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.speeds import SpeedRange, covering, setting_words
 
@@ -216,9 +215,11 @@ def _train(
         search=search,
         refine=config.refine,
         figures=config.figures,
-        config=resolved,
-        varied=varied,
-        draw_vehicle=draw,
-        notes={"commissioned": healthy.notes} if healthy else None,
-        residual=healthy.residual if healthy else None,
+        context=RunContext(
+            config=resolved,
+            varied=varied,
+            draw_vehicle=draw,
+            notes={"commissioned": healthy.notes} if healthy else {},
+            residual=healthy.residual if healthy else None,
+        ),
     )

@@ -12,12 +12,9 @@ from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.ground.settings import Setting, check_settings, setting
-
-UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
-"""SI unit of each parameter."""
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, fields
@@ -37,8 +38,14 @@ from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.estimates import OBSERVATIONS
 
 SCHEMA_VERSION = 7
-FEATURES, INTERVALS, OOD, PHYSICS = "features.", "intervals.", "ood.", "physics."
-"""Prefixes of the names of the arrays of the feature set and of the calibrated parts."""
+FEATURES = "features."
+"""Prefix of the names of the arrays of the feature set."""
+CALIBRATED: dict[str, tuple[str, Any]] = {
+    "intervals.": ("intervals", Intervals),
+    "ood.": ("ood", OODDetector),
+    "physics.": ("unexplained", Unexplained),
+}
+"""Calibrated parts of a model by the prefix of their arrays: attribute and class."""
 NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
 """Entries of model.json that do not describe the model itself."""
 NOT_A_MODEL = (
@@ -81,10 +88,12 @@ def fingerprint(model: TrainedModel) -> str:
 
 
 def _files(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
-    """Return what model.safetensors and model.json hold."""
     arrays = dict(model.estimator.state())
-    for prefix, part in ((FEATURES, model.task.extractor), *_calibration(model)):
-        arrays |= {prefix + name: array for name, array in part.state().items()}
+    parts = {FEATURES: model.task.extractor}
+    parts |= {prefix: getattr(model, name) for prefix, (name, _) in CALIBRATED.items()}
+    for prefix, part in parts.items():
+        if part is not None:
+            arrays |= {prefix + name: array for name, array in part.state().items()}
     content = dump_arrays(arrays)
     description = _described(model) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
     description["description_sha256"] = content_hash(description)
@@ -101,7 +110,7 @@ def _described(model: TrainedModel) -> dict[str, Any]:
         "inputs": _scaling_json(model.task.inputs, model.input_scaling),
         "outputs": _scaling_json(model.task.outputs, model.output_scaling),
         "units": UNITS,
-        "healthy_features": model.healthy_features.tolist(),
+        "healthy_features": model.healthy_features,
         "generator": _tagged(model.generator, GENERATORS),
         "task": model.task.describe(),
         "settings": _tagged(model.settings, OBSERVATIONS),
@@ -109,16 +118,10 @@ def _described(model: TrainedModel) -> dict[str, Any]:
         "refined": model.refined,
         "training": model.training,
     }
-    plain: dict[str, Any] = _plain(description)
+    plain: dict[str, Any] = json.loads(json.dumps(description, default=lambda a: a.tolist()))
     if model.vehicle.limits is None:
         del plain["generator"]["vehicle"]["limits"]  # as models of before have none
     return plain
-
-
-def _calibration(model: TrainedModel) -> list[tuple[str, Intervals | OODDetector | Unexplained]]:
-    """Return the calibrated parts that a model has, with the prefixes of their arrays."""
-    pairs = ((INTERVALS, model.intervals), (OOD, model.ood), (PHYSICS, model.unexplained))
-    return [(prefix, part) for prefix, part in pairs if part is not None]
 
 
 def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
@@ -154,13 +157,6 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
 
 
 def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
-    """Return the model of a description and its arrays, after all checks.
-
-    Raises
-    ------
-    TypeError, ValueError, KeyError, ...
-        If a setting, a shape or a number is not that of a model.
-    """
     check_numbers(content)
     check_arrays(arrays)
     with warnings.catch_warnings():
@@ -170,8 +166,8 @@ def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str
         built = _described(model)
     for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
         built[part][key] = content[part].get(key)  # which depend on where the model is used
-    told = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
-    check_same(told, built)
+    described = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
+    check_same(described, built)
     return model
 
 
@@ -181,7 +177,6 @@ def parameters(estimator: Any) -> dict[str, Any]:
 
 
 def _check_description(path: Path, content: Any) -> None:
-    """Raise ModelFileError if model.json is foreign, outdated or altered."""
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
     if content["schema_version"] != SCHEMA_VERSION:
@@ -197,14 +192,13 @@ def _check_description(path: Path, content: Any) -> None:
 
 
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
-    """Return the model of a checked description and its arrays."""
     estimator_type = METHODS[content["model"]]
     arguments = dict(content["parameters"])
     if "device" in arguments:
         arguments["device"] = device
     estimator = estimator_type(**arguments)
-    parts = {prefix: _taken(arrays, prefix) for prefix in (FEATURES, INTERVALS, OOD, PHYSICS)}
-    learnt = parts[FEATURES]
+    learnt = _taken(arrays, FEATURES)
+    stored = {prefix: _taken(arrays, prefix) for prefix in CALIBRATED}
     task = _with_tuples(content["task"])
     extractor = _with_tuples(task["extractor"])
     feature_set = FEATURE_SETS[extractor.pop("kind")](**extractor)
@@ -213,9 +207,10 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
             estimator.restore(arrays)
         if learnt:
             feature_set = feature_set.restored(learnt)
-        intervals = Intervals.restored(parts[INTERVALS]) if parts[INTERVALS] else None
-        ood = OODDetector.restored(parts[OOD]) if parts[OOD] else None
-        unexplained = Unexplained.restored(parts[PHYSICS]) if parts[PHYSICS] else None
+        calibrated = {
+            name: kind.restored(stored[prefix]) if stored[prefix] else None
+            for prefix, (name, kind) in CALIBRATED.items()
+        }
     except ValueError as error:
         raise ModelFileError(f"the model's arrays do not fit together: {error}") from error
     generator = dict(content["generator"])
@@ -231,10 +226,8 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         output_scaling=_scaling(content["outputs"]),
         corrected=content["corrected"],
         refined=content["refined"],
-        intervals=intervals,
-        ood=ood,
-        unexplained=unexplained,
         training=content["training"],
+        **calibrated,
     )
 
 
@@ -246,49 +239,30 @@ def _without_folder(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    """Remove the arrays whose name begins with a prefix; return them without it."""
+    """Remove the arrays whose name starts with a prefix; return them without it."""
     names = [name for name in arrays if name.startswith(prefix)]
     return {name.removeprefix(prefix): arrays.pop(name) for name in names}
 
 
 def _tagged(value: Any, kinds: Mapping[str, type]) -> dict[str, Any]:
-    """Return a dataclass as JSON-able values with the name of its kind."""
     kind = next(name for name, one in kinds.items() if type(value) is one)
     return {"kind": kind, **asdict(value)}
 
 
 def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
-    """Return the dataclass that `_tagged` made JSON-able."""
     arguments = _with_tuples(content)
     return kinds[arguments.pop("kind")](**arguments)
 
 
 def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping with tuples for JSON's lists."""
     return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:
-    """Return a scaling as JSON-able values, with the names of its columns."""
-    if scaling is None:
-        return {"names": list(names)}
-    arrays = {f.name: getattr(scaling, f.name) for f in fields(scaling)}
-    return {"names": list(names), **_plain(arrays)}
+    return {"names": names} | ({} if scaling is None else vars(scaling))
 
 
 def _scaling(content: dict[str, Any]) -> Scaling | None:
-    """Return the scaling that `_scaling_json` made JSON-able."""
     if "mean" not in content:
         return None
     return Scaling(np.array(content["mean"]), np.array(content["scale"]), content["log"])
-
-
-def _plain(value: Any) -> Any:
-    """Return a JSON-able copy; floats survive the round trip exactly."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return value.item() if isinstance(value, np.generic) else value

@@ -30,28 +30,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from scipy.optimize import OptimizeResult, least_squares
-from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.healthy_misfit import MASS_MEAN, HealthyMisfit, row_of
 from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.physics import Residual
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.observation import every_direction
 
-MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
-"""Prior of the logarithm of the car-body mass over nominal on a trip."""
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
-"""Rms errors of the model allowed for beside the noise, one search after the other."""
+"""Rms errors of the model allowed for in addition to the noise, one search after the other."""
 FEW, MANY = 12, 100
 """Evaluations of each of these searches, and of the last one, which may follow a curved valley:
 a damper and its bushing can stand in for each other."""
 ROUGH_TOL, TOL = 1e-3, 1e-6
 """Relative change of the sum of squares at which they end."""
-STEP = 1e-5
-"""Step of differences, in standard deviations of the prior."""
 BAND_RATIOS = (math.inf, 2.0, math.sqrt(2.0))
 """Ratio of the upper ends of neighbouring bands, for each search from the median of the prior;
 infinity is the whole band at once. One ratio may lead past a valley that another leads into."""
@@ -76,7 +71,7 @@ The wheelbase moves notches along frequency. The pivot distance makes a delay th
 has off by a period; the body pitches as before if its radius of gyration goes with the distance. A
 damper in series with a bushing dissipates at one frequency as much as a weaker one whose bushing is
 stiff. Of a bending mode at the wrong frequency a search takes the amplitude away, and then no
-curve tells the frequency any more."""
+curve determines the frequency any more."""
 N_DRAWS, SEED = 200, 12
 """Number of draws of each of ``REDRAWN``, and their seed."""
 FAR = 2.0
@@ -88,8 +83,7 @@ another one."""
 N_STARTS = 4
 AGREEMENT = 0.25
 """Two searches found the same vehicle if no number differs by more than this many deviations of the
-posterior, of which the weakest told numbers have one of the prior; in between, while the model is
-allowed errors, of the prior."""
+posterior; before the last search, while the model is allowed errors, of the prior."""
 Z_BOUND = 8.0
 """Standard deviations of the prior within which coordinates stay."""
 
@@ -107,14 +101,14 @@ class Commissioned:
     masses : array of shape (n_trips,), [-]
         Car-body mass over nominal on each trip.
     misfit : float
-        Rms of what is left over that of the noise: 1 if all is explained.
+        Rms of the residuals over that of the noise: 1 if all is explained.
     misfits : tuple of float
         That of each group.
     frequencies_hz : array of shape (n_freq,), [Hz]
     observed, nominal, fitted : complex arrays of shape (n_groups, 2, n_freq), [-]
         G_p and G_s as measured, of the nominal and of the commissioned vehicle.
     deviations : array of shape (n_groups, 2, n_freq), [-]
-        Of the measured log-magnitudes; infinite where a bin tells nothing.
+        Of the measured log-magnitudes; infinite where a bin is not used.
     n_agree, n_starts : int
         Searches that found this vehicle, of how many that were finished.
     converged : bool
@@ -157,10 +151,8 @@ def commission(
         With the prior as its distribution.
     settings : EstimateSettings
         Bound to the vehicle: bins, window and estimator.
-    groups : sequence of HealthySpectra
     n_starts : int
         Most searches that are finished, of those at the first spread.
-    progress : bool
 
     Raises
     ------
@@ -170,11 +162,14 @@ def commission(
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
     with bar("search of the vehicle", unit="step", shown=progress) as steps:
-        target = _Target(generator, settings, groups, steps.update)
+        target = _Search(generator, settings, groups)
+        target.on_step = steps.update
+        # the model is allowed errors first: searches at once end in valleys far off
         first = target.first_searches(n_starts)
         rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
         order = np.argsort([found.cost for found in rough], kind="stable")
         best = target.search(rough[order[0]].x, SPREADS[-1:])
+        # the others show whether the best vehicle is the only one
         posterior, mean_square = target.posterior(best)
         others = [target.search(rough[i].x, SPREADS[-1:]) for i in order[1:]]
     agree = [target.distance(best.x, other.x, posterior) < AGREEMENT for other in others]
@@ -182,7 +177,7 @@ def commission(
     theta = torch.as_tensor(best.x)[None]
     observed, fitted, deviations = target.curves(theta)
     plain = replace(generator, distribution=None)
-    nominal = _Target(plain, settings, groups).curves(theta[:, n:])[1]
+    nominal = HealthyMisfit(plain, settings, groups).curves(theta[:, n:])[1]
     return Commissioned(
         generator=replace(generator, distribution=posterior),
         prior=target.prior,
@@ -201,52 +196,10 @@ def commission(
     )
 
 
-class _Target:
-    """The sum of squares of healthy trips, as a function of theta = (z, logarithms of masses)."""
+class _Search(HealthyMisfit):
+    """Searches for the least sum of squares; `on_step` is called after each."""
 
-    def __init__(
-        self,
-        generator: VerticalVehicle,
-        settings: EstimateSettings,
-        groups: Sequence[HealthySpectra],
-        on_step: Callable[[], object] = lambda: None,
-    ) -> None:
-        self._on_step = on_step
-        self.prior = generator.distribution or LogNormal((), (), ())
-        self._trips = [group.trip for group in groups]
-        self.n_trips = 1 + max(self._trips)
-        self._every = every_direction(generator)
-        self._frequencies_hz = settings.frequencies_hz()
-        observer = settings.observer(generator)
-        self._groups = [
-            observer.at(group.speeds).measured_misfit(group.spectra) for group in groups
-        ]
-
-    def ratios(self, theta: Tensor, trip: int) -> Tensor:
-        """Return all columns of ratios of one trip, (n_rows, n_columns)."""
-        n = len(self.prior.names)
-        healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
-        healthy[:, -1] = theta[:, n + trip].exp()
-        return self._every.vehicles(healthy, theta[:, :n])
-
-    def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
-        """Return the residuals of one group, (n_rows, n_points), those above `high_hz` 0."""
-        misfit = self._groups[group]
-        expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
-        # logarithms lead from far off, but have the tails of a ratio of noise
-        u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
-        spreads = torch.where(self._frequencies_hz > high_hz, math.inf, spread)
-        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
-
-    def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
-        """Return the residuals of each group, (n_rows, n_points)."""
-        return [self.part(theta, i, spread, high_hz) for i in range(len(self._groups))]
-
-    def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
-        """Return all residuals with those of the priors, (n_rows, n_points)."""
-        n = len(self.prior.names)
-        masses = (theta[:, n:] - MASS_MEAN) / MASS_DEVIATION
-        return torch.cat([*self.parts(theta, spread, high_hz), theta[:, :n], masses], dim=1)
+    on_step: Callable[[], object] = staticmethod(lambda: None)
 
     def first_searches(self, n_starts: int) -> list[OptimizeResult]:
         """Return the results of those searches at the first spread that are to be finished.
@@ -263,13 +216,13 @@ class _Target:
             found += more
             if min(map(_cost, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
-        apart: list[OptimizeResult] = []
+        separate: list[OptimizeResult] = []
         again: list[OptimizeResult] = []
         for one in sorted(found, key=_cost):
-            near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in apart)
-            (again if near else apart).append(one)
-        n_apart = max(1, n_starts - 1)
-        return [*apart[:n_apart], *again, *apart[n_apart:]][:n_starts]
+            near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in separate)
+            (again if near else separate).append(one)
+        n_separate = max(1, n_starts - 1)
+        return [*separate[:n_separate], *again, *separate[n_separate:]][:n_starts]
 
     def widened(self, ratio: float) -> FloatArray:
         """Return where searches in ever wider bands lead from the median of the prior.
@@ -277,7 +230,7 @@ class _Target:
         Each band ends at `ratio` times the end of the one before; the whole band is not among them.
         """
         x = np.append(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
-        low_hz, high_hz = self._frequencies_hz[[0, -1]].tolist()
+        low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
         n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))
         for i in range(n_bands, 0, -1):
             x = self.search(x, SPREADS[:1], high_hz / ratio**i).x
@@ -285,7 +238,7 @@ class _Target:
 
     def redrawn(self, x: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
         """Return, for each of ``REDRAWN``, the best point that differs in these numbers alone."""
-        n, factor, points = len(self.prior.names), self._every.factor.numpy(), []
+        n, factor, points = len(self.prior.names), self.every.factor.numpy(), []
         for names in REDRAWN:
             rows = [self.prior.names.index(name) for name in names if name in self.prior.names]
             if not rows:
@@ -319,7 +272,7 @@ class _Target:
         for spread in spreads:
             last = spread == 0
             found = least_squares(
-                lambda x, spread=spread: self.residuals(_row(x), spread, high_hz)[0].numpy(),
+                lambda x, spread=spread: self.residuals(row_of(x), spread, high_hz)[0].numpy(),
                 np.clip(found.x, -0.99 * Z_BOUND, 0.99 * Z_BOUND),
                 jac=lambda x, spread=spread: self.jacobian(x, spread, high_hz),
                 bounds=(-Z_BOUND, Z_BOUND),
@@ -328,68 +281,8 @@ class _Target:
                 gtol=None,
                 max_nfev=MANY if last else FEW,
             )
-            self._on_step()
+            self.on_step()
         return found
-
-    def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:
-        """Return the derivative of all residuals, (n_points, n_coordinates), by differences."""
-        n, found = len(self.prior.names), []
-        for group, trip in enumerate(self._trips):
-            # the masses of other trips move nothing
-            columns = [*range(n), n + trip]
-            steps = STEP * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
-            steps[0] = 0.0
-            rows = self.part(_row(x) + steps, group, spread, high_hz)
-            own = np.zeros((rows.shape[1], len(x)))
-            own[:, columns] = ((rows[1:] - rows[:1]) / STEP).T.numpy()
-            found.append(own)
-        return np.concatenate([*found, np.diag(1 / self._prior_deviations())])
-
-    def _prior_deviations(self) -> FloatArray:
-        """Return the standard deviations of theta before any trip, (n_coordinates,)."""
-        return np.array([1.0] * len(self.prior.names) + [MASS_DEVIATION] * self.n_trips)
-
-    def misfits(self, theta: Tensor) -> list[float]:
-        """Return the rms residual of each group over that of the noise."""
-        return [
-            math.sqrt(float(part.square().mean()) / misfit.expected)
-            for part, misfit in zip(self.parts(theta, 0.0), self._groups, strict=True)
-        ]
-
-    def posterior(self, found: OptimizeResult) -> tuple[LogNormal, float]:
-        """Return the posterior of the numbers, and the mean square of what is left."""
-        n = len(self.prior.names)
-        residuals = torch.cat(self.parts(_row(found.x), 0.0), dim=1)[0]
-        expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
-        mean_square = float(residuals.square().mean()) / expected
-        told = self.jacobian(found.x, 0.0)[: len(residuals)]
-        prior = np.diag(self._prior_deviations() ** -2)
-        information = told.T @ told / max(mean_square, 1.0) + prior
-        spread = np.linalg.inv(information)[:n, :n]
-        factor = self._every.factor.numpy()
-        covariance = factor @ spread @ factor.T
-        logs = np.array(self.prior.mean) + factor @ found.x[:n]
-        rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
-        return LogNormal(self.prior.names, tuple(logs.tolist()), rows), mean_square
-
-    def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
-        """Return the largest difference of a number, in deviations of the posterior."""
-        n = len(self.prior.names)
-        logs = self._every.factor.numpy() @ (one[:n] - other[:n])
-        return float(np.abs(logs / posterior.deviations).max())
-
-    def curves(self, theta: Tensor) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Return measured and fitted responses and the deviations, each (n_groups, 2, n_freq)."""
-        pairs = list(zip(self._groups, self._trips, strict=True))
-        fitted = [misfit.observer.noise_free(self.ratios(theta, trip)) for misfit, trip in pairs]
-        observed = torch.cat([misfit.observed for misfit, _ in pairs])
-        power = torch.cat([m.covariance.diagonal(dim1=1, dim2=2).mT.real for m, _ in pairs])
-        return observed.numpy(), torch.cat(fitted).numpy(), (power / 2).sqrt().numpy()
-
-
-def _row(x: FloatArray) -> Tensor:
-    """Return one point as a tensor of one row."""
-    return torch.as_tensor(x)[None]
 
 
 def _cost(found: OptimizeResult) -> float:

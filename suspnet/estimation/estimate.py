@@ -1,19 +1,26 @@
-"""Result of a model for some curves or one recording: values, intervals and flags."""
+"""Estimates for curves or a recording: values, intervals, flags, and what they are relative to."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from scipy import stats
 
-from suspnet.estimation.healthy import HealthyValues
-from suspnet.estimation.ood import Flags
-from suspnet.ground.types import FloatArray
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.ground.checks import check_number
+from suspnet.ground.parameters import UNITS
+from suspnet.ground.types import BoolArray, FloatArray
 
+KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 ENDS = ("value", "low", "high")
 SHOWN = 10
 """Number of rows that the readable form shows."""
+HEALTHY = "healthy_"
+"""Prefix of the uncertain numbers of a generator that its healthy values are multiplied by."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,13 +110,11 @@ class Estimate:
         }
 
     def _si(self, si: tuple[FloatArray, ...], row: int, j: int) -> dict[str, Any]:
-        """Return one parameter of one row in SI units."""
         assert self.healthy is not None
         ends = {key: _number(part[row, j]) for key, part in zip(ENDS, si, strict=True)}
         return {"si": ends | {"unit": self.healthy.units[j]}}
 
     def _line(self, row: int) -> str:
-        """Return one row in words: values, intervals and flags."""
         parts = []
         for j, name in enumerate(self.names):
             if np.isnan(self.values[row, j]):
@@ -123,5 +128,109 @@ class Estimate:
 
 
 def _number(value: float) -> float | None:
-    """Return a number, None if it is not finite."""
     return float(value) if np.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class HealthyValues:
+    """What a ratio of 1 means: values of the healthy vehicle.
+
+    They are the median of the generator's distribution, where it has one: the posterior of
+    commissioning, or a prior about the vehicle file's values. Of the car body it is the nominal
+    mass, which pay-load varies from.
+
+    Attributes
+    ----------
+    names : tuple of str
+        From ``PARAMETERS``.
+    values : array of shape (n,), [N/m, N s/m, kg]
+    deviations : array of shape (n,), [-]
+        Standard deviations of their logarithms; 0 where they are taken as known.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    deviations: FloatArray
+
+    @classmethod
+    def of(cls, generator: ResponseGenerator, names: Sequence[str]) -> HealthyValues:
+        """Return the healthy values of a generator's vehicle."""
+        nominal = dict(zip(PARAMETERS, generator.vehicle.healthy_values(), strict=True))
+        values = {name: nominal[name] for name in names}
+        deviations = dict.fromkeys(names, 0.0)
+        known = generator.distribution
+        if known is not None:
+            numbers = zip(known.names, known.mean, known.deviations.tolist(), strict=True)
+            for full, mean, deviation in numbers:
+                name = full.removeprefix(HEALTHY)
+                if full.startswith(HEALTHY) and name in values:
+                    values[name] *= math.exp(mean)
+                    deviations[name] = deviation
+        return cls(tuple(names), np.array(list(values.values())), np.array([*deviations.values()]))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI unit of each."""
+        return tuple(UNITS[name] for name in self.names)
+
+    def half_widths(self, level: float) -> FloatArray:
+        """Return half the widths of their intervals in logarithms, (n,), [-].
+
+        Raises
+        ------
+        ValueError
+            Unless 0 < level < 1.
+        """
+        check_number("level", level, above=0, below=1)
+        return np.asarray(stats.norm.ppf((1 + level) / 2) * self.deviations)
+
+    def si(
+        self, ratios: FloatArray, half_widths: FloatArray, level: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return values and ends of intervals in SI units.
+
+        The uncertainty of the healthy value counts as independent of that of the ratio.
+
+        Parameters
+        ----------
+        ratios, half_widths : arrays of shape (n_rows, n), [-]
+            Relative to healthy; half widths in logarithms.
+        level : float
+            Probability of the intervals.
+        """
+        values = ratios * self.values
+        half = np.hypot(half_widths, self.half_widths(level))
+        with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+            return values, values * np.exp(-half), values * np.exp(half)
+
+
+@dataclass(frozen=True)
+class Flags:
+    """Reasons not to trust each estimate.
+
+    Attributes
+    ----------
+    found : bool array of shape (n_curves, 6)
+        Columns as ``KINDS``.
+    reasons : tuple of str
+        For each curve; empty where nothing was found.
+    """
+
+    found: BoolArray
+    reasons: tuple[str, ...]
+
+    @classmethod
+    def none(cls, n_curves: int) -> Self:
+        """Return flags of `n_curves` estimates of which none is set."""
+        return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
+
+    @property
+    def flagged(self) -> BoolArray:
+        """Whether anything was found, shape (n_curves,)."""
+        return np.asarray(self.found.any(axis=1))
+
+    def with_kind(self, kind: str, words: str) -> Flags:
+        """Return flags of which each has one of ``KINDS`` and its words too."""
+        found = self.found.copy()
+        found[:, KINDS.index(kind)] = True
+        return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao, output_bounds
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import Task, columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observer
@@ -49,7 +49,6 @@ def feature_information(
 
     Parameters
     ----------
-    observer : Observer
     extractor : FeatureSet
         Fitted, if it learns from curves.
     ratios : array of shape (n_vehicles, 5), [-]
@@ -64,7 +63,7 @@ def feature_information(
     -------
     array of shape (n_vehicles, n_parameters, n_parameters)
         With respect to ratios to healthy; NaN where a feature is missing from the noise-free
-        curve, from one beside it or from too many of the noisy ones.
+        curve, from one next to it or from too many of the noisy ones.
 
     Raises
     ------
@@ -75,7 +74,7 @@ def feature_information(
     least = int(np.ceil((n_features + 2) / LEAST_FOUND))
     if n_draws < least:
         raise ValueError(f"`n_draws` must be >= {least} for {n_features} features, got {n_draws}")
-    columns = [PARAMETERS.index(name) for name in parameters]
+    columns = columns_of(parameters)
     blocks = torch.as_tensor(ratios).split(max(1, ROWS // n_draws))
     seeds = np.random.SeedSequence(seed).generate_state(len(blocks))
     information = [
@@ -97,7 +96,6 @@ def feature_loss(
     ----------
     task : Task
         Its feature set fitted.
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
 
     Raises

@@ -7,16 +7,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
+from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
-from suspnet.estimation.healthy import HealthyValues
+from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.intervals import Intervals
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.protocols import Task
-from suspnet.ground.types import FloatArray
+from suspnet.estimation.refine import Refined
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
 from suspnet.spectra.observation import Observation, Observer
 
@@ -93,26 +94,26 @@ class FittedMethod:
         """Values of the healthy vehicle in SI units, which estimates are relative to."""
         return HealthyValues.of(self.generator, self.task.outputs)
 
-    def relative_features(self, curves: ArrayLike, frequencies_hz: ArrayLike) -> FloatArray:
-        """Return the features of measured curves, relative to the healthy vehicle's.
+    def features(self, curves: Tensor, frequencies_hz: Tensor) -> tuple[FloatArray, IntArray]:
+        """Return features of curves relative to the healthy vehicle's, and why some are missing.
 
         Parameters
         ----------
-        curves : array of shape (n_curves, 2, n_freq), [-]
+        curves : tensor of shape (n_curves, 2, n_freq), [-]
             G_p and G_s, complex; for the feature set `peaks` their magnitudes suffice.
-        frequencies_hz : array of shape (n_freq,), [Hz]
+        frequencies_hz : tensor of shape (n_freq,), [Hz]
             Evenly spaced; the spacing of `settings` is what the model was trained on.
 
         Returns
         -------
-        array of shape (n_curves, n_features), [-]
+        features : array of shape (n_curves, n_features), [-]
             NaN where a peak is missing.
+        reasons : array of shape (n_curves, n_peaks)
         """
-        values = np.asarray(curves)
-        values = values.astype(np.complex128 if np.iscomplexobj(values) else np.float64)
-        bins = torch.as_tensor(np.asarray(frequencies_hz, dtype=np.float64))
-        table = self.task.extractor.extract(torch.as_tensor(values), bins)
-        return self.task.extractor.relative(table.values.numpy(), self.healthy_features)
+        extractor = self.task.extractor
+        table = extractor.extract(curves, frequencies_hz.to(curves.device))
+        features = extractor.relative(table.values.cpu().numpy(), self.healthy_features)
+        return features, table.reasons.cpu().numpy()
 
     def predict(self, inputs: ArrayLike) -> FloatArray:
         """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
@@ -152,3 +153,18 @@ class FittedMethod:
         if self.output_scaling is None:
             return np.log(estimates)
         return np.column_stack([self.scaled(inputs), self.output_scaling.apply(estimates)])
+
+    def flags(self, inputs: FloatArray, reasons: IntArray, refined: Refined) -> Flags:
+        """Return the flags that the OOD detector sets.
+
+        Parameters
+        ----------
+        inputs : array of shape (n_curves, n_inputs), [-]
+            Not scaled.
+        reasons : array of shape (n_curves, n_peaks)
+            Why a feature is missing, as of `features`.
+        """
+        assert self.ood is not None
+        extractor = self.task.extractor
+        missing = [extractor.missing(row) if row.any() else "" for row in reasons]
+        return self.ood.flags(self.task, missing, self.scaled(inputs), refined)

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.estimation.estimate import Estimate
+from suspnet.dynamics import PARAMETERS
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.ood import Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined, complete_ratios, refine
-from suspnet.ground.types import FloatArray, IntArray
-from suspnet.spectra.extraction import FeatureSet
+from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Misfit, Observer
 
-MASS = PARAMETERS.index("M_s")
 ONE_SIGMA = 0.6827
 """Level of an interval whose half width is one standard deviation of a normal error."""
 ROWS = 256
@@ -37,7 +33,6 @@ def estimate_curves(
 
     Parameters
     ----------
-    method : FittedMethod
     observer : Observer
         How the curves were observed, with the method's own generator.
     curves : tensor of shape (n_curves, 2, n_freq), [-]
@@ -52,9 +47,7 @@ def estimate_curves(
         If the curves do not fit the method, or none identifies an output that is to be refined.
     """
     task = method.task
-    seen = observer.for_features(curves)
-    table = task.extractor.extract(seen, observer.frequencies_hz.to(curves.device))
-    inputs = task.extractor.relative(table.values.cpu().numpy(), method.healthy_features)
+    inputs, reasons = method.features(observer.for_features(curves), observer.frequencies_hz)
     if mass is not None:
         inputs = np.column_stack([inputs, mass])
     predicted = regress(method, observer, inputs, curves, mass)
@@ -64,18 +57,17 @@ def estimate_curves(
     values = predicted
     if method.refined and refined is not None:
         values, deviations = refined.of(task.outputs)
-        told = np.asarray(np.isfinite(deviations).all(axis=1))
-        if not told.any():
+        known = np.asarray(np.isfinite(deviations).all(axis=1))
+        if not known.any():
             identified(task, refined)
-        values = np.where(told[:, None], values, np.nan)
+        values = np.where(known[:, None], values, np.nan)
     low = high = np.full_like(values, np.nan)
     if method.intervals is not None:
         scales = residual_scales(method, inputs, values, refined)
         low, high = method.intervals.ends(values, _widened(method, values, scales), level)
     flags = Flags.none(len(values))
     if method.ood is not None and refined is not None:
-        missing = missing_words(task.extractor, table.reasons.cpu().numpy())
-        flags = method.ood.flags(task, missing, method.scaled(inputs), refined)
+        flags = method.flags(inputs, reasons, refined)
     if method.unexplained is not None:
         flags = method.unexplained.flagged(flags)
     return Estimate(task.outputs, values, low, high, level, flags, method.healthy)
@@ -101,8 +93,6 @@ def regress(
 
     Parameters
     ----------
-    method : FittedMethod
-    observer : Observer
     inputs : array of shape (n_curves, n_inputs), [-]
         Features relative to healthy (and the mass).
     curves : tensor of shape (n_curves, 2, n_freq), [-]
@@ -121,7 +111,7 @@ def regress(
 def corrected(
     method: FittedMethod, observer: Observer, predicted: FloatArray, n_steps: int = 1
 ) -> FloatArray:
-    """Return estimates without the regression's own error at the vehicles they tell of.
+    """Return estimates without the regression's own error at the vehicles that they describe.
 
     With g(p) what the regression g makes of the noise-free curve of vehicle p, and p_0 its estimate
     of the observed curve, each step is p <- p p_0 / g(p): towards the p with g(p) = p_0, indirect
@@ -139,14 +129,13 @@ def corrected(
     n_steps : int
         One is enough for curves like the training curves.
     """
-    columns, bins = method.task.output_indices, observer.frequencies_hz.cpu().numpy()
-    estimates = predicted
+    columns, estimates = method.task.output_indices, predicted
     for _ in range(n_steps if method.corrected else 0):
         parts = []
         for rows in np.array_split(np.arange(len(predicted)), math.ceil(len(predicted) / ROWS)):
             near = complete_ratios(method.task, estimates[rows])
             curves = observer.for_features(observer.noise_free(torch.as_tensor(near)))
-            inputs = method.relative_features(curves.cpu().numpy(), bins)
+            inputs = method.features(curves, observer.frequencies_hz)[0]
             usable = np.isfinite(inputs).all(axis=1)
             again = near[:, columns]  # no step where the vehicle lacks a feature
             again[usable] = method.predict(inputs[usable])
@@ -179,7 +168,7 @@ def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
     for name, column in zip(task.outputs, deviations.T, strict=True):
         if not np.isfinite(column).all():
             raise ValueError(
-                f"refine=true needs curves that tell {name}, and these of protocol "
+                f"refine=true needs curves that identify {name}, and these of protocol "
                 f"{task.protocol!r} do not: see python evaluate.py "
                 f"study=identifiability protocol={task.protocol}"
             )
@@ -206,27 +195,6 @@ def residual_scales(
     return values
 
 
-def missing_words(extractor: FeatureSet, reasons: IntArray) -> list[str]:
-    """Return what is missing of each curve, in words; empty where nothing is."""
-    return [extractor.missing(row) if row.any() else "" for row in reasons]
-
-
-def curve_model(
-    generator: ResponseGenerator, task: Task, frequencies_hz: Tensor
-) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return curves (n, n_responses, n_freq) as a function of the unknown and the known ratios."""
-
-    def forward(unknown: Tensor, known: Tensor) -> Tensor:
-        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
-        if task.mass_known:
-            columns["M_s"] = known[:, 0]
-        healthy = torch.ones_like(unknown[:, 0])
-        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
-        return generator.magnitudes(ratios, frequencies_hz)[:, task.used_responses]
-
-    return forward
-
-
 def _fit_curves(
     method: FittedMethod, observer: Observer, curves: Tensor, mass: FloatArray | None
 ) -> FloatArray:
@@ -237,9 +205,19 @@ def _fit_curves(
             f"model={method.name} fits magnitudes with white noise; it cannot be used with "
             "data=trips"
         )
+
+    def forward(unknown: Tensor, known: Tensor) -> Tensor:
+        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
+        if task.mass_known:
+            columns["M_s"] = known[:, 0]
+        healthy = torch.ones_like(unknown[:, 0])
+        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
+        magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)
+        return magnitudes[:, task.used_responses]
+
     known = torch.empty(len(curves), 0) if mass is None else torch.as_tensor(mass)[:, None]
     solution = method.estimator.fit_curves(
-        curve_model(observer.generator, task, observer.frequencies_hz),
+        forward,
         curves[:, task.used_responses],
         known.to(curves),
         task.lower,

@@ -9,12 +9,10 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator
-from suspnet.estimation.delays import delay_words
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
 from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
-from suspnet.estimation.sides import with_sides
 from suspnet.estimation.speed_bin import SpeedBin, combined
 from suspnet.estimation.speed_groups import (
     group_speed,
@@ -24,6 +22,7 @@ from suspnet.estimation.speed_groups import (
     readable_words,
     reads_at_any_speed,
 )
+from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.ground.settings import check_settings, setting
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.recording import Recording

@@ -25,11 +25,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
-from suspnet.estimation.from_curves import ONE_SIGMA, corrected
+from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.ood import Flags
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
@@ -54,15 +53,15 @@ vehicles, but in far fewer of those of a vehicle whose draw is bad."""
 UNWORN = {"k_p": 0.003, "c_p": 0.05}
 """Standard deviation of the share of a healthy vehicle's stiffness and damping that does not wear.
 Dry friction in a primary suspension acts as a damper does where it slips and as a spring where it
-sticks, and no healthy trip tells them apart."""
+sticks, and no healthy trip distinguishes them."""
 CONFIRMED = 1.05
 """Factor on the deviations of refined estimates up to which a calibration confirms them."""
 
 
-def estimate_spectra(
+def estimate_with_noise(
     method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
-) -> Estimate:
-    """Return one trip's estimate with interval and flags, from its spectra.
+) -> tuple[Estimate, FloatArray]:
+    """Return one trip's estimate with interval and flags from its spectra, and its share of noise.
 
     Parameters
     ----------
@@ -75,57 +74,55 @@ def estimate_spectra(
     speeds : Speeds, optional
         Of the segments behind the spectra; None is the speed that the method was trained for.
 
+    Returns
+    -------
+    estimate : Estimate
+        Of one row.
+    noise_share : array of shape (n_outputs,), [-]
+        n^2 / s^2; 1 without an interval.
+
     Raises
     ------
     MissingFeaturesError
         If the regression lacks a feature; the message says which and why.
     """
-    return estimate_with_noise(method, spectra, level, speeds)[0]
-
-
-def estimate_with_noise(
-    method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
-) -> tuple[Estimate, FloatArray]:
-    """Return one trip's estimate as `estimate_spectra` does, and the share of noise in it.
-
-    Returns
-    -------
-    estimate : Estimate
-    noise_share : array of shape (n_outputs,), [-]
-        n^2 / s^2; 1 without an interval.
-    """
-    observer = trip_observer(method)
-    if speeds is not None:
-        observer = observer.at(speeds)
-    inputs = _inputs(method, spectra, observer)
+    task, outputs = method.task, method.task.outputs
+    observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)
+    responses = spectra.responses(observer.settings.method)[None]
+    inputs, reasons = method.features(observer.for_features(responses), observer.frequencies_hz)
+    if not np.isfinite(inputs).all():
+        raise MissingFeaturesError(task.extractor.missing(reasons[0]))
+    # the regression learnt at one speed and noise: the trip's own move its estimate
     predicted = corrected(method, observer, method.predict(inputs), CORRECTIONS)
-    unknown = np.ones(len(method.task.outputs))
+    unknown = np.full(len(outputs), np.nan)
     if method.intervals is None and not method.refined:
-        return _estimate(method, predicted[0], None, level), unknown
+        return _estimate(method, predicted[0], unknown, level), np.ones(len(outputs))
     refined = _refined(method, observer, spectra, predicted)
     if method.intervals is None or method.ood is None:
-        return _estimate(method, refined.of(method.task.outputs)[0][0], None, level), unknown
+        values = refined.of(outputs)[0][0]
+        return _estimate(method, values, unknown, level), np.ones(len(outputs))
+    # the thresholds of the flags belong to the number of averages of the training
     seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
-    flags = method.ood.flags(method.task, [""], method.scaled(inputs), seen)
+    flags = method.flags(inputs, reasons, seen)
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
-    ratios = torch.as_tensor(complete_ratios(method.task, predicted))
+    ratios = torch.as_tensor(complete_ratios(task, predicted))
+    # the noise is the trip's own; what lasts from trip to trip is that of the calibration
     if method.refined:
-        values, deviation = (part[0] for part in refined.of(method.task.outputs))
-        noise = refined.noise_of(method.task.outputs)[0]
+        values, deviation = (part[0] for part in refined.of(outputs))
+        noise = refined.noise_of(outputs)[0]
         lasting = _lasting(deviation, noise)
         if not (usual < CONFIRMED).all():
-            bounds = output_bounds(method.task, observer, ratios.numpy())
-            bounds = bounds[0] / ratios.numpy()[0, method.task.output_indices]
+            bounds = output_bounds(task, observer, ratios.numpy())
+            bounds = bounds[0] / ratios.numpy()[0, task.output_indices]
             lasting = lasting + _lasting(usual * bounds, bounds)
     else:
         values = predicted[0]
         expected = observer.expected(ratios)
         mean = CrossSpectra(expected.auto[0], expected.cross[0], expected.n_averages)
         noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
-        scale = _residual_scale(method, inputs, predicted)
-        lasting = _lasting(usual * scale, noise_0)
+        lasting = _lasting(usual * _residual_scale(method, inputs, predicted), noise_0)
     if method.unexplained is not None:
-        costs = method.unexplained.costs**2 + unworn_deviations(method.task.outputs, values) ** 2
+        costs = method.unexplained.costs**2 + unworn_deviations(outputs, values) ** 2
         lasting = COMMON**2 * (lasting + costs)
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
@@ -135,12 +132,11 @@ def estimate_with_noise(
 def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
     """Return what damping and stiffness that do not wear cost the logarithm of each output.
 
-    A damper at the ratio r beside a share u of the healthy damping that stays as it is reads as
+    A damper at the ratio r next to a share u of the healthy damping that stays as it is reads as
     (1 - u) r + u: wrong by u (1 - r) / r of r, which is nothing where nothing is worn.
 
     Parameters
     ----------
-    outputs : sequence of str
     ratios : array of shape (n_outputs,), [-]
         Estimates.
 
@@ -177,28 +173,15 @@ def trip_observer(method: FittedMethod) -> EstimateObserver:
     return observer
 
 
-def _inputs(method: FittedMethod, spectra: CrossSpectra, observer: EstimateObserver) -> FloatArray:
-    """Return the features of a trip, shape (1, n_inputs)."""
-    extractor = method.task.extractor
-    responses = observer.for_features(spectra.responses(observer.settings.method)[None])
-    table = extractor.extract(responses, observer.frequencies_hz)
-    inputs = extractor.relative(table.values.numpy(), method.healthy_features)
-    if not np.isfinite(inputs).all():
-        raise MissingFeaturesError(extractor.missing(table.reasons[0].numpy()))
-    return inputs
-
-
 def _estimate(
     method: FittedMethod,
     values: FloatArray,
-    half_widths: FloatArray | None,
+    half_widths: FloatArray,
     level: float,
     flags: Flags | None = None,
 ) -> Estimate:
-    """Return an estimate of one row whose interval is symmetric in logarithms."""
-    half = np.full(len(values), np.nan) if half_widths is None else half_widths
     with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
-        low, high = values * np.exp(-half), values * np.exp(half)
+        low, high = values * np.exp(-half_widths), values * np.exp(half_widths)
     flags = flags or Flags.none(1)
     if method.unexplained is not None:
         flags = method.unexplained.flagged(flags)
@@ -212,21 +195,18 @@ def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(s_0**2 - n_0**2, 0))
 
 
-def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Return the residual scale of one curve's logarithms, (n_outputs,)."""
-    intervals = method.intervals
-    assert intervals is not None
-    assert intervals.residual_scale is not None
-    scale = intervals.residual_scale.predict(method.with_estimates(inputs, predicted))[0]
-    return np.asarray(scale if intervals.log else scale / predicted[0])
-
-
 def _refined(
     method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
 ) -> Refined:
-    """Return the maximum-likelihood estimate from a trip's spectra."""
     misfit = observer.measured_misfit(spectra)
     return refine(method.task, misfit, predicted, directions=observer.directions)
+
+
+def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Return the residual scale of one curve's logarithms, (n_outputs,)."""
+    assert method.intervals is not None
+    scale = residual_scales(method, inputs, predicted, None)[0]
+    return np.asarray(scale if method.intervals.log else scale / predicted[0])
 
 
 def _as_in_training(refined: Refined, share: float) -> Refined:
@@ -243,8 +223,7 @@ def _as_in_training(refined: Refined, share: float) -> Refined:
 def _noise(method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra) -> FloatArray:
     """Return the spread of the estimates' logarithms over draws of some spectra, (n_outputs,)."""
     drawn = observer.observe_again(spectra, N_DRAWS, seed=0)
-    curves = observer.for_features(drawn).numpy()
-    inputs = method.relative_features(curves, observer.frequencies_hz.numpy())
+    inputs = method.features(observer.for_features(drawn), observer.frequencies_hz)[0]
     inputs = inputs[np.isfinite(inputs).all(axis=1)]
     if len(inputs) < N_DRAWS // 2:
         return np.full(len(method.task.outputs), np.inf)

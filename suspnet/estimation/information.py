@@ -16,7 +16,7 @@ from scipy.special import erfcx
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.estimation.protocols import RESPONSES, Task
+from suspnet.estimation.protocols import MASS, RESPONSES, Task, columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Directions, Misfit, Observer
 
@@ -49,7 +49,6 @@ def fisher_information(
 
     Parameters
     ----------
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     parameters, responses : sequences of str
         From ``PARAMETERS`` and ``RESPONSES``; estimates from trips always use both responses.
@@ -76,7 +75,6 @@ def joint_information(
 
     Parameters
     ----------
-    observer, ratios, parameters, responses : as of `fisher_information`
     directions : Directions, optional
         Coordinates of the uncertain numbers; None is the observer's own.
 
@@ -85,7 +83,7 @@ def joint_information(
     array of shape (n_vehicles, n_parameters + n_z, n_parameters + n_z)
     """
     directions = observer.directions if directions is None else directions
-    columns = [PARAMETERS.index(name) for name in parameters]
+    columns = columns_of(parameters)
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
     for rows in torch.as_tensor(ratios).split(ROWS):
@@ -110,7 +108,6 @@ def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
     Parameters
     ----------
     information : array of shape (..., n_parameters + n_z, n_parameters + n_z)
-    n_parameters : int
     """
     n = n_parameters
     found = information[..., :n, :n]
@@ -183,12 +180,11 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
 
     Parameters
     ----------
-    task : Task
     ratios : array of shape (n_vehicles, 5), [-]
         Over which the errors are averaged.
     """
     levels = task.levels("M_s")
-    mass = ratios[:, PARAMETERS.index("M_s")]
+    mass = ratios[:, MASS]
     stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
     candidates = levels[:, None]
     low, high = task.lower - 1e-9, task.upper + 1e-9
@@ -216,8 +212,6 @@ def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatAr
 
     Parameters
     ----------
-    task : Task
-    observer : Observer
     ratios : array of shape (n_vehicles, 5), [-]
     """
     information = fisher_information(observer, ratios, task.unknown, task.responses)
@@ -229,12 +223,11 @@ def best_possible(
 ) -> dict[str, dict[str, float]]:
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the least errors of a task.
 
-    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be told from the
-    suspension (abs(G_s) alone), the least error under that ambiguity.
+    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be separated from
+    the suspension (abs(G_s) alone), the least error under that ambiguity.
 
     Parameters
     ----------
-    task : Task
     bounds : array of shape (n_vehicles, n_outputs), [-]
         From `output_bounds`.
     ratios : array of shape (n_vehicles, 5), [-]

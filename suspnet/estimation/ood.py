@@ -1,10 +1,10 @@
 """Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
-Six kinds of flags, each with its reason in words: a peak is missing; the features lie beyond the
+Six kinds of flags, each with its reason as text: a peak is missing; the features lie beyond the
 cloud of the training curves; a parameter lies outside the range of the training curves; the
 generator, with whatever parameters, does not explain the curve; it did not explain the healthy
 trips that it was commissioned on (`suspnet.estimation.physics`, which sets that flag); or left and
-right differ, which estimates take as equal (`suspnet.estimation.sides`, which sets that one).
+right differ, which estimates take as equal (`suspnet.estimation.trip_flags`, which sets that one).
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Self
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.types import BoolArray, FloatArray
 
-KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
-"""Number of training features that the detector keeps, and of the nearest neighbours whose mean
+"""Number of training features that the detector stores, and of the nearest neighbours whose mean
 distance is compared with the threshold."""
 FALSE_ALARMS = 1e-4
 """False-alarm rate of the distance of features, on curves like the training curves."""
@@ -34,38 +34,6 @@ deviations of theirs."""
 EDGE_DEVIATIONS = 2.33
 """Standard deviations by which a parameter must lie outside its range to be flagged; 1 % of those
 on its edge are."""
-
-
-@dataclass(frozen=True)
-class Flags:
-    """Reasons not to trust each estimate.
-
-    Attributes
-    ----------
-    found : bool array of shape (n_curves, 6)
-        Columns as ``KINDS``.
-    reasons : tuple of str
-        For each curve; empty where nothing was found.
-    """
-
-    found: BoolArray
-    reasons: tuple[str, ...]
-
-    @classmethod
-    def none(cls, n_curves: int) -> Self:
-        """Return flags of `n_curves` estimates of which none is set."""
-        return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
-
-    @property
-    def flagged(self) -> BoolArray:
-        """Whether anything was found, shape (n_curves,)."""
-        return np.asarray(self.found.any(axis=1))
-
-    def with_kind(self, kind: str, words: str) -> Flags:
-        """Return flags of which each has one of ``KINDS`` and its words too."""
-        found = self.found.copy()
-        found[:, KINDS.index(kind)] = True
-        return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))
 
 
 @dataclass(frozen=True)
@@ -108,7 +76,6 @@ class OODDetector:
 
     @cached_property
     def _neighbours(self) -> NearestNeighbors:
-        """Return a search structure of the reference."""
         return NearestNeighbors(n_neighbors=min(N_NEIGHBOURS, len(self.reference))).fit(
             self.reference
         )
@@ -124,12 +91,10 @@ class OODDetector:
 
         Parameters
         ----------
-        task : Task
         missing : sequence of str
             What is missing of each curve's features; empty if nothing is.
         inputs : array of shape (n_curves, n_inputs), [-]
             Scaled; NaN where a peak is missing.
-        refined : Refined
         """
         complete = np.isfinite(inputs).all(axis=1)
         distances = np.zeros(len(inputs))
@@ -168,7 +133,6 @@ class OODDetector:
         return Flags(found, tuple(reasons))
 
     def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
-        """Return in words how far the features of a curve lie from the reference."""
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
@@ -217,7 +181,6 @@ def _range(task: Task, name: str) -> tuple[float, float]:
 
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:
-    """Return in words that a parameter lies outside the range trained for."""
     low, high = task.range(name)
     return (
         f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "

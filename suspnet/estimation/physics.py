@@ -20,7 +20,7 @@ from typing import Self
 
 import numpy as np
 
-from suspnet.estimation.ood import Flags
+from suspnet.estimation.estimate import Flags
 from suspnet.ground.types import ComplexArray, FloatArray
 
 INCOMPLETE = 1.09
@@ -107,7 +107,7 @@ class Unexplained:
 
     @property
     def words(self) -> str:
-        """The finding in words; empty if the physics is complete."""
+        """The finding as a sentence; empty if the physics is complete."""
         if not self.is_incomplete:
             return ""
         return (

@@ -6,6 +6,9 @@ Degraded vehicles -> noisy curves -> features, block by block.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -16,13 +19,11 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.estimation.feature_data import FeatureData
-from suspnet.estimation.parallel import pool_of
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import MASS, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observation, Observer
 
@@ -209,7 +210,7 @@ class Problem:
         with bar, pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)
-        mass = [ratios[:, PARAMETERS.index("M_s")]] if self.task.mass_known else []
+        mass = [ratios[:, MASS]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
@@ -227,10 +228,78 @@ class Problem:
             "seed": self.seed,
             "stream": stream,
             "version": __version__,
-            "code": code_hash("problem.py", "dynamics", "features", "data"),
+            "code": code_hash("dynamics", "spectra", "estimation"),
         }
         if not self.task.extractor.is_fitted:
             wanted = self._wanted(TRAIN)
             description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
         plain: dict[str, Any] = json.loads(json.dumps(description))
         return plain
+
+
+@dataclass(frozen=True)
+class FeatureData:
+    """Inputs and outputs of a learning problem, one row a curve.
+
+    Attributes
+    ----------
+    inputs : array of shape (n_curves, n_inputs), [-]
+        Features relative to the healthy vehicle's (and the mass ratio where it is known); NaN
+        where a peak is missing.
+    outputs : array of shape (n_curves, n_outputs), [-]
+        Parameters relative to healthy.
+    ratios : array of shape (n_curves, 5), [-]
+        All parameters relative to healthy, in the order of ``PARAMETERS``.
+    reasons : array of shape (n_curves, n_peaks)
+        A ``PeakReason`` for each peak.
+    """
+
+    inputs: FloatArray
+    outputs: FloatArray
+    ratios: FloatArray
+    reasons: IntArray
+
+    @property
+    def valid(self) -> BoolArray:
+        """True where every feature was found, shape (n_curves,)."""
+        return np.asarray(np.isfinite(self.inputs).all(axis=1))
+
+    def complete(self) -> FeatureData:
+        """Return the curves on which every feature was found.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        kept = self.valid
+        if not kept.any():
+            raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
+        return self.subset(kept)
+
+    def first(self, n_curves: int) -> FeatureData:
+        """Return the first curves."""
+        return self.subset(np.arange(len(self.inputs)) < n_curves)
+
+    def subset(self, rows: BoolArray) -> FeatureData:
+        """Return the curves for which `rows` is true, perhaps none."""
+        return FeatureData(
+            self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
+        )
+
+
+@contextmanager
+def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Yield a pool of threads, each with one thread of torch if there are several.
+
+    The arrays of a block are too small to split, so blocks share the cores, not operations. Blocks
+    that wait are dropped when the pool is left by an error or Ctrl-C.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if workers > 1 else before)
+    pool = ThreadPoolExecutor(workers)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+        torch.set_num_threads(before)

@@ -19,6 +19,13 @@ from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
+MASS = PARAMETERS.index("M_s")
+"""Column of the car-body mass in arrays ordered as ``PARAMETERS``."""
+
+
+def columns_of(parameters: Sequence[str]) -> list[int]:
+    """Return the columns of some parameters in arrays ordered as ``PARAMETERS``."""
+    return [PARAMETERS.index(name) for name in parameters]
 
 
 @dataclass(frozen=True)
@@ -75,9 +82,7 @@ class Task:
             ("outputs", PARAMETERS),
             ("responses", RESPONSES),
         ):
-            chosen = getattr(self, name)
-            if not chosen or set(chosen) - set(allowed) or len(set(chosen)) < len(chosen):
-                raise ValueError(f"`{name}` must be from {allowed}, each once, got {chosen!r}")
+            _known(getattr(self, name), allowed, name)
         check_choice("sampling", self.sampling, ("grid", "sobol"))
         for low, high in (("lower", "upper"), ("mass_lower", "mass_upper")):
             check_number(low, getattr(self, low), above=0, most=100)
@@ -95,7 +100,7 @@ class Task:
     @property
     def output_indices(self) -> list[int]:
         """Columns of the outputs in arrays ordered as ``PARAMETERS``."""
-        return [PARAMETERS.index(name) for name in self.outputs]
+        return columns_of(self.outputs)
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -157,7 +162,7 @@ class Task:
         if ratios is None:
             ratios = self._grid(n_curves, seed, stream)
         full = np.ones((len(ratios), len(PARAMETERS)))
-        full[:, [PARAMETERS.index(name) for name in self.varied]] = ratios
+        full[:, columns_of(self.varied)] = ratios
         return full
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
@@ -178,7 +183,6 @@ class Task:
         return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
 
     def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return scrambled Sobol points in the range of the varied parameters."""
         if n_curves is None:
             raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
         rng = np.random.default_rng([seed, stream])
@@ -273,7 +277,7 @@ class Protocol:
         if self.mass_known and self.estimate_mass:
             raise ValueError("the car-body mass is either known or estimated, not both")
         for group in self.groups:
-            self.task(group)
+            self.task(group)  # which checks all else
 
     def task(self, group: str) -> Task:
         """Return the learning problem of a group.
@@ -298,7 +302,7 @@ class Protocol:
             group=group,
             varied=(*outputs, "M_s"),
             outputs=(*outputs, "M_s") if self.estimate_mass else outputs,
-            responses=tuple(_known(entry["responses"], RESPONSES, "responses")),
+            responses=tuple(entry["responses"]),
             extractor=self._extractor(entry),
             sampling=self.sampling,
             lower=self.lower,
@@ -312,7 +316,6 @@ class Protocol:
         )
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
-        """Return the feature set of a group's entry."""
         if self.feature_set == "curve":
             if set(entry["responses"]) != set(RESPONSES):
                 raise ValueError(
@@ -329,7 +332,6 @@ class Protocol:
 
 
 def _known(names: Sequence[str], allowed: Sequence[str], what: str) -> Sequence[str]:
-    """Return names if each is allowed and none is given twice; else raise ValueError."""
     if not names or any(name not in allowed for name in names) or len(set(names)) < len(names):
         raise ValueError(
             f"`{what}` must be chosen from {tuple(allowed)}, each once, got {list(names)}"

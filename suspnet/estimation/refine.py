@@ -23,7 +23,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import MASS, Task, columns_of
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 from suspnet.spectra.observation import Directions, Misfit
@@ -127,7 +127,7 @@ def complete_ratios(
     inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
-        full[:, PARAMETERS.index("M_s")] = mass
+        full[:, MASS] = mass
     return full
 
 
@@ -146,7 +146,6 @@ def refine(
 
     Parameters
     ----------
-    task : Task
     misfit : Misfit
         Of n_curves curves.
     estimates : array of shape (n_curves, n_outputs), [-]
@@ -198,9 +197,7 @@ class _Search:
     ) -> None:
         self._task, self._misfit, self._full, self._max_iter = task, misfit, full, max_iter
         self._directions, self.n_directions = directions, 0 if directions is None else directions.n
-        self._columns = torch.tensor(
-            [PARAMETERS.index(name) for name in task.unknown], device=full.device
-        )
+        self._columns = torch.tensor(columns_of(task.unknown), device=full.device)
         ranges = [task.range(name) for name in task.unknown]
         self._range = torch.tensor(ranges, dtype=full.dtype, device=full.device).T.log()
         furthest = full.new_full((self.n_directions,), FURTHEST)

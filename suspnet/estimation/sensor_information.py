@@ -18,9 +18,9 @@ input both steps have a closed form; q = |a|^2 and u_i the part of da_i perpendi
 
     I_ij - I_is I_sj / I_ss = n / r sum over bins of 2 q / (1 + q) Re(u_i^H u_j)
 
-What moves all sensors alike, in size or in phase, cannot be told from the track: no part of u.
+What moves all sensors alike, in size or in phase, is not separable from the track: no part of u.
 
-Sensors on the body tell nothing beyond ``body_high_hz``, where G_s is not used: A is 0 there.
+Sensors on the body do not count beyond ``body_high_hz``, where G_s is not used: A is 0 there.
 
 A generator's uncertain numbers are further unknowns, about the median of their distribution, with
 that as prior: see `without_uncertain`.
@@ -42,6 +42,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.estimation.information import without_uncertain
+from suspnet.estimation.protocols import columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.estimates import EstimateObserver
 from suspnet.spectra.observation import Directions, every_direction
@@ -52,14 +53,9 @@ ROUNDING = 1e-24
 THREE_SENSORS = ("axle box", "bogie", "body")
 
 
-def places(generator: ResponseGenerator) -> tuple[str, ...]:
+def sensor_places(generator: ResponseGenerator) -> tuple[str, ...]:
     """Return the names of the places of sensors: the three, then ``further_places``."""
     return THREE_SENSORS + generator.further_places
-
-
-def _on_body(generator: ResponseGenerator) -> Tensor:
-    """Return which of ``places`` are on the body, bool (n_places,)."""
-    return torch.tensor([place.startswith("body") for place in places(generator)])
 
 
 def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[float, ...]:
@@ -69,11 +65,10 @@ def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[flo
 
 
 def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-    """Return each of ``places`` for each input, (n_vehicles, n_inputs, n_places, n_freq).
+    """Return each of `sensor_places` for each input, (n_vehicles, n_inputs, n_places, n_freq).
 
     Parameters
     ----------
-    generator : ResponseGenerator
     ratios : tensor of shape (n_vehicles, 5) or wider, [-]
     frequencies_hz : tensor of shape (n_freq,), [Hz]
     """
@@ -101,7 +96,7 @@ def recording_information(
     parameters : sequence of str
         From ``PARAMETERS``; the others are known.
     counts : array of shape (n_choices, n_places)
-        How many sensors each choice has at each of ``places(generator)``; two at one place
+        How many sensors each choice has at each of ``sensor_places(generator)``; two at one place
         have half the noise density of one.
 
     Returns
@@ -115,13 +110,14 @@ def recording_information(
         If the counts have another shape, or a choice has no sensor.
     """
     generator, settings = observer.generator, observer.settings
-    numbers = _checked(counts, len(places(generator)))
+    numbers = _checked(counts, len(sensor_places(generator)))
     bins = observer.frequencies_hz
     rates_hz = _rates_hz(generator, settings.rates_hz)
     noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
     track = torch.as_tensor(observer.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
-    level = level.masked_fill(_on_body(generator)[:, None] & observer.beyond[1], 0.0)
+    on_body = torch.tensor([place.startswith("body") for place in sensor_places(generator)])
+    level = level.masked_fill(on_body[:, None] & observer.beyond[1], 0.0)
     per_bin = settings.n_averages / settings.welch.correlated_bins
     uncertain = every_direction(generator)
     blocks = []
@@ -147,7 +143,7 @@ def _slopes(
     """
     n_columns = len(PARAMETERS)
     start = torch.cat([rows, rows.new_zeros(len(rows), uncertain.n)], dim=1)
-    columns = [PARAMETERS.index(name) for name in parameters]
+    columns = columns_of(parameters)
     slopes: list[Tensor] = []
     for column in [*columns, *range(n_columns, n_columns + uncertain.n)]:
         tangent = torch.zeros_like(start)
@@ -215,7 +211,6 @@ def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
 
 
 def _checked(counts: ArrayLike, n_places: int) -> Tensor:
-    """Return the counts as a tensor; raise ValueError if they are not such a table."""
     numbers = torch.as_tensor(np.asarray(counts, dtype=np.float64))
     if numbers.ndim != 2 or numbers.shape[1] != n_places:
         raise ValueError(

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.ood import Flags
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.welch import SegmentSpectra

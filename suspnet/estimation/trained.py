@@ -14,7 +14,7 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_recording import TripSettings, estimate_recording
-from suspnet.estimation.from_spectra import estimate_spectra
+from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.recordings import Recording, load_recording, read_manifest
 from suspnet.spectra.cross_spectra import CrossSpectra
 
@@ -78,7 +78,7 @@ class TrainedModel(FittedMethod):
             If curves, frequencies or masses do not fit the model.
         """
         if isinstance(data, CrossSpectra):
-            return estimate_spectra(self, data, level)
+            return estimate_with_noise(self, data, level)[0]
         if isinstance(data, str | Path | Recording):
             chosen = replace(settings or TripSettings(), level=level)
             if not isinstance(data, Recording):
@@ -90,7 +90,6 @@ class TrainedModel(FittedMethod):
         return estimate_curves(self, observer, curves.to(self.generator.device), level, known)
 
     def _checked_mass(self, mass: ArrayLike | None, curves: Tensor) -> np.ndarray | None:
-        """Return one positive mass ratio for each curve, or None where the model takes none."""
         if self.task.mass_known != (mass is not None):
             raise ValueError(
                 "the model was trained to know the car-body mass: give `mass`, 1 is healthy"
@@ -110,7 +109,6 @@ class TrainedModel(FittedMethod):
 def _checked_curves(
     data: ArrayLike | Tensor, frequencies_hz: ArrayLike | None, bins: Tensor
 ) -> Tensor:
-    """Return curves (n_curves, 2, n_freq) on the bins of a model."""
     values = data if isinstance(data, Tensor) else torch.as_tensor(np.asarray(data))
     values = values.to(torch.complex128 if values.is_complex() else torch.float64)
     values = values[None] if values.ndim == 2 else values

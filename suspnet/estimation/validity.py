@@ -1,6 +1,6 @@
 """What a model's files must hold: each number, shape and name, checked before the model is used.
 
-The hash in model.json tells damage, not forgery: whoever changes a file can change its hash too.
+The hash in model.json shows damage, not forgery: whoever changes a file can change its hash too.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import LARGEST, check_flag, check_number
+from suspnet.ground.records import Place
 from suspnet.ground.types import FloatArray
 from suspnet.learning import Scaling
-from suspnet.recordings.manifest import Place
 
 MAY_BE_INFINITE = ("ood.thresholds",)
 """Arrays in which infinity means that there is no threshold."""
@@ -84,13 +84,11 @@ def check_model(model: TrainedModel) -> None:
 
 
 def _check_vector(name: str, values: FloatArray, size: int) -> None:
-    """Raise ValueError unless an array holds as many finite numbers as it must."""
     if values.shape != (size,) or values.dtype.kind not in "fi":
         raise ValueError(f"`{name}` must be {size} numbers, got shape {values.shape}")
 
 
 def _check_healthy(model: TrainedModel) -> None:
-    """Raise ValueError unless the healthy features are those of the vehicle as it is observed."""
     generator = model.generator.on("cpu")
     expected = Problem(generator, model.task, model.settings).healthy_features()
     _check_vector("healthy_features", model.healthy_features, len(expected))
@@ -100,7 +98,6 @@ def _check_healthy(model: TrainedModel) -> None:
 
 
 def _check_scaling(name: str, scaling: Scaling | None, size: int, log: bool) -> None:
-    """Raise TypeError or ValueError unless a scaling is the task's."""
     if scaling is None:
         raise ValueError(f"the scaling of {name} is missing")
     check_flag(f"{name}.log", scaling.log)
@@ -130,7 +127,6 @@ def _check_estimator(model: TrainedModel, n_inputs: int, n_outputs: int) -> None
 
 
 def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> None:
-    """Raise ValueError unless intervals, OOD detector and costs are of the model's size."""
     intervals, ood = model.intervals, model.ood
     if intervals is not None:
         if intervals.conformal.scores.shape[1] != n_outputs or intervals.log != model.log:
@@ -153,7 +149,6 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
 
 
 def _check_training(training: Any) -> None:
-    """Raise TypeError, KeyError or ValueError unless the notes on the training are whole."""
     check_number("training.seed", training["seed"], low=0, whole=True)
     check_number("training.n_train", training.get("n_train", 0), low=0, whole=True)
     if not isinstance(training.get("parameters", {}), dict):
@@ -173,7 +168,6 @@ def _check_training(training: Any) -> None:
 
 
 def _check_place(place: Any) -> None:
-    """Raise TypeError unless a note says which suspension was commissioned, or nothing of it."""
     if place is None:
         return
     names = {one.name for one in fields(Place)}

@@ -1,4 +1,8 @@
-"""Files that hold what can be made again: any doubt about one, and it is made anew."""
+"""Files of results that can be computed again, which they are if a file is doubtful.
+
+Libraries that cache results (joblib.Memory, diskcache) read pickles, which run the code that they
+name; these files hold numbers and JSON only.
+"""
 
 from __future__ import annotations
 
@@ -15,28 +19,34 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from suspnet.ground.storage import content_hash, load_arrays, read_array_file, write_atomically
+from suspnet.ground.storage import (
+    MOST_BYTES,
+    content_hash,
+    load_arrays,
+    read_plain,
+    write_atomically,
+)
 
 log = logging.getLogger(__name__)
 ABOUT = "suspnet"
-"""Entry of a file's header that says what its arrays were made from, with a checksum of both."""
+"""Entry of a file's header with what its arrays were made from, and a checksum of both."""
 Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Cache:
-    """Arrays and notes in a folder, found again by what they were made from.
+    """Arrays and notes in a folder, stored under what they were made from.
 
     A file holds names, types, shapes and values of the arrays, the notes and all that they were
-    made from, and a checksum of these. A file that is not exactly so is not used, with a line of
-    warning. A folder that cannot be read or written costs time and one warning.
+    made from, and a checksum of these. Any other file is ignored, with a line of warning. A folder
+    that cannot be read or written costs time and one warning.
 
     Parameters
     ----------
     folder : Path or str, optional
-        None keeps nothing.
+        None stores nothing.
     kind : str
-        Begin of the files' names.
+        Start of the files' names.
     """
 
     folder: Path | str | None
@@ -48,7 +58,7 @@ class Cache:
             return None
         path = self.path(made_from)
         try:
-            content = read_array_file(path)
+            content = read_plain(path, MOST_BYTES)
             arrays = load_arrays(content, str(path))
             about = _about(content)
         except FileNotFoundError:
@@ -68,7 +78,7 @@ class Cache:
         return None
 
     def write(self, made_from: Any, arrays: Arrays, notes: Any = None) -> None:
-        """Keep arrays and JSON-able notes that were made from a JSON-able description."""
+        """Store arrays and JSON-able notes that were made from a JSON-able description."""
         if self.folder is None:
             return
         arrays = {name: np.array(array, order="C") for name, array in arrays.items()}
@@ -88,12 +98,18 @@ class Cache:
 
 @functools.cache
 def code_hash(*parts: str) -> str:
-    """Return a hash of some files and folders of this package, so that no cache outlives them."""
-    package = Path(__file__).parent
+    """Return a hash of some files and folders of this package; of all without any.
+
+    It is part of what a cache is made from: no file outlives the code that made it.
+    """
+    package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for part in parts or (".",):
         path = package / part
-        for file in [path] if path.is_file() else sorted(path.rglob("*.py")):
+        files = [path] if path.is_file() else sorted(path.rglob("*.py"))
+        if not files:
+            raise FileNotFoundError(2, "this package has no such code", str(path))
+        for file in files:
             digest.update(file.read_bytes())
     return digest.hexdigest()
 
@@ -109,7 +125,7 @@ def _checksum(arrays: Arrays, made_from: Any, notes: Any) -> str:
 
 
 def _about(content: bytes) -> dict[str, Any]:
-    """Return what a cache file's header says of its arrays; {} if it says nothing."""
+    """Return the entry ``ABOUT`` of a file's header; {} if there is none."""
     header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
     about = json.loads(header.get("__metadata__", {}).get(ABOUT, "{}"))
     return about if isinstance(about, dict) else {}
@@ -117,5 +133,4 @@ def _about(content: bytes) -> dict[str, Any]:
 
 @functools.cache
 def _warn_once(folder: str, verb: str, reason: str) -> None:
-    """Tell that a cache folder is of no use, once."""
     log.warning("the cache folder %s cannot be %s, which costs time only: %s", folder, verb, reason)

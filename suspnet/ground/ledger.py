@@ -1,4 +1,4 @@
-"""Ledger of a folder: what this package wrote there, so that no other file is replaced or removed.
+"""Which files are ours: no other file is replaced, removed or opened for work.
 
 A folder of results holds ``written.jsonl``. Before a file is written below that folder, its name
 relative to the folder and the SHA-256 of its content are appended. A file is ours only if it is a
@@ -6,8 +6,11 @@ regular file whose bytes have a hash that the ledger lists for its name. A forge
 exposes no file whose content its author does not know, and names that lead elsewhere (absolute
 ones, ``..``, links) match no file of the folder.
 
-Logs and TensorBoard's events grow, and Hydra writes its own files, so these have no hash: they may
-be there, but are never opened again.
+Logs and TensorBoard's events grow, and Hydra writes its own files; these have no hash: they may be
+there, but are never opened again.
+
+SQLite writes to whatever it opens: a change of the journal mode, a merged write-ahead log, files
+next to it. A database is therefore recognised by its header before it is opened for work.
 """
 
 from __future__ import annotations
@@ -16,9 +19,10 @@ import errno
 import hashlib
 import json
 import os
+import sqlite3
 import stat
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
@@ -28,25 +32,24 @@ except ImportError:  # not a POSIX system
     HAS_LOCKS = False
 else:
     HAS_LOCKS = True
-
 LEDGER = "written.jsonl"
 """Name of the ledger in a folder of results."""
 HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a temporary name."\n'
-"""First line of a ledger; a file of that name without it is somebody else's."""
+"""First line of a ledger; a file of that name without it is not ours."""
 MAX_BYTES = 2**28
-"""Size beyond which a file is no ledger: a million files take half of it."""
+"""Largest size of a ledger that is read, [bytes]: a million files take half of it."""
 UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
 UNTOUCHED_FOLDERS = (".hydra", ".submitit")
 """Files and folders of ours without a hash."""
 MULTIRUN = "multirun.yaml"
-"""File that Hydra writes once more, not atomically, so that an empty one may be left of it."""
+"""File that Hydra writes again, not atomically: after a kill it may be empty."""
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 Listed = dict[str, set[str]]
 """Hashes by name; a temporary name has none."""
 
 
 def begin(folder: Path) -> bool:
-    """Make a folder for results, or go on in one that holds nothing but results.
+    """Make a folder for results, or go on in one that holds only results.
 
     Returns
     -------
@@ -81,7 +84,7 @@ def begin(folder: Path) -> bool:
 
 
 def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
-    """Enter a file that is going to be written, if its folder or one above has a ledger.
+    """Enter a file into the ledger before it is written, if its folder or one above has a ledger.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
     entry = [hashlib.sha256(content).hexdigest(), _name(path, root), token]
     handle = os.open(root / LEDGER, os.O_APPEND | os.O_WRONLY | NO_LINKS)
     with os.fdopen(handle, "wb") as stream:
-        if HAS_LOCKS:  # network file systems append at the end that they know of
+        if HAS_LOCKS:  # network file systems may append at an old end
             lock(stream.fileno())
         stream.write(b"\n" + json.dumps(entry).encode())  # whole after a line that was cut off
         stream.flush()
@@ -121,7 +124,7 @@ def remove(path: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Remove the ledger of a folder in which nothing is written any more."""
+    """Remove the ledger of a finished folder."""
     if _root(folder) == _absolute(folder):
         (folder / LEDGER).unlink()
 
@@ -192,7 +195,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file is one that may be there, but is never opened again."""
+    """Return whether a regular file may be there without a hash."""
     name = _name(path, root)
     return stat.S_ISREG(path.lstat().st_mode) and (
         any(fnmatch(path.name, pattern) for pattern in UNTOUCHED_FILES)
@@ -202,7 +205,7 @@ def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
 
 
 def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file holds what a ledger lists."""
+    """Return whether a regular file has a hash that a ledger lists for it."""
     hashes = listed.get(_name(path, root))
     state = path.lstat()
     if not hashes or not stat.S_ISREG(state.st_mode):
@@ -214,10 +217,82 @@ def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
 
 
 def _name(path: Path, root: Path) -> str:
-    """Return the name of a file relative to the folder of the ledger."""
     return _absolute(path).relative_to(root).as_posix()
 
 
 def _absolute(path: Path) -> Path:
-    """Return an absolute path without ``..``."""
     return Path(os.path.abspath(path))
+
+
+MAGIC = b"SQLite format 3\0"
+HEADER_BYTES = 100
+APPLICATION_ID = slice(68, 72)
+USER_VERSION = slice(60, 64)
+"""Places of two numbers in the header, which their owner chooses; 0 by default."""
+ACTING = "SELECT name FROM sqlite_master WHERE IFNULL(rootpage, 0) = 0"
+"""Query of what runs when tables are read or written: views, triggers and virtual tables. Files of
+this program have none; in a foreign file they may run without end."""
+
+
+def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
+    """Raise an error if a file is not ours; a missing and an empty one can be used.
+
+    Parameters
+    ----------
+    path : Path
+    application_id : int
+        Number in the header of this program's files.
+    marker : str
+        Query that returns a row of this program's files that have no number yet.
+    name : str
+        What the file should be, such as "store of suspnet".
+
+    Raises
+    ------
+    ValueError
+        If it is not a file, cannot be read, or is not one of this program.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            kind = "folder" if path.is_dir() else "device or pipe"
+            raise ValueError(f"{path}: this is a {kind}, not a file; name another file")
+        with path.open("rb") as file:
+            header = file.read(HEADER_BYTES)
+    except FileNotFoundError:
+        if path.is_symlink():
+            raise ValueError(f"{path}: this link leads to no file; name another file") from None
+        return
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+    if not header or int.from_bytes(header[APPLICATION_ID]) == application_id:
+        return
+    why = "is not an SQLite database, or its head is damaged"
+    if header.startswith(MAGIC) and len(header) == HEADER_BYTES:
+        why = _why_foreign(path, header, marker)
+    if why:
+        raise ValueError(
+            f"{path}: this file {why}: it is no {name}, and stays as it is; name another file"
+        )
+
+
+def _why_foreign(path: Path, header: bytes, marker: str) -> str:
+    """Return why a database without our number is not ours; empty if it is ours."""
+    if any(header[APPLICATION_ID]):
+        return "is a database of another application"
+    # immutable: no lock is taken, no log is merged, no file appears beside it
+    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as connection:
+            if connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None:
+                if connection.execute(ACTING).fetchone() is not None:
+                    return "is a database of another application"
+                has_row = connection.execute(marker).fetchone() is not None
+                return "" if has_row else "is a database of another application"
+    except sqlite3.OperationalError:
+        return "is a database of another application"
+    except sqlite3.DatabaseError as error:
+        return f"cannot be read ({error})"
+    log = path.with_name(f"{path.name}-wal")
+    has_log = log.is_file() and log.stat().st_size > 0
+    is_used = has_log or any(header[USER_VERSION])
+    return "is a database of another application" if is_used else ""

@@ -1,4 +1,4 @@
-"""How far a program is: bars where standard error is a terminal, lines in the log elsewhere."""
+"""Progress of a program: bars where standard error is a terminal, lines in the log elsewhere."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from typing import Any
 from tqdm import tqdm
 
 log = logging.getLogger(__name__)
-
 INTERVAL_S = 30.0
 """Time between two lines of one step, [s]."""
 
@@ -26,7 +25,7 @@ def bar(
     unit: str = "",
     shown: bool = True,
 ) -> Any:
-    """Return a progress bar of tqdm, or what logs lines in its place.
+    """Return a progress bar of tqdm, or an object like it that logs lines instead.
 
     A line when the step starts, and one after each ``INTERVAL_S``, also while nothing is counted.
 
@@ -54,13 +53,13 @@ def bar(
     return lines
 
 
-def stage(words: str) -> None:
+def stage(text: str) -> None:
     """Log that a step starts."""
-    log.info(words)
+    log.info(text)
 
 
 class _Lines(tqdm):  # type: ignore[type-arg]
-    """A bar of tqdm as lines of the log, which tqdm's monitoring thread asks for."""
+    """A bar of tqdm as lines of the log, written by tqdm's monitoring thread."""
 
     monitor = None
     monitor_interval = 1
@@ -68,10 +67,10 @@ class _Lines(tqdm):  # type: ignore[type-arg]
     def refresh(self, nolock: bool = False, lock_args: Any = None) -> None:
         """Log a line; the next one comes after `maxinterval`."""
         self.last_print_t, self.miniters = time.time(), math.inf
-        log.info(self.words())
+        log.info(self.text())
 
-    def words(self) -> str:
-        """Return what is done, how long it took, and about how long the rest will take."""
+    def text(self) -> str:
+        """Return the state, the time so far and an estimate of the time that is left."""
         state = self.format_dict
         n, total, elapsed_s = state["n"], state["total"], state["elapsed"]
         parts = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
@@ -82,7 +81,6 @@ class _Lines(tqdm):  # type: ignore[type-arg]
 
 
 def _span(seconds: float) -> str:
-    """Return a length of time in seconds or minutes."""
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
@@ -93,7 +91,7 @@ def on_stderr(before: str = "") -> Iterator[None]:
     Parameters
     ----------
     before : str
-        What stands before each line, where several programs write at the same time.
+        Start of each line, where several programs write at the same time.
     """
     root = logging.getLogger()
     consoles = [h for h in root.handlers if getattr(h, "stream", None) is sys.stdout]
@@ -113,5 +111,4 @@ def on_stderr(before: str = "") -> Iterator[None]:
 
 
 def _is_result(record: logging.LogRecord) -> bool:
-    """Return whether a record is none of the lines of this module."""
     return record.name != log.name

@@ -1,4 +1,4 @@
-"""Files written atomically, and arrays checked before they are used."""
+"""Files that are written atomically, and read in bounded time and memory whatever they are."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import json
 import os
 import re
 import secrets
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from safetensors.numpy import load, save
 
 from suspnet.ground import ledger
 from suspnet.ground.ledger import HAS_LOCKS, lock
-from suspnet.ground.plain_files import MOST_BYTES, MOST_TEXT_BYTES, NotPlainError, read_plain
 
 DESCRIPTORS = "/proc/self/fd"
 """Where Linux shows a process the files that it has open."""
@@ -33,6 +33,10 @@ UNPRINTABLE = re.compile(
 
 class DamagedFileError(ValueError):
     """A file is truncated, altered or of another format."""
+
+
+class NotPlainError(DamagedFileError):
+    """A path leads to something other than a plain file, or to one that is too large."""
 
 
 def write_atomically(path: Path, content: bytes | str, force: bool = False) -> Path:
@@ -67,7 +71,7 @@ def write_atomically(path: Path, content: bytes | str, force: bool = False) -> P
             stream.flush()
             os.fsync(stream.fileno())
             if not is_named:
-                _name(stream.fileno(), temporary)
+                _give_name(stream.fileno(), temporary)
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -76,7 +80,7 @@ def write_atomically(path: Path, content: bytes | str, force: bool = False) -> P
 
 
 def _opened(temporary: Path) -> tuple[int, bool]:
-    """Return a new file's descriptor, and whether it is named `temporary` or has no name."""
+    """Return a new file's descriptor, and whether it has the name `temporary` or none."""
     if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
         try:
             return os.open(temporary.parent, os.O_TMPFILE | os.O_WRONLY, 0o666), False
@@ -85,8 +89,7 @@ def _opened(temporary: Path) -> tuple[int, bool]:
     return os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), True
 
 
-def _name(handle: int, path: Path) -> None:
-    """Give a file that has no name one."""
+def _give_name(handle: int, path: Path) -> None:
     folder = os.open(path.parent, os.O_RDONLY)
     try:  # with a folder's descriptor Python follows the link of /proc
         os.link(f"{DESCRIPTORS}/{handle}", path.name, dst_dir_fd=folder, follow_symlinks=True)
@@ -115,7 +118,7 @@ def new_folder(wanted: Path) -> Path:
 
 @contextmanager
 def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
-    """Keep other threads and processes that lock a folder too out of it.
+    """Lock a folder against other threads and processes that lock it too.
 
     Yields
     ------
@@ -151,22 +154,13 @@ def read_json(path: Path) -> Any:
     DamagedFileError
         If it is no plain file, too large or not valid JSON.
     """
+    content = read_plain(path)
     try:
-        return json.loads(_read(path, MOST_TEXT_BYTES).decode())
-    except DamagedFileError:
-        raise
+        return json.loads(content.decode())
     except RecursionError as error:
         raise DamagedFileError(f"{path} is not ours: it is nested too deeply") from error
     except ValueError as error:
         raise DamagedFileError(f"{path} is damaged or not JSON ({error})") from error
-
-
-def _read(path: Path, most_bytes: int) -> bytes:
-    """Return the content of a plain file; DamagedFileError if it is none or too large."""
-    try:
-        return read_plain(path, most_bytes)
-    except NotPlainError as error:
-        raise DamagedFileError(str(error)) from error
 
 
 def dump_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -190,12 +184,7 @@ def read_arrays(path: Path, sha256: str | None = None) -> dict[str, NDArray[Any]
     DamagedFileError
         If the file is no plain file, truncated, altered or of another format.
     """
-    return load_arrays(read_array_file(path), str(path), sha256)
-
-
-def read_array_file(path: Path) -> bytes:
-    """Return the bytes of a safetensors file; raises as `read_arrays`, but arrays are unchecked."""
-    return _read(path, MOST_BYTES)
+    return load_arrays(read_plain(path, MOST_BYTES), str(path), sha256)
 
 
 def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[str, NDArray[Any]]:
@@ -205,7 +194,7 @@ def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[st
     ----------
     content : bytes
     name : str
-        What the error's message begins with.
+        Start of the error's message.
     sha256 : str, optional
         The hash the bytes must have.
 
@@ -216,7 +205,7 @@ def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[st
     """
     if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
         raise DamagedFileError(
-            f"{name} is damaged: its {len(content)} bytes do not match the hash kept with it"
+            f"{name} is damaged: its {len(content)} bytes do not match the hash stored with it"
         )
     try:
         return load(content)
@@ -230,10 +219,10 @@ def content_hash(description: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text that every file can hold and that moves nothing on a terminal.
+    """Return text that every file can hold and that controls no terminal.
 
-    Control characters but ends of lines and tabs, marks that turn the direction of writing, and
-    bytes of a name that are not UTF-8 stand as escapes.
+    Control characters other than ends of lines and tabs, marks of the direction of writing, and
+    bytes that are not UTF-8 become escapes.
     """
     return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
@@ -249,3 +238,89 @@ def _finite(content: Any) -> Any:
     if isinstance(content, float) and not np.isfinite(content):
         return None
     return content
+
+
+MOST_TEXT_BYTES = 2**24
+"""Largest size of a file of text: manifests and descriptions of models have kilobytes, and 16 MiB
+are parsed in seconds and half a gigabyte."""
+MOST_BYTES = 2**34
+"""Largest size of a file of arrays that is read whole."""
+MOST_EXTENTS = 4096
+"""Largest number of pieces of data between the holes of a sparse file that are counted."""
+FREE_BYTES, DENSITY = 2**28, 100
+"""A file that is read whole may have 256 MB, and beyond that 100 bytes for each stored byte."""
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (lambda _: True, "a device"),
+)
+
+
+def open_plain(path: Path) -> BinaryIO:
+    """Return a plain file, or one that a link leads to, open for reading; it never waits.
+
+    Raises
+    ------
+    NotPlainError
+        If it is a folder, a named pipe, a socket or a device.
+    OSError
+        If it cannot be opened, FileNotFoundError among them.
+    """
+    _check(path, os.stat(path).st_mode)  # opening some devices already does something
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+    handle = os.open(path, flags | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0))
+    try:
+        _check(path, os.fstat(handle).st_mode)
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_plain(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+    """Return the content of a plain file.
+
+    Raises
+    ------
+    NotPlainError
+        If it is no plain file, holds more than `most_bytes`, or hardly stores any of what it holds.
+    OSError
+        If it cannot be read, FileNotFoundError among them.
+    """
+    with open_plain(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > FREE_BYTES:
+            most_bytes = min(most_bytes, FREE_BYTES + DENSITY * stored_bytes(stream))
+        if size > most_bytes:
+            raise NotPlainError(
+                f"{path} is of {size} bytes; at most {most_bytes} are read of such a file"
+            )
+        return stream.read(size)
+
+
+def stored_bytes(stream: BinaryIO) -> int:
+    """Return how many bytes of a file are stored; holes of a sparse file are not."""
+    handle = stream.fileno()
+    size = os.fstat(handle).st_size
+    if not hasattr(os, "SEEK_HOLE"):
+        return size
+    place, stored, before = 0, 0, os.lseek(handle, 0, os.SEEK_CUR)
+    try:
+        for _ in range(MOST_EXTENTS):
+            start = os.lseek(handle, place, os.SEEK_DATA)
+            place = os.lseek(handle, start, os.SEEK_HOLE)
+            stored += place - start
+        stored += size - place
+    except OSError:  # no data follow
+        pass
+    finally:
+        os.lseek(handle, before, os.SEEK_SET)
+    return stored
+
+
+def _check(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        kind = next(name for is_kind, name in _KINDS if is_kind(mode))
+        raise NotPlainError(f"{path} is {kind}, not a plain file")

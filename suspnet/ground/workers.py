@@ -1,4 +1,8 @@
-"""Processes that end with the one that started them, and work that survives the end of one."""
+"""Processes that end with the one that started them, and work that survives the death of one.
+
+In the pools of concurrent.futures and of loky one killed process breaks the pool, and with it all
+items that wait or run; here each worker is a pool of one process.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +27,7 @@ from tqdm import tqdm
 WATCH_S = 1.0
 """Time between two looks at whether the parent process is alive [s]."""
 ATTEMPTS = 2
-"""Number of processes that may be killed over one item."""
+"""Largest number of processes that work on one item, one after the other, if they are killed."""
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Environment variables that share the cores among processes."""
 Item = TypeVar("Item")
@@ -31,7 +35,7 @@ Result = TypeVar("Result")
 
 
 class LostWorkerError(RuntimeError):
-    """Every process that worked on something was killed."""
+    """Every process that worked on an item was killed."""
 
 
 def guarded(n_workers: int) -> ProcessPoolExecutor:
@@ -46,8 +50,8 @@ def each(
 ) -> Iterator[tuple[Item, Result | LostWorkerError]]:
     """Yield every item with what a function returns for it, in the order in which they are done.
 
-    Each worker is a process of its own, so that the death of one costs the item that it had: the
-    item is tried in a new process, ``ATTEMPTS`` times in all. One worker is this process itself.
+    The death of a process costs one attempt at the item that it had, which is tried ``ATTEMPTS``
+    times in all. With one worker this process does the work itself.
 
     Parameters
     ----------
@@ -79,7 +83,9 @@ def each(
                 item, attempt, executor = running.pop(future)
                 try:
                     result: Result | LostWorkerError = future.result()
-                except BrokenProcessPool as error:
+                except (
+                    BrokenProcessPool
+                ) as error:  # a new process takes the place of the killed one
                     executor.shutdown(kill_workers=True)
                     alive.remove(executor)
                     executor = guarded(n_workers)
@@ -97,7 +103,6 @@ def each(
 
 
 def _killed(error: BrokenProcessPool) -> str:
-    """Return in words how the last process ended."""
     codes = re.search(r"\{(.*)\}", str(error))
     how = f" ({codes[1]})" if codes else ""
     return (
@@ -107,7 +112,7 @@ def _killed(error: BrokenProcessPool) -> str:
 
 
 def begin() -> None:
-    """Prepare a worker process: it ends with its parent, which alone hears Ctrl-C.
+    """Prepare a worker process: it ends with its parent, and only the parent gets Ctrl-C.
 
     tqdm's usual lock is a semaphore of the system, which a worker that is killed leaves behind.
     """
@@ -121,7 +126,7 @@ def begin() -> None:
 def end_with_parent() -> None:
     """End this process within ``WATCH_S`` of the one that started it, if it is a worker.
 
-    A parent that is killed cannot tell its workers, which wait for work from it forever.
+    A killed parent cannot stop its workers, which would wait for work forever.
     """
     parent = multiprocessing.parent_process()
     if parent is not None and parent.pid is not None and hasattr(os, "getppid"):
@@ -129,7 +134,6 @@ def end_with_parent() -> None:
 
 
 def _watch(parent: int) -> None:
-    """Wait for the end of the parent process, and end this one."""
     while os.getppid() == parent:  # an orphan gets another parent
         time.sleep(WATCH_S)
     os._exit(128 + signal.SIGTERM)
@@ -144,5 +148,5 @@ class _GuardedLoky(LokyBackend):  # type: ignore[misc]
 
 
 def guard_joblib() -> None:
-    """Let all processes that joblib starts from now on end with this one."""
+    """Make all processes that joblib starts from now on end with this one."""
     register_parallel_backend("loky", _GuardedLoky)

@@ -7,21 +7,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.records import TripCurves, TripResult, or_nan, to_arrays, to_responses
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
-from suspnet.history.records import TripCurves, TripResult
-from suspnet.history.rows import or_nan
 from suspnet.history.schema import curves, suspensions, trips
 
 N_NEWEST = 3
-"""Number of the newest trips of a suspension whose curves are kept, besides those of the first."""
-NAMES = {"frequencies_hz", "real", "imaginary", "coherences", "deviations"}
-"""Arrays of a trip as they are kept."""
+"""Number of the newest trips whose curves are stored, besides those of the first."""
+NAMES = ("frequencies_hz", "real", "imaginary", "coherences", "deviations")
+"""Arrays of a trip as they are stored."""
 
 
 ROW = (str, int | float | None, str, bytes | memoryview, str)
@@ -30,7 +28,7 @@ ROW = (str, int | float | None, str, bytes | memoryview, str)
 
 @dataclass(frozen=True, eq=False)
 class TripResponses:
-    """Transfer functions of one trip, as the store keeps them.
+    """Transfer functions of one trip, as the store holds them.
 
     Attributes
     ----------
@@ -69,9 +67,9 @@ def order(mileage_km: float, start: str, trip: str) -> Order:
 def write_curves(
     connection: Connection, suspension: int, results: Mapping[bytes, TripResult]
 ) -> None:
-    """Keep the curves of a suspension's trips, as far as they are the first or the newest.
+    """Store the curves of a suspension's trips, as far as they are the first or the newest.
 
-    Curves that were kept of these trips before are replaced, or deleted where a trip has none any
+    Curves that were stored of these trips before are replaced, or deleted where a trip has none any
     more; so are those of trips that are no longer among the newest.
 
     Parameters
@@ -108,7 +106,7 @@ def write_curves(
 def read_responses(
     connection: Connection, where: sql.ColumnElement[bool], name: str
 ) -> list[TripResponses]:
-    """Return the curves that are kept of a suspension, by mileage.
+    """Return the stored curves of a suspension, by mileage.
 
     Parameters
     ----------
@@ -121,7 +119,7 @@ def read_responses(
     Raises
     ------
     HistoryError
-        If what is kept was altered.
+        If they were altered.
     """
     # NullType: whatever is there comes as it is, to be refused by name
     arrays = sql.type_coerce(curves.c.arrays, sql.types.NullType())
@@ -138,21 +136,13 @@ def read_responses(
 
 
 def _same_trip() -> sql.ColumnElement[bool]:
-    """Return the condition that curves are of a trip."""
     same = curves.c.suspension_id == trips.c.suspension_id, curves.c.key == trips.c.key
     return sql.and_(*same)
 
 
 def _row(suspension: int, key: bytes, found: TripCurves) -> dict[str, object]:
-    """Return the row of a trip's curves."""
-    arrays = {
-        "frequencies_hz": found.frequencies_hz,
-        "real": np.real(found.responses),
-        "imaginary": np.imag(found.responses),
-        "coherences": found.coherences,
-        "deviations": found.deviations,
-    }
-    content = dump_arrays({name: np.asarray(one, dtype=float) for name, one in arrays.items()})
+    arrays = to_arrays(found)
+    content = dump_arrays({name: arrays[name] for name in NAMES})
     digest = hashlib.sha256(content).hexdigest()
     return {"suspension_id": suspension, "key": key, "arrays": content, "sha256": digest}
 
@@ -160,14 +150,14 @@ def _row(suspension: int, key: bytes, found: TripCurves) -> dict[str, object]:
 def _responses(
     trip: str, mileage_km: float | None, start: str, content: bytes, sha256: str, *, name: str
 ) -> TripResponses:
-    """Return curves from the bytes that are kept of them.
+    """Return curves from the bytes that are stored of them.
 
     Raises
     ------
     HistoryError
         If these were altered.
     """
-    what = f"{name}: what is kept of the curves of {trip}"
+    what = f"{name}: the stored curves of {trip}"
     try:
         arrays = load_arrays(bytes(content), what, sha256)
     except DamagedFileError as error:
@@ -176,6 +166,5 @@ def _responses(
     both = (2, *shapes.get("frequencies_hz", ()))
     if shapes != dict.fromkeys(NAMES, both) | {"frequencies_hz": both[1:]} or len(both) != 2:
         raise HistoryError(f"{what} is damaged: it holds {shapes}")
-    responses = np.empty(both, dtype=complex)  # a product with 1j would make NaN of infinity
-    responses.real, responses.imag = arrays.pop("real"), arrays.pop("imaginary")
+    responses = to_responses(arrays.pop("real"), arrays.pop("imaginary"))
     return TripResponses(trip, or_nan(mileage_km), start, responses=responses, **arrays)

@@ -15,7 +15,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
-from suspnet.ground.sqlite_file import ACTING, check_own
+from suspnet.ground.ledger import ACTING, check_own
 from suspnet.history.schema import SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ DAMAGED = (
 MARKER = f"SELECT 1 FROM {versions.name}"
 """Query that returns a row of a store."""
 READS = "suspnet_reads"
-"""Option of a connection that SQLite begins without the lock of a writer."""
+"""Option of a connection that SQLite starts without the lock of a writer."""
 LOCK = 0x73757370
 """Number of the lock of PostgreSQL under which the tables are made."""
 
@@ -110,7 +110,7 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
 
     @sql.event.listens_for(engine, "connect")
     def _connected(connection: Any, _: Any) -> None:
-        connection.isolation_level = None  # transactions are begun below, not by the driver
+        connection.isolation_level = None  # transactions are started below, not by the driver
         # a damaged letter must not hide all other rows
         connection.text_factory = functools.partial(str, encoding="utf-8", errors="replace")
         connection.execute("PRAGMA foreign_keys = ON")
@@ -124,7 +124,6 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
 
 
 def _connect_server(url: URL, wait_s: float) -> Engine:
-    """Return the engine of a store on a server."""
     try:
         engine = sql.create_engine(url, pool_size=1, connect_args={"connect_timeout": CONNECT_S})
     except (ImportError, NoSuchModuleError):
@@ -153,7 +152,7 @@ def is_prepared(connection: Connection, name: str) -> bool:
     Raises
     ------
     HistoryError
-        If they are of another version, or not ours; it begins with the `name`.
+        If they are of another version, or not ours; it starts with the `name`.
     """
     is_file = connection.dialect.name == "sqlite"
     if is_file and connection.exec_driver_sql(ACTING).first() is not None:
@@ -167,7 +166,7 @@ def is_prepared(connection: Connection, name: str) -> bool:
     if version != SCHEMA:
         raise HistoryError(
             f"{name}: a store of version {version}, this suspnet reads version {SCHEMA}; use "
-            "the suspnet that wrote it, or begin a new store and evaluate the trips again"
+            "the suspnet that wrote it, or start a new store and evaluate the trips again"
         )
     return True
 
@@ -178,7 +177,7 @@ def prepare(connection: Connection, name: str) -> None:
     Raises
     ------
     HistoryError
-        If those that are there are of another version, or not ours; it begins with the `name`.
+        If those that are there are of another version, or not ours; it starts with the `name`.
     """
     if connection.dialect.name == "postgresql":  # two programs may be the first at once
         connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
@@ -193,7 +192,7 @@ def prepare(connection: Connection, name: str) -> None:
 
 
 def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:
-    """Return an error of the database as one line that begins with the store's name."""
+    """Return an error of the database as one line that starts with the store's name."""
     words = " ".join(str(getattr(error, "orig", None) or error).split("\n")[0].split())
     cause = error.orig if isinstance(error, DBAPIError) else None
     code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
@@ -209,7 +208,7 @@ def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryE
 
 
 def check_file(connection: Connection, name: str) -> None:
-    """Raise HistoryError, which begins with the `name`, if an SQLite file is damaged."""
+    """Raise HistoryError, which starts with the `name`, if an SQLite file is damaged."""
     words = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
     if words != "ok":
         raise HistoryError(DAMAGED.format(name=name, words=" ".join(str(words).split())))
@@ -235,6 +234,5 @@ def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, An
 
 
 def _unique_columns(table: sql.Table) -> list[str]:
-    """Return the columns that tell a row from the others: of its constraint, or of its key."""
     unique = [one for one in table.constraints if isinstance(one, sql.UniqueConstraint)]
     return [column.name for column in (unique[0] if unique else table.primary_key).columns]

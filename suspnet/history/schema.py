@@ -1,14 +1,21 @@
-"""Tables of the history, the same in SQLite and PostgreSQL.
+"""Tables of the history, the same in SQLite and PostgreSQL, and rows that cannot be read.
 
 A trip is known by its suspension and its key: a hash of name, start and mileage. One that was
-kept without its start is replaced when it is known. NaN is NULL. The
-columns that a view of the whole fleet reads come first: SQLite reads a row only as far as it must.
+stored without its start is replaced when it is known. NaN is NULL. The columns that a view of the
+whole fleet reads come first: SQLite reads a row only as far as it must.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
 
+import sqlalchemy as sql
 from sqlalchemy import (
     BigInteger,
     Column,
@@ -22,19 +29,35 @@ from sqlalchemy import (
     Table,
     UniqueConstraint,
 )
+from sqlalchemy.engine import RowMapping
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.history.records import Quality
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import (
+    NUMBERS,
+    PLACE,
+    QUALITY_TYPES,
+    TEXTS,
+    VALUES,
+    Key,
+    Place,
+    TripResult,
+    from_row,
+    to_row,
+)
 
+log = logging.getLogger(__name__)
+MOST_LOGGED = 1000
+"""Largest number of bad rows that are logged, so that a damaged store fills no disk."""
+_LOGGED: set[str] = set()
+"""Bad rows that this process has logged: a program that follows a store reads them often."""
+KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
+"""Types of the values of a column, by its type. SQLite holds any value in any column."""
 SCHEMA = 3
 """Version of the tables; a store of another version is refused."""
 
 metadata = MetaData()
 
 versions = Table("suspnet_version", metadata, Column("schema", Integer, primary_key=True))
-
-PLACE = ("train", "car", "suspension", "bogie", "side")
-"""Columns that say which suspension of which vehicle it is; empty where it is not said."""
 
 suspensions = Table(
     "suspensions",
@@ -45,22 +68,10 @@ suspensions = Table(
     Column("revision", BigInteger, nullable=False, server_default="0"),
     UniqueConstraint("vehicle", *PLACE),
 )
-"""The revision grows with each transaction that changes what is kept of a suspension."""
+"""The revision grows with each transaction that changes what is stored of a suspension."""
 
-NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
-TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
-"""Columns of a trip's numbers and texts, named as in its result."""
 QUALITY = {"float": Double, "int": Integer, "str": String}
 """Type of the column of each field of a trip's quality, by the type of the field."""
-VALUES = {
-    "estimates": "{}",
-    "half_widths": "{}_half_width",
-    "raw": "{}_raw",
-    "truth": "{}_truth",
-    "healthy_si": "{}_healthy_si",
-    "healthy_half_widths": "{}_healthy_half_width",
-}
-"""Numbers of each parameter, named as in a trip's result, and their columns."""
 
 trips = Table(
     "trips",
@@ -70,7 +81,7 @@ trips = Table(
     *(Column(name, Double) for name in NUMBERS),
     *(Column(column.format(name), Double) for column in VALUES.values() for name in PARAMETERS),
     *(Column(name, String, nullable=False) for name in TEXTS),
-    *(Column(one.name, QUALITY[str(one.type)]) for one in fields(Quality)),
+    *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),
     UniqueConstraint("suspension_id", "key"),
 )
@@ -121,3 +132,105 @@ acknowledgements = Table(
     Column("severity", Integer, nullable=False),
     Column("words", String, nullable=False),
 )
+
+
+@dataclass(frozen=True)
+class BadRow:
+    """A row that cannot be read and is left out.
+
+    Attributes
+    ----------
+    table : str
+    row : str
+        Its primary key in words.
+    why : str
+    key : tuple of vehicle and Place, optional
+        Suspension that it is of.
+    """
+
+    table: str
+    row: str
+    why: str
+    key: Key | None = None
+
+    def __str__(self) -> str:
+        """Return which row it is, and why it is left out."""
+        of = "" if self.key is None else f" of {self.key[0]}: {self.key[1]}"
+        return f"{self.table}, row {self.row}{of}: {self.why}"
+
+
+def bad_row(
+    table: sql.Table, row: RowMapping, error: Exception | str, key: Key | None = None
+) -> BadRow:
+    """Return a row that an error keeps from being read."""
+    names = [one.name for one in table.primary_key.columns if one.name in row]
+    words = ", ".join(f"{name}={str(row[name])[:40]}" for name in names)
+    return BadRow(table.name, words, " ".join(str(error).split())[:200], key)
+
+
+def log_once(name: str, rows: Iterable[BadRow]) -> None:
+    """Log the rows of a store, by its name, that this process has not logged yet."""
+    for one in rows:
+        words = f"{name}: {one}; it is left out: correct or delete it"
+        if words not in _LOGGED and len(_LOGGED) < MOST_LOGGED:
+            _LOGGED.add(words)
+            log.warning("%s", words)
+
+
+def check_types(table: sql.Table, row: RowMapping) -> None:
+    """Raise ValueError if a value is not of the type of its column."""
+    for name, value in row.items():
+        column = table.columns.get(name)
+        if column is None or (value is None and column.nullable):
+            continue
+        wanted = next((KINDS[one] for one in type(column.type).__mro__ if one in KINDS), object)
+        if not isinstance(value, wanted):
+            raise ValueError(f"`{name}` must not be {str(value)[:40]!r}")
+
+
+def trip_key(result: TripResult) -> bytes:
+    """Return what distinguishes a trip of its suspension: a hash of 16 bytes."""
+    content = [result.trip, result.start, repr(float(result.mileage_km))]
+    return hashlib.sha256(json.dumps(content).encode()).digest()[:16]
+
+
+def undated_key(result: TripResult) -> bytes:
+    """Return the key of a trip as it is where its start is not known."""
+    return trip_key(replace(result, start=""))
+
+
+def row_of(suspension: int, result: TripResult) -> dict[str, Any]:
+    """Return a trip as a row of the table."""
+    row = {name: or_null(value) for name, value in to_row(result).items()}
+    for name in ("vehicle", *PLACE):
+        del row[name]  # these are of its suspension
+    return row | {"suspension_id": suspension, "key": trip_key(result)}
+
+
+def result_of(key: Key, row: RowMapping) -> TripResult:
+    """Return the trip of a row of the table.
+
+    Raises
+    ------
+    ValueError
+        If a value is not of the type of its column.
+    """
+    check_types(trips, row)
+    return from_row({"vehicle": key[0], **vars(key[1]), **row})
+
+
+def or_null(value: Any) -> Any:
+    """Return a value, None in place of NaN."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def key_of(row: RowMapping) -> Key:
+    """Return vehicle and place of a suspension's row.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not text.
+    """
+    check_types(suspensions, row)
+    return row["vehicle"], Place(**{name: row[name] for name in PLACE})

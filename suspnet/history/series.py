@@ -1,10 +1,8 @@
-"""All trips of many suspensions as arrays, for a view of the whole fleet."""
+"""Reading of all trips of many suspensions as arrays, for a view of the whole fleet."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -12,18 +10,15 @@ import sqlalchemy as sql
 from numpy.typing import NDArray
 from sqlalchemy.engine import Connection
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.history.events import Event
-from suspnet.history.kept import read_kept
-from suspnet.history.rows import BadRow, Key, bad_row, check_types
-from suspnet.history.schema import VALUES, trips
-from suspnet.history.suspensions import is_one_of, known_suspensions
-from suspnet.recordings.manifest import HIGHEST_KM, Place
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import HIGHEST_KM, VALUES, Key
+from suspnet.ground.types import FloatArray
+from suspnet.history.schema import BadRow, bad_row, check_types, trips
+from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
+from suspnet.maintenance.series import NUMBERS, Event, Series, utc
 
 ROWS = 20_000
 """Rows that are held as Python's objects at once."""
-NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 TEXTS = ("trip", "start")
 VALUE_COLUMNS = [
     VALUES[key].format(name) for key in ("estimates", "half_widths") for name in PARAMETERS
@@ -35,79 +30,6 @@ Block = tuple[FloatArray, NDArray[np.str_], NDArray[np.datetime64]]
 """Columns of some trips: numbers of shape (n_trips, N_NUMBERS), names, starts."""
 
 
-@dataclass(frozen=True, eq=False)
-class Series:
-    """Trips of one suspension, by mileage, as arrays of shape (n_trips,).
-
-    Attributes
-    ----------
-    vehicle : str
-    place : Place
-    trip : array of str
-        Names.
-    start : array of datetime64[s]
-        UTC where the manifest names a zone, else as it stands there; NaT where there is none.
-    flagged : bool array
-    mileage_km, healthy_since_km : arrays, [km]
-    speed_m_per_s : array, [m/s]
-    temperature_c : array, [°C]
-        Of the air outside.
-    estimates, half_widths : dict of arrays, [-]
-        Of each parameter, as in a trip's result; NaN where there is none.
-    events : tuple of Event
-        Maintenance, by mileage.
-    """
-
-    vehicle: str
-    place: Place
-    trip: NDArray[np.str_]
-    start: NDArray[np.datetime64]
-    flagged: BoolArray
-    mileage_km: FloatArray
-    healthy_since_km: FloatArray
-    speed_m_per_s: FloatArray
-    temperature_c: FloatArray
-    estimates: dict[str, FloatArray]
-    half_widths: dict[str, FloatArray]
-    events: tuple[Event, ...] = ()
-
-    @property
-    def done(self) -> BoolArray:
-        """Which trips have an estimate, bool array of shape (n_trips,)."""
-        known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
-        return np.asarray(known.any(axis=0))
-
-    @property
-    def one_healthy(self) -> BoolArray:
-        """Which trips are relative to the healthy vehicle of the newest, array of (n_trips,)."""
-        newest = self.healthy_since_km[np.flatnonzero(self.done)[-1:]]
-        known = np.isin(self.healthy_since_km, newest)
-        return np.asarray(known | (np.isnan(self.healthy_since_km) & np.isnan(newest).any()))
-
-    @property
-    def recent(self) -> BoolArray:
-        """Which of these are since the last maintenance, array of shape (n_trips,)."""
-        since = max((event.mileage_km for event in self.events), default=-np.inf)
-        return np.asarray(self.one_healthy & ~(self.mileage_km < since))
-
-    def equals(self, other: Series) -> bool:
-        """Return whether all of it is the same, NaN to NaN."""
-        if (self.vehicle, self.place, self.events) != (other.vehicle, other.place, other.events):
-            return False
-        for name in ("start", "flagged", *NUMBERS):
-            if not np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True):
-                return False
-        for mine, its in (
-            (self.estimates, other.estimates),
-            (self.half_widths, other.half_widths),
-        ):
-            if mine.keys() != its.keys() or not all(
-                np.array_equal(mine[name], its[name], equal_nan=True) for name in mine
-            ):
-                return False
-        return np.array_equal(self.trip, other.trip)
-
-
 def read_series(
     connection: Connection, bad: list[BadRow], keys: Collection[Key] | None = None
 ) -> list[Series]:
@@ -117,7 +39,7 @@ def read_series(
     """
     names = {one: key for one, (key, _) in known_suspensions(connection).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
-    events = read_kept(connection, Event, bad)
+    events = read_stored(connection, Event, bad)
     numbers, texts, starts = _columns(connection, chosen, names, bad)
     owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
     order = np.lexsort((texts, km, owner))  # NaN last
@@ -152,7 +74,6 @@ def read_series(
 def _columns(
     connection: Connection, chosen: list[int] | None, names: Mapping[int, Key], bad: list[BadRow]
 ) -> Block:
-    """Return the columns of all trips, or of some suspensions'."""
     columns = [trips.c[name] for name in (*NUMBERS, *VALUE_COLUMNS)]
     flagged = sql.case((trips.c.flags == "", 0), else_=1)
     texts = [trips.c[name] for name in TEXTS]
@@ -205,14 +126,3 @@ def _block(rows: Sequence[Any]) -> Block:
         raise TypeError("name and start must be text")
     start = np.array([utc(text) for text in texts[1]], dtype="datetime64[s]")
     return numbers, np.array(texts[0], dtype=str), start
-
-
-def utc(text: str) -> datetime | None:
-    """Return a start without its zone: in UTC, if it has one."""
-    if not text:
-        return None
-    try:
-        time = datetime.fromisoformat(text)
-        return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
-    except (ValueError, OverflowError):
-        raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None

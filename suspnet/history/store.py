@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
+import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
+from suspnet.ground.records import Key, Place, TripResult
 from suspnet.history.curves import TripResponses, read_responses, write_curves
 from suspnet.history.database import (
     WAIT_S,
@@ -22,36 +25,34 @@ from suspnet.history.database import (
     reading,
     upsert,
 )
-from suspnet.history.events import Event
-from suspnet.history.kept import (
-    delete_trips,
-    other_alarms,
-    read_kept,
-    read_trips,
-    replace_alarms,
-    write_kept,
-)
-from suspnet.history.records import TripResult
-from suspnet.history.rows import BadRow, Key, log_once, row_of, undated_key
-from suspnet.history.schema import trips
-from suspnet.history.series import Series, read_series
+from suspnet.history.schema import BadRow, log_once, row_of, trips, undated_key
+from suspnet.history.series import read_series
 from suspnet.history.suspensions import (
+    Stored,
     add_suspensions,
+    delete_trips,
     is_of,
     known_suspensions,
     numbers_of,
+    other_alarms,
     places_of,
     raise_revisions,
+    read_stored,
+    read_trips,
+    replace_alarms,
+    write_stored,
 )
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
-from suspnet.recordings.manifest import Place
+from suspnet.maintenance.series import Event, Series
 
 
 class History:
     """Trips of all suspensions, their estimates and alarms, and what people did.
 
     Several programs may read and write at once. A store that is missing, or an empty file, becomes
-    a new store; any other file is refused unchanged.
+    a new store; any other file is refused unchanged. What is written in one call is stored wholly
+    or not at all. Each method raises ``HistoryError`` if the store cannot be used, and those that
+    store something of a suspension if no trip of it is known.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class History:
                 is_there = is_prepared(connection, str(self))
             if not is_there:
                 if must_exist:
-                    raise HistoryError(f"{self}: the store is empty, no trip was ever kept in it")
+                    raise HistoryError(f"{self}: the store is empty, no trip was ever stored in it")
                 with self._writing() as connection:
                     prepare(connection, str(self))
         except BaseException:
@@ -110,13 +111,7 @@ class History:
         self._engine.dispose()
 
     def check(self) -> None:
-        """Look through a whole SQLite file for damage; a server looks after itself.
-
-        Raises
-        ------
-        HistoryError
-            If it is damaged.
-        """
+        """Raise HistoryError if an SQLite file is damaged; a server looks after itself."""
         if self._url.get_backend_name() == "sqlite":
             with self._reading() as connection:
                 check_file(connection, str(self))
@@ -127,7 +122,7 @@ class History:
             return places_of(connection, self.bad_rows)
 
     def revisions(self) -> dict[Key, int]:
-        """Return a number of each suspension that grows with each change of what is kept of it.
+        """Return a number of each suspension that grows with each change of what is stored of it.
 
         Changes are those of its trips, maintenance, alarms and acknowledgements. What is read after
         this is of these revisions or of later ones.
@@ -136,25 +131,17 @@ class History:
             return dict(known_suspensions(connection, bad=self.bad_rows).values())
 
     def write(self, results: Sequence[TripResult]) -> None:
-        """Keep trips, all or none. One that is there already is replaced by what was read last.
+        """Store trips. One that is there already is replaced by what was read last.
 
         One that is there without its start is the trip of the same name and mileage that has one.
-
-        The curves of the first trip of each suspension that has any are kept, and those of the
+        The curves of the first trip of each suspension that has any are stored, and those of the
         ``N_NEWEST`` newest; not the overview of its signals.
-
-        Raises
-        ------
-        HistoryError
-            If the store cannot be written.
         """
         with self._writing() as connection:
-            ids = add_suspensions(
-                connection, ((result.vehicle, result.place) for result in results)
-            )
+            ids = add_suspensions(connection, ((one.vehicle, one.place) for one in results))
             raise_revisions(connection, ids.values())  # locks them, always in this order
-            rows = [row_of(ids[result.vehicle, result.place], result) for result in results]
-            dated = [r for r in results if r.start]
+            rows = [row_of(ids[one.vehicle, one.place], one) for one in results]
+            dated = [one for one in results if one.start]
             delete_trips(connection, [(ids[r.vehicle, r.place], undated_key(r)) for r in dated])
             upsert(connection, trips, rows)
             of_each: dict[int, dict[bytes, TripResult]] = {}
@@ -182,34 +169,22 @@ class History:
             return read_series(connection, self.bad_rows, None if keys is None else set(keys))
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
-        """Return the transfer functions that are kept of a suspension, by mileage.
+        """Return the transfer functions that are stored of a suspension, by mileage.
 
-        They are those of the first trip that had any, and of the newest.
-
-        Raises
-        ------
-        HistoryError
-            If the store cannot be read, or what it keeps of them was altered.
+        They are those of the first trip that had any, and of the newest. HistoryError is raised,
+        too, if they were altered.
         """
         where = is_of(vehicle, place)
         with self._reading() as connection:
             return read_responses(connection, where, f"{self}: {vehicle}: {place}")
 
     def add_event(self, vehicle: str, place: Place, event: Event) -> None:
-        """Keep a maintenance event; the same one again replaces its words.
-
-        Raises
-        ------
-        HistoryError
-            If the store knows no trip of the suspension, or cannot be written.
-        """
-        self._keep(vehicle, place, [event])
+        """Store a maintenance event; the same one again replaces its words."""
+        self._store(vehicle, place, [event])
 
     def events(self, vehicle: str, place: Place) -> list[Event]:
         """Return the maintenance events of a suspension, by mileage."""
-        with self._reading() as connection:
-            found = read_kept(connection, Event, self.bad_rows, is_of(vehicle, place))
-        return found.get((vehicle, place), [])
+        return self._read(Event, is_of(vehicle, place)).get((vehicle, place), [])
 
     def keep_alarms(
         self,
@@ -218,36 +193,24 @@ class History:
         found: Sequence[Alarm],
         causes: Collection[Cause] = tuple(Cause),
     ) -> None:
-        """Keep the alarms of a suspension in place of those that were kept of it before.
-
-        Nothing is written where they are the same.
-
-        Parameters
-        ----------
-        vehicle : str
-        place : Place
-        found : sequence of Alarm
-        causes : collection of Cause
-            Those that `found` is all of; kept alarms of other causes stay as they are.
-
-        Raises
-        ------
-        HistoryError
-            If the store knows no trip of the suspension, or cannot be written.
-        ValueError
-            If an alarm is of another cause.
-        """
+        """Store the alarms of a suspension in place of those of before; see ``keep_all_alarms``."""
         self.keep_all_alarms({(vehicle, place): found}, causes)
 
     def keep_all_alarms(
         self, found: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
     ) -> None:
-        """Keep the alarms of many suspensions, all or none; see ``keep_alarms``.
+        """Store the alarms of suspensions in place of those that were stored of them before.
+
+        Nothing is written where they are the same.
+
+        Parameters
+        ----------
+        found : mapping from vehicle and place to Alarm
+        causes : collection of Cause
+            Those that `found` is all of; stored alarms of other causes stay as they are.
 
         Raises
         ------
-        HistoryError
-            If the store knows no trip of a suspension, or cannot be written.
         ValueError
             If an alarm is of another cause than `causes`.
         """
@@ -264,45 +227,38 @@ class History:
                 replace_alarms(connection, one, of_each[one], causes)
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
-        """Return the alarms of a suspension, open or not, by the mileage where they begin."""
-        with self._reading() as connection:
-            found = read_kept(connection, Alarm, self.bad_rows, is_of(vehicle, place))
-        return found.get((vehicle, place), [])
+        """Return the alarms of a suspension, active or not, by the mileage where they start."""
+        return self._read(Alarm, is_of(vehicle, place)).get((vehicle, place), [])
 
     def all_alarms(self) -> dict[Key, list[Alarm]]:
         """Return the alarms of each suspension that has any."""
-        with self._reading() as connection:
-            return read_kept(connection, Alarm, self.bad_rows)
+        return self._read(Alarm)
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
-        """Keep acknowledgements of alarms, for ever; the same one again replaces its words.
-
-        Raises
-        ------
-        HistoryError
-            If the store knows no trip of the suspension, or cannot be written.
-        """
-        self._keep(vehicle, place, seen)
+        """Store acknowledgements of alarms; the same one again replaces its words."""
+        self._store(vehicle, place, seen)
 
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
         """Return the acknowledgements of a suspension's alarms, by mileage and time."""
-        with self._reading() as connection:
-            found = read_kept(connection, Acknowledgement, self.bad_rows, is_of(vehicle, place))
-        return found.get((vehicle, place), [])
+        return self._read(Acknowledgement, is_of(vehicle, place)).get((vehicle, place), [])
 
     def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
         """Return the acknowledgements of each suspension that has any."""
-        with self._reading() as connection:
-            return read_kept(connection, Acknowledgement, self.bad_rows)
+        return self._read(Acknowledgement)
 
-    def _keep(
+    def _read(
+        self, kind: type[Stored], where: sql.ColumnElement[bool] | None = None
+    ) -> dict[Key, list[Stored]]:
+        with self._reading() as connection:
+            return read_stored(connection, kind, self.bad_rows, where)
+
+    def _store(
         self, vehicle: str, place: Place, kept: Sequence[Event] | Sequence[Acknowledgement]
     ) -> None:
-        """Keep what people did or said of a suspension."""
         with self._writing() as connection:
             ids = list(numbers_of(connection, [(vehicle, place)], str(self)).values())
             raise_revisions(connection, ids)
-            write_kept(connection, ids[0], kept)
+            write_stored(connection, ids[0], kept)
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
@@ -312,14 +268,52 @@ class History:
         log_once(str(self), self.bad_rows)
 
     def _writing(self) -> AbstractContextManager[Connection]:
-        """Give a connection whose changes are kept together at the end, or not at all."""
+        """Give a connection whose changes are stored together at the end, or not at all."""
         return self._transaction(self._engine)
 
     @contextmanager
     def _transaction(self, engine: Engine) -> Iterator[Connection]:
-        """Give a connection, and raise its errors as those of the store."""
         try:
             with engine.begin() as connection:
                 yield connection
         except (SQLAlchemyError, UnicodeDecodeError) as error:  # of damaged names of tables
             raise error_of(error, str(self)) from None
+
+
+def acknowledge_alarms(
+    store: History,
+    vehicle: str,
+    place: Place,
+    alarms: Sequence[Alarm],
+    at_km: float,
+    by: str,
+    words: str = "",
+) -> list[Acknowledgement]:
+    """Store that a person acknowledges alarms of a suspension now, and return what is stored.
+
+    Parameters
+    ----------
+    store : History
+    vehicle : str
+    place : Place
+    alarms : sequence of Alarm
+        As they were seen: one that gets worse asks again.
+    at_km : float, [km]
+        Mileage of the newest trip.
+    by, words : str
+        Name of the person, and what is done about it.
+
+    Raises
+    ------
+    HistoryError
+        If the store knows no trip of the suspension, or cannot be written.
+    ValueError
+        If the name or the mileage is missing.
+    """
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    seen = [
+        Acknowledgement(one.parameter, one.cause, one.severity, at_km, by, now, words)
+        for one in alarms
+    ]
+    store.acknowledge(vehicle, place, seen)
+    return seen

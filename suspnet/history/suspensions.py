@@ -1,17 +1,40 @@
-"""Suspensions of a store: their numbers there, and the revisions that say what changed."""
+"""What is stored of suspensions: revisions, trips, maintenance, alarms and acknowledgements."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
 
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.records import PLACE, Key, Place, TripResult
 from suspnet.history.database import HistoryError, upsert
-from suspnet.history.rows import BadRow, Key, bad_row, key_of
-from suspnet.history.schema import suspensions
-from suspnet.recordings.manifest import Place
+from suspnet.history.schema import (
+    BadRow,
+    acknowledgements,
+    alarms,
+    bad_row,
+    check_types,
+    events,
+    key_of,
+    or_null,
+    result_of,
+    suspensions,
+    trips,
+)
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.series import Event
+
+Stored = TypeVar("Stored", Event, Alarm, Acknowledgement)
+TABLES: dict[type, sql.Table] = {
+    Event: events,
+    Alarm: alarms,
+    Acknowledgement: acknowledgements,
+}
+"""Table of each kind."""
 
 
 def known_suspensions(
@@ -70,7 +93,7 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
     Raises
     ------
     HistoryError
-        If one is not known; it begins with the store's `name`.
+        If one is not known; it starts with the store's `name`.
     """
     wanted = list(keys)
     where = is_of(*wanted[0]) if len(wanted) == 1 else None  # all, if it is more than one
@@ -79,7 +102,7 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
         if (vehicle, place) not in there:
             known = "; ".join(f"{other}: {one}" for other, one in places_of(connection))
             raise HistoryError(
-                f"{name}: no trip of {vehicle}: {place} is kept here; known: {known or 'none'}"
+                f"{name}: no trip of {vehicle}: {place} is stored here; known: {known or 'none'}"
             )
     return {key: there[key] for key in wanted}
 
@@ -87,10 +110,112 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
 def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
     """Raise the revisions of suspensions, and lock them for other writers until the end.
 
-    A transaction that changes suspensions begins with this. They are locked one after the other, by
+    A transaction that changes suspensions starts with this. They are locked one after the other, by
     their numbers, so that no two writers wait for each other.
     """
     rows = [{"one": one} for one in sorted(set(ids))]
     if rows:
         one = suspensions.update().where(suspensions.c.id == sql.bindparam("one"))
         connection.execute(one.values(revision=suspensions.c.revision + 1), rows)
+
+
+def read_trips(
+    connection: Connection, vehicle: str, place: Place, bad: list[BadRow]
+) -> list[TripResult]:
+    """Return the trips of a suspension, by mileage; those that cannot be read go to `bad`."""
+    columns = [one for one in trips.columns if one.name != "key"]
+    chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
+    found = []
+    for row in connection.execute(chosen).mappings():
+        try:
+            found.append(result_of((vehicle, place), row))
+        except ValueError as error:
+            bad.append(bad_row(trips, row, error, (vehicle, place)))
+    return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+
+
+def delete_trips(connection: Connection, keys: Collection[tuple[int, bytes]]) -> None:
+    """Delete trips with their curves, as far as they are there, by suspension and key."""
+    rows = [{"of": suspension, "gone": key} for suspension, key in sorted(keys)]
+    if rows:
+        of, key = trips.c.suspension_id == sql.bindparam("of"), trips.c.key == sql.bindparam("gone")
+        connection.execute(trips.delete().where(of, key), rows)
+
+
+def read_stored(
+    connection: Connection,
+    kind: type[Stored],
+    bad: list[BadRow],
+    where: sql.ColumnElement[bool] | None = None,
+) -> dict[Key, list[Stored]]:
+    """Return what is stored of each suspension, or of those chosen, in order of the table's key.
+
+    Rows that cannot be read are left out, and added to `bad`.
+    """
+    table, names = TABLES[kind], [one.name for one in fields(kind)]
+    places = (suspensions.c[name] for name in ("vehicle", *PLACE))
+    chosen = (
+        sql.select(*places, *(table.c[name] for name in names))
+        .join_from(table, suspensions)
+        .where(sql.true() if where is None else where)
+        .order_by(*table.primary_key.columns)
+    )
+    found: dict[Key, list[Stored]] = {}
+    for row in connection.execute(chosen).mappings():
+        try:
+            key = key_of(row)
+        except ValueError:  # a bad row of the suspensions, not of these
+            continue
+        try:
+            check_types(table, row)
+            values: dict[str, Any] = {
+                name: math.nan if row[name] is None else row[name] for name in names
+            }
+            found.setdefault(key, []).append(kind(**values))
+        except ValueError as error:
+            bad.append(bad_row(table, row, error, key))
+    return found
+
+
+def write_stored(
+    connection: Connection, suspension: int, kept: Sequence[Event | Alarm | Acknowledgement]
+) -> None:
+    """Store what is of one kind; the same one again takes its other values."""
+    if kept:
+        upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
+
+
+def other_alarms(
+    connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
+) -> list[int]:
+    """Return the numbers of the suspensions whose stored alarms of some causes are not these."""
+    chosen = sql.select(alarms).where(
+        is_one_of(alarms.c.suspension_id, found), alarms.c.cause.in_([str(one) for one in causes])
+    )
+    there: dict[int, list[dict[str, Any]]] = {}
+    for row in connection.execute(chosen).mappings():
+        there.setdefault(row["suspension_id"], []).append(dict(row))
+    return [
+        one
+        for one, own in found.items()
+        if _by_key(there.get(one, [])) != _by_key(_row(one, alarm) for alarm in own)
+    ]
+
+
+def replace_alarms(
+    connection: Connection, suspension: int, found: Sequence[Alarm], causes: Collection[Cause]
+) -> None:
+    """Store the alarms of some causes of a suspension in place of those before."""
+    of_causes = alarms.c.cause.in_([str(one) for one in causes])
+    connection.execute(alarms.delete().where(alarms.c.suspension_id == suspension, of_causes))
+    write_stored(connection, suspension, found)
+
+
+def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:
+    names = [one.name for one in alarms.primary_key.columns]
+    return {tuple(row[name] for name in names): row for row in rows}
+
+
+def _row(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+    values = {name: or_null(value) for name, value in asdict(kept).items()}
+    return values | {"suspension_id": suspension}

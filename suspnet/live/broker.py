@@ -1,4 +1,4 @@
-"""An MQTT broker: where it is, who we are to it, and the topics."""
+"""An MQTT broker: its address, the credentials for it, and the topics."""
 
 from __future__ import annotations
 
@@ -19,23 +19,17 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 HOST_VARIABLE, LOCAL = "SUSPNET_MQTT_HOST", "localhost"
 """Environment variable that names the host of a broker, and the host without it."""
-
 HOST = re.compile(r"[\w.:%-]+")
-"""A name of a machine, or an address of version 4 or 6."""
-
+"""A host name, or an address of version 4 or 6."""
 OUR_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
 """Names of environment variables that may hold a password: a configuration names one, and must not
-send what others hold to a broker."""
-
+send the content of others to a broker."""
 MOST_PREFIX = 200
 """Largest number of characters of the first part of topics."""
-
 KEEPALIVE_S = 30
-"""A connection over which nothing came for one and a half times this [s] is lost."""
-
+"""A connection without traffic for one and a half times this [s] is lost."""
 BACKOFF_S = (1, 30)
 """Shortest and longest time between two attempts to connect, [s]."""
-
 MOST_PER_REQUEST = 100
 """Largest number of topics in one request of a subscription."""
 
@@ -126,7 +120,7 @@ class Broker:
         return f"{self.host}:{self.port}"
 
     def client(self, client_id: str, manual_ack: bool = False) -> Client:
-        """Return a client that is not yet connected, and tries again with backoff once it is.
+        """Return a client, not yet connected, that connects again with backoff.
 
         Raises
         ------

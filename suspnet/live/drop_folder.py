@@ -14,27 +14,22 @@ from typing import BinaryIO, ClassVar, Literal
 
 import pyarrow as pa
 
+from suspnet.ground.ledger import free_name
 from suspnet.ground.settings import Setting, check_values
-from suspnet.live.framing import CONTINUATION, Splitter
-from suspnet.live.source import Kind, print_result
+from suspnet.live.source import CONTINUATION, Kind, Splitter, print_result
 from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 
 log = logging.getLogger(__name__)
 TAKEN = "taken"
 """Name of the subfolder for files that were read."""
-
 MOST_LOST = 4 * MOST_BYTES
 """Number of bytes in a row without a frame after which a file is not read further."""
-
 MOST_REPORTED = 100
 """Number of files that are named in the log because they are left where they are."""
-
 PIECE_BYTES, BATCH_BYTES = 2**18, 2**23
-"""Numbers of bytes that are read at once, and given at once."""
-
+"""Number of bytes that are read at once, and number given at once."""
 HEAD_BYTES = 2**12
-"""Number of bytes at the begin of a file in which its first frame says its time."""
-
+"""Number of bytes at the start of a file that hold the time of its first frame."""
 UNFINISHED = (".part", ".tmp")
 """Ends of the names of files that are still being written."""
 
@@ -52,12 +47,11 @@ class DropFolder:
     """Source of the frames in files, of one or more frames each.
 
     A file is written under a name that begins with "." or ends with ".part" or ".tmp", and then
-    renamed; names are not used again. Files are read in the order of the times of their first
-    frames, in pieces. Once all of its frames are confirmed, a file moves to ``taken/`` or is
-    deleted. Only files that hold nothing but valid frames of the suspensions monitored here are
-    touched. All others are left where they are and reported once: a link, a FIFO, a file that does
-    not begin with a frame, which is not read either, and one that holds anything but such frames,
-    or is cut off, whose frames are given all the same.
+    renamed; no name is used twice. Files are read in pieces, in the order of the times of their
+    first frames. Once all of its frames are confirmed, a file moves to ``taken/`` or is deleted, if
+    it holds nothing but valid frames of the suspensions monitored here. All others are left where
+    they are and reported once: links, FIFOs and files that do not begin with a frame, which are not
+    read; and files that hold anything else or are cut off, whose frames are given all the same.
 
     Memory is bounded by one batch of frames, 8 MiB, one frame, and the names of the files.
 
@@ -91,7 +85,7 @@ class DropFolder:
         self._waiting: deque[Path] = deque()
         self._known: set[str] = set()
         self._read: deque[_File] = deque()
-        self._n_given = self._n_kept = 0
+        self._n_given = self._n_confirmed = 0
         self._next_look_s = 0.0
         self._reading: Generator[list[bytes], None, None] | None = None
 
@@ -140,9 +134,9 @@ class DropFolder:
         return frames
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Move or delete the files all of whose frames are kept. See `Source`."""
-        self._n_kept = self._n_given if n_frames is None else self._n_kept + n_frames
-        while self._read and self._read[0].n_given <= self._n_kept:  # ends: with the files
+        """Move or delete the files all of whose frames are confirmed. See `Source`."""
+        self._n_confirmed = self._n_given if n_frames is None else self._n_confirmed + n_frames
+        while self._read and self._read[0].n_given <= self._n_confirmed:  # ends: with the files
             file = self._read.popleft()
             try:
                 self._put_away(file)
@@ -162,7 +156,6 @@ class DropFolder:
             self._reading = None
 
     def _look(self) -> None:
-        """Find files that are new, in the order of the times of their first frames."""
         try:
             with os.scandir(self.folder) as entries:
                 found = {
@@ -185,7 +178,6 @@ class DropFolder:
         self._waiting.extend(sorted(plain, key=_first_time))
 
     def _frames(self, path: Path) -> Generator[list[bytes], None, None]:
-        """Yield the frames of a file, piece by piece."""
         splitter, problem, last = Splitter(), "", list[bytes]()
         try:
             with _opened(path) as file:
@@ -239,16 +231,13 @@ class DropFolder:
             return
         self._check_taken()
         (self.folder / TAKEN).mkdir(exist_ok=True)
-        target, number = self.folder / TAKEN / file.path.name, 1
-        while os.path.lexists(target):  # ends: there are fewer files than numbers
-            number += 1
-            target = target.with_name(f"{file.path.stem}_{number}{file.path.suffix}")
-        file.path.rename(target)
+        file.path.rename(free_name(self.folder / TAKEN / file.path.name))
 
     def _check_taken(self) -> None:
         """Raise OSError if files would be moved through a link."""
         taken = self.folder / TAKEN
-        if self.then == "move" and os.path.lexists(taken) and not _is_folder(taken):
+        is_there = self.then == "move" and os.path.lexists(taken)
+        if is_there and not stat.S_ISDIR(os.lstat(taken).st_mode):
             raise NotADirectoryError(20, "must be a folder, and no link to one", str(taken))
 
     def _leave(self, path: Path, reason: str) -> None:
@@ -266,12 +255,9 @@ class DropFolder:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a plain file: follow no link, and wait for nobody who writes into a FIFO.
+    """Open a plain file: follow no link, and do not wait for a writer of a FIFO.
 
-    Raises
-    ------
-    OSError
-        If it is none, or cannot be read.
+    OSError says why not.
     """
     # Windows has neither of these flags
     flags = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -282,18 +268,13 @@ def _opened(path: Path) -> BinaryIO:
     return file
 
 
-def _is_folder(path: Path) -> bool:
-    """Return whether a path is a folder and no link to one."""
-    return stat.S_ISDIR(os.lstat(path).st_mode)
-
-
 def _identity(found: os.stat_result) -> tuple[int, int, int]:
-    """Return what tells a file from another one of the same name."""
+    """Return what distinguishes a file from another one of the same name."""
     return found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def _first_time(path: Path) -> tuple[int, str]:
-    """Return the time of a file's first frame, [ns], and its name; 0 where there is no frame."""
+    """Return the time of a file's first frame [ns], 0 where there is none, and its name."""
     try:
         with _opened(path) as file:
             schema = pa.ipc.read_schema(pa.BufferReader(file.read(HEAD_BYTES)))

@@ -1,41 +1,43 @@
-"""What a monitor must not lose: each suspension's last saved state, and its frames since then.
+"""Journal of a monitor: each suspension's last saved state, and its frames since then.
 
-All of it is one SQLite file, whose transactions are whole or not there, also after a power cut.
-A state takes the place of the frames that it was made from, so that the file stays bounded and a
-start is quick. Frames come back in the order in which they were taken. Those of a suspension have
-neighbouring numbers and so lie side by side: when they go, whole pages become free, and none is
-written again for the sake of a frame of one among hundreds of suspensions.
+The journal is one SQLite file, whose transactions are whole or not there, also after a power cut.
+A state replaces the frames that it was made from: the file stays bounded and a restart is quick.
+Frames come back in the order in which they were taken. Those of a suspension have neighbouring
+numbers and lie side by side in the file: deleting them frees whole pages, and rewrites none that
+hold frames of other suspensions.
+
+A state is JSON-able values with arrays among them, as one safetensors file.
 """
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import threading
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from suspnet.ground.sqlite_file import ACTING, check_own
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.ground.ledger import ACTING, check_own
+from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT = "suspnet-journal-2"
-
 APPLICATION_ID = 0x7375736A
 """Number in the header of a journal's file, by which it is recognised."""
-
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
 """Query that returns a row of any journal."""
-
 RANGE = 2**40
 """Numbers that the frames of a suspension may have; with four frames a second they last for 8,000
 years."""
-
 READ_AT_ONCE = 256
 """Number of frames that are read back at once."""
-
 WRITTEN_AT_ONCE = 32
 """Number of frames that are written by one statement; during it other threads can run."""
-
 PAGE_BYTES = 2**14
 """Size of a page of a new journal: a frame of 1 s takes one or two."""
 
@@ -46,14 +48,14 @@ class JournalError(ValueError):
 
 @dataclass(frozen=True)
 class Batch:
-    """What was added and saved since the batch before, to be written together.
+    """Frames and states since the batch before, to be written together.
 
     Attributes
     ----------
     new : list of (int, str)
         Numbers and names of suspensions that the journal has not known.
     states : dict of bytes
-        By suspension, in place of the frames that are written already.
+        By suspension; each replaces the frames that are written already.
     frames : dict of list of (int, bytes)
         By suspension, after its state; with their numbers.
     """
@@ -69,12 +71,12 @@ class Batch:
 class Journal:
     """States and frames of the suspensions of one process; a context manager.
 
-    What is added is written batch by batch, by any one thread, while more is added by another.
+    One thread may write a batch while another adds to the next one.
 
     Parameters
     ----------
     path : Path
-        Made anew where there is nothing yet.
+        Made where there is nothing yet.
 
     Attributes
     ----------
@@ -117,7 +119,7 @@ class Journal:
         """Lock the file for this process, and make the tables where there are none."""
         run = self._connection.execute
         run(f"PRAGMA page_size = {PAGE_BYTES}")
-        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what goes
+        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what is deleted
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")
@@ -152,7 +154,7 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file once a batch that is being written is; what was not is gone."""
+        """Close the file after the batch that is being written; what was not written is lost."""
         with self._writing:
             self._connection.close()
 
@@ -178,21 +180,20 @@ class Journal:
         ]
 
     def add(self, suspension: str, frame: bytes) -> None:
-        """Keep a frame with the next batch."""
+        """Add a frame to the next batch."""
         self._number(suspension)
         self._last[suspension] += 1
         self._batch.frames.setdefault(suspension, []).append((self._last[suspension], frame))
         self.n_bytes[suspension] += len(frame)
 
     def save(self, suspension: str, state: bytes) -> None:
-        """Keep a state with the next batch, in place of all frames of the suspension so far."""
+        """Add a state to the next batch, in place of all frames of the suspension so far."""
         self._number(suspension)
         self._batch.states[suspension] = state
         self._batch.frames.pop(suspension, None)
         del self.n_bytes[suspension]
 
     def _number(self, suspension: str) -> None:
-        """Give a suspension a number if it has none."""
         if suspension not in self._numbers:
             number = len(self._numbers) + 1
             self._numbers[suspension], self._last[suspension] = number, number * RANGE
@@ -217,7 +218,6 @@ class Journal:
             self._write(batch)
 
     def _write(self, batch: Batch) -> None:
-        """Write a batch."""
         run = self._connection.execute
         try:
             run("BEGIN")
@@ -242,3 +242,65 @@ class Journal:
 def _ids(number: int) -> tuple[int, int]:
     """Return the first and the last number of the frames of a suspension."""
     return number * RANGE, (number + 1) * RANGE - 1
+
+
+STATE_FORMAT = "suspnet-stream-1"
+
+
+class StateError(ValueError):
+    """A saved state is damaged, or of another stream."""
+
+
+def dump_state(identity: Any, state: dict[str, Any]) -> bytes:
+    """Return a state as bytes.
+
+    Parameters
+    ----------
+    identity : JSON-able
+        What the stream that goes on from the state must have in common with this one.
+    state : dict
+        Numbers, text, lists of these, arrays, and dicts of all; keys are text.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    plain = _without_arrays(state, arrays, "")
+    described = json.dumps({"format": STATE_FORMAT, "identity": identity, "state": plain})
+    arrays["json"] = np.frombuffer(described.encode(), dtype=np.uint8)
+    return dump_arrays(arrays)
+
+
+def load_state(content: bytes, identity: Any) -> dict[str, Any]:
+    """Return the state that `dump_state` wrote.
+
+    Raises
+    ------
+    StateError
+        If it is damaged, or of another identity.
+    """
+    try:
+        arrays = load_arrays(content, "the state")
+        described = json.loads(arrays["json"].tobytes())
+        found = described["format"], described["identity"]
+        state: dict[str, Any] = _with_arrays(described["state"], arrays)
+    except (DamagedFileError, KeyError, TypeError, ValueError) as error:
+        raise StateError(f"this is no state of a stream: {error}") from None
+    if found != (STATE_FORMAT, json.loads(json.dumps(identity))):
+        raise StateError("this is the state of another stream: other sensors, settings or times")
+    return state
+
+
+def _without_arrays(value: Any, arrays: dict[str, NDArray[Any]], name: str) -> Any:
+    """Return JSON-able values in which each array is the name of one in `arrays`, which grows."""
+    if isinstance(value, np.ndarray):
+        arrays[name] = value
+        return {"array": name}
+    if isinstance(value, dict):
+        return {key: _without_arrays(one, arrays, f"{name}/{key}") for key, one in value.items()}
+    return value
+
+
+def _with_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(value, dict):
+        if set(value) == {"array"}:
+            return arrays[value["array"]]
+        return {key: _with_arrays(one, arrays) for key, one in value.items()}
+    return value

@@ -2,10 +2,10 @@
 
 Frames are taken, written to the journal batch by batch, and then the source may forget them. The
 first thread takes them; a second one writes, as a disk may be slow; a third one makes estimates,
-one at a time and begun while no frame waits, so that hundreds that are due at once hold no frame
-up. Everything else is the first thread's. The journal keeps the frames of a section until its
-estimate is told. Killed at any moment, the frames that were not yet written come again, and
-estimates that are told twice replace themselves.
+one at a time and started while no frame waits, so that hundreds that are due at once delay no
+frame. Everything else is the first thread's. The journal holds the frames of a section until its
+estimate is reported. After a kill at any moment, the frames that were not yet written come again,
+and an estimate that is reported twice replaces itself.
 """
 
 from __future__ import annotations
@@ -22,38 +22,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from suspnet.live.journal import Journal, JournalError
+from suspnet.live.journal import Journal, JournalError, StateError
 from suspnet.live.source import Source
-from suspnet.live.stream_state import StateError
-from suspnet.live.suspension import Due, Job, LiveSuspension, Made, Told
+from suspnet.live.suspension import Due, Estimate, Job, LiveSuspension
 from suspnet.recordings.frames import FrameError, decode
 
 log = logging.getLogger(__name__)
-
 WAIT_S, PAUSE_S, WRITING_S = 1.0, 0.1, 0.01
-"""Longest wait for frames; if some have come: what is written is what came before a pause of this
-length, or ``MOST_PENDING`` frames; and while a batch is being written, [s]."""
-
+"""Longest waits for frames [s]: usually; if some have come, which are written after a pause of this
+length or after ``MOST_PENDING`` frames; and while a batch is being written."""
 MOST_PENDING, MOST_UNWRITTEN = 256, 1024
-"""Number of frames after which a batch is written; and after which, if the batch before is still
-being written, no more are taken until it is."""
-
+"""Number of frames after which a batch is written; and number of frames after which, if the batch
+before is still being written, no more are taken until it is."""
 MOST_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
 first suspension half of it, for others in between, so that hundreds are not saved at once."""
-
+MOST_WAITING = 4 * MOST_JOURNAL
+"""Size of a suspension's frames in the journal above which no frame is taken until the estimate of
+its last section is reported: a state does not hold sections that are over, [bytes]."""
 MOST_REPORTED = 1000
 """Number of sensors and reasons for which a frame that cannot be used is named in the log."""
-
 NICENESS = 10
 """Niceness of the thread that makes estimates: on a core that both share it gets a tenth of the
 time while there are frames to take."""
 
-MOST_WAITING = 4 * MOST_JOURNAL
-"""Size of a suspension's frames in the journal above which frames are held up until the estimate of
-its last section is told: a state does not hold sections that are over, [bytes]."""
-
-Tell = Callable[[LiveSuspension, Told], None]
+Report = Callable[[LiveSuspension, Estimate], None]
 
 
 class _Making(NamedTuple):
@@ -61,11 +54,11 @@ class _Making(NamedTuple):
 
     one: LiveSuspension
     job: Job
-    future: Future[Made]
+    future: Future[Estimate]
 
 
 class _Writing(NamedTuple):
-    """The batch that is being written, of so many frames that the source gave."""
+    """The batch that is being written, and the number of frames that the source gave for it."""
 
     n_frames: int
     future: Future[None]
@@ -79,8 +72,8 @@ class Monitor:
     suspensions : iterable of LiveSuspension
     source : Source
     journal : Journal
-    tell : callable
-        Gets a suspension and an estimate; what it does can be done twice.
+    report : callable
+        Gets a suspension and an estimate, at least once.
     idle_s : float, [s]
         As of `LiveSettings`.
     clock : callable, optional
@@ -105,13 +98,13 @@ class Monitor:
         suspensions: Iterable[LiveSuspension],
         source: Source,
         journal: Journal,
-        tell: Tell,
+        report: Report,
         idle_s: float = 3600.0,
         clock: Callable[[], float] = time.monotonic,
         executor: Executor | None = None,
     ) -> None:
         self.counts: Counter[str] = Counter()
-        self._source, self._journal, self._tell = source, journal, tell
+        self._source, self._journal, self._report = source, journal, report
         self._idle_s, self._clock = idle_s, clock
         self._seen: set[tuple[str, str, str]] = set()
         known: dict[str, LiveSuspension] = {}
@@ -127,7 +120,7 @@ class Monitor:
         self._most_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
         self._last_s = dict.fromkeys(self._suspensions, clock())
         self._due: dict[str, Due] = {}
-        self._executor = executor or ThreadPoolExecutor(1, "estimates", _give_way)
+        self._executor = executor or ThreadPoolExecutor(1, "estimates", _lower_priority)
         self._making: _Making | None = None
         self._writer = ThreadPoolExecutor(1, "journal")
         self._writing: _Writing | None = None
@@ -154,7 +147,9 @@ class Monitor:
                     one.take(decode(data), is_known=True)
                 except FrameError as error:  # a part of it was of a section that is over
                     log.debug("%s: %s", name, error)
-                self._add(one, one.due())  # as when they came: only so many sections may be open
+                self._add(
+                    one, one.due()
+                )  # as when they came: the number of open sections is limited
         return n_frames
 
     def run(self) -> None:
@@ -179,12 +174,12 @@ class Monitor:
                 if self._making is not None and self._making.future.done():
                     self._finish_and_save()
                 if not frames and self._due and self._making is None:
-                    self._begin(next(iter(self._due)))
+                    self._start(next(iter(self._due)))
             for one in self._suspensions.values():
                 self._add(one, one.end())
             self._finish_and_save()
             for name in list(self._due):
-                self._begin(name)
+                self._start(name)
                 self._finish_and_save()
             self._confirm()
             self._write()
@@ -194,7 +189,6 @@ class Monitor:
             self._executor.shutdown(cancel_futures=True)
 
     def _wait_s(self) -> float:
-        """Return how long to wait for frames, [s]."""
         if self._due and self._making is None:
             return 0.0
         if self._writing is not None:
@@ -202,7 +196,6 @@ class Monitor:
         return PAUSE_S if self._n_pending or self._making is not None else WAIT_S
 
     def _load(self, one: LiveSuspension, state: bytes) -> None:
-        """Let a suspension go on from its state in the journal."""
         try:
             one.load(state)
         except StateError as error:
@@ -223,7 +216,7 @@ class Monitor:
                     "suspension", f"{name!r} is none of the suspensions monitored here"
                 )
             one.take(frame)
-            # a frame that cannot be used is not kept: nothing bounds how many of them come
+            # a frame that cannot be used is not stored: nothing bounds how many of them come
             self._journal.add(name, data)
             self._last_s[name] = self._clock()
             self.counts["taken"] += 1
@@ -248,32 +241,34 @@ class Monitor:
     def _add(self, one: LiveSuspension, several: list[Due]) -> None:
         """Let the last of a suspension's estimates wait; those before it are made now.
 
-        One that waits takes memory. One on the way is not made if a later one is there already.
+        One that waits takes memory. One of an open section is left out if a later one waits.
         """
         for due in several:
             waiting = self._due.get(one.name)
             if waiting is not None and waiting.is_final and waiting.section is not due.section:
                 self._finish()
-                self._begin(one.name)
+                self._start(one.name)
                 self._due[one.name] = due
                 self._finish()
             self._due[one.name] = due
 
-    def _begin(self, name: str) -> None:
-        """Let the estimate of a suspension that waits be made; none is being made now."""
+    def _start(self, name: str) -> None:
+        """Start the estimate of a suspension that waits; none is being made now."""
         one = self._suspensions[name]
         job = one.job(self._due.pop(name))
         self._making = _Making(one, job, self._executor.submit(job.make))
 
     def _finish(self) -> None:
-        """Wait for the estimate that is being made, if there is one, and tell it."""
+        """Wait for the estimate that is being made, if there is one, and report it."""
         if self._making is not None:
             one, job, future = self._making
-            self._tell(one, one.finish(job, future.result()))
+            estimate = future.result()
+            one.finish(job, estimate)
+            self._report(one, estimate)
             self._making = None
 
     def _finish_and_save(self) -> None:
-        """Tell the estimate that is being made; after a final one, save if no section waits."""
+        """Report the estimate that is being made; after a final one, save if no section waits."""
         if self._making is not None:
             one, job, _ = self._making
             self._finish()
@@ -281,21 +276,20 @@ class Monitor:
                 self._journal.save(one.name, one.dump())
 
     def _is_held(self, name: str) -> bool:
-        """Return whether a section of a suspension is over, and its estimate not told."""
-        waiting = self._due.get(name)
-        if waiting is not None and waiting.is_final:
-            return True
-        making = self._making
-        return making is not None and making.one.name == name and making.job.due.is_final
+        """Return whether a section of a suspension is over, and its estimate not reported."""
+        waiting, making = self._due.get(name), self._making
+        return (waiting is not None and waiting.is_final) or (
+            making is not None and making.one.name == name and making.job.due.is_final
+        )
 
     def _save(self, one: LiveSuspension) -> None:
-        """Save a suspension's state in place of its frames, as soon as all sections are told."""
+        """Save a suspension's state in place of its frames, once all sections are reported."""
         if not self._is_held(one.name):
             self._journal.save(one.name, one.dump())
         elif self._journal.n_bytes[one.name] > MOST_WAITING:
             self._finish_and_save()
             if one.name in self._due:
-                self._begin(one.name)
+                self._start(one.name)
                 self._finish_and_save()
 
     def _write(self) -> None:
@@ -324,7 +318,6 @@ class Monitor:
             self._source.confirm(n_frames)
 
 
-def _give_way() -> None:
-    """Let the other threads of this process go before this one, where threads have priorities."""
-    if sys.platform == "linux":
+def _lower_priority() -> None:
+    if sys.platform == "linux":  # elsewhere threads have no priority of their own
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)

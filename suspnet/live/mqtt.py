@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import logging
+import re
 import threading
 import time
 from collections import Counter, deque
@@ -13,7 +15,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from suspnet.ground.settings import Setting, check_values
 from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
-from suspnet.live.sharding import is_in_part, read_part
 from suspnet.live.source import Kind, plain_json
 from suspnet.recordings.frames import MOST_BYTES
 
@@ -22,24 +23,24 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 MOST_UNACKNOWLEDGED = 20
-"""Largest number of results that the broker has not acknowledged; of others the latest waits."""
-
-LAST_WORDS_S = 5.0
+"""Largest number of results that the broker has not acknowledged; of the others the latest of each
+topic waits."""
+CLOSING_S = 5.0
 """Longest time that `close` waits for the broker to take the results, [s]."""
 
 
 class Mqtt:
     """Source of the frames on the topics PREFIX/frames/SUSPENSION, percent-encoded.
 
-    The broker keeps what this client has not acknowledged, which it does when frames are
-    confirmed, while it is away, too (QoS 1, no clean start, session expiry): each frame comes at
-    least once. The client connects again with backoff, also if the broker was never there.
+    Each frame comes at least once: the client acknowledges frames when they are confirmed, and the
+    broker stores the others while the client is away (QoS 1, no clean start, session expiry). The
+    client connects again with backoff, also if the broker was never there.
 
-    At most `in_flight` frames are held that `receive` has not yet given. The broker is asked to
-    send no more before some are acknowledged; as not every release of every broker keeps to that,
-    the connection is not read beyond it. A message that is larger than any frame is acknowledged
-    and forgotten at once. The broker is not asked to withhold those: they would take up places
-    among the messages on the way, and never leave them (Mosquitto 2.0.11).
+    At most `in_flight` frames wait for `receive`. The broker is asked to send no more before some
+    are acknowledged; as not every release of every broker obeys, the connection is not read while
+    so many wait. A message larger than any frame is acknowledged and dropped at once. The broker is
+    not asked to withhold those: they would take up places among the messages on the way for ever
+    (Mosquitto 2.0.11).
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ class Mqtt:
         return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Begin to connect; return the suspensions of this process's part. See `Source`."""
+        """Start to connect; return the suspensions of this process's part. See `Source`."""
         mine = [name for name in suspensions if is_in_part(name, self.part, self.n_parts)]
         self._topics = [self.broker.topic("frames", name) for name in mine]
         client = self.broker.client(self.client_id, manual_ack=True)
@@ -145,7 +146,7 @@ class Mqtt:
         """Acknowledge frames that `receive` gave. See `Source`."""
         assert self._client is not None
         n_kept = len(self._given) if n_frames is None else n_frames
-        with self._changed:  # no new connection begins meanwhile
+        with self._changed:  # no new connection starts meanwhile
             for connection, number in self._given[:n_kept]:
                 # what came over an earlier connection comes again, under the same number or not
                 # and a number of 0 is that of a sender who asked for no acknowledgement
@@ -162,13 +163,13 @@ class Mqtt:
         self._send()
 
     def close(self) -> None:
-        """Hand over results and confirmations as far as the broker takes them, and disconnect.
+        """Send results and acknowledgements if the broker takes them, and disconnect.
 
-        The session stays.
+        The broker keeps the session.
         """
         if self._client is None:
             return
-        deadline = time.monotonic() + LAST_WORDS_S
+        deadline = time.monotonic() + CLOSING_S
         while time.monotonic() < deadline and self._is_connected:
             self._send()
             if not (self._results or self._unacknowledged or self._client.want_write()):
@@ -182,7 +183,7 @@ class Mqtt:
         self._client = None
 
     def _send(self) -> None:
-        """Give the client the results that wait, as far as the broker has taken the others.
+        """Give waiting results to the client, as far as the broker has acknowledged others.
 
         No lock is held here: the client calls `_on_publish` under a lock of its own.
         """
@@ -204,9 +205,9 @@ class Mqtt:
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
     ) -> None:
-        """Subscribe; what was not acknowledged over the last connection comes again by itself."""
+        """Subscribe; frames not acknowledged over the last connection come again by themselves."""
         if reason.is_failure:
-            self._tell("rejected", str(reason))
+            self._count("rejected", str(reason))
             return
         with self._changed:
             if self._connection:
@@ -224,17 +225,17 @@ class Mqtt:
         with self._changed:
             self._is_connected = False
         if not self._is_closing:
-            self._tell("disconnect", "it has gone")
+            self._count("disconnect", "the connection is lost")
 
     def _on_connect_fail(self, client: Client, userdata: Any) -> None:
-        self._tell("unreachable", "nobody answers")
+        self._count("unreachable", "connection refused")
 
     def _on_subscribe(
         self, client: Client, userdata: Any, number: int, reasons: Any, properties: Any
     ) -> None:
         for reason in reasons:
             if reason.is_failure:
-                self._tell("rejected", f"a subscription: {reason}")
+                self._count("rejected", f"a subscription: {reason}")
 
     def _on_message(self, client: Client, userdata: Any, message: Any) -> None:
         if len(message.payload) > MOST_BYTES:
@@ -250,13 +251,34 @@ class Mqtt:
         self, client: Client, userdata: Any, number: int, reason: Any, properties: Any
     ) -> None:
         if reason.is_failure:
-            self._tell("rejected", f"a result: {reason}")
+            self._count("rejected", f"a result: {reason}")
         self._acknowledged.append(number)
 
-    def _tell(self, reason: str, words: str) -> None:
-        """Count what goes wrong with the broker, and log the first since it was there."""
+    def _count(self, reason: str, message: str) -> None:
+        """Count what goes wrong with the broker, and log the first since it was connected."""
         self._counts[reason] += 1
         if not self._is_away:
             where = self.broker.where
-            log.warning("the broker at %s: %s; it is tried again until it answers", where, words)
+            log.warning("the broker at %s: %s; it is tried again until it answers", where, message)
         self._is_away = True
+
+
+def read_part(text: str) -> tuple[int, int]:
+    """Return K and N of the text "K/N"; ValueError unless 1 <= K <= N <= 1000."""
+    found = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text) if isinstance(text, str) else None
+    part, n_parts = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= part <= n_parts <= 1000:
+        raise ValueError(f'`part` must be "K/N" with 1 <= K <= N <= 1000, got {text!r}')
+    return part, n_parts
+
+
+def is_in_part(suspension: str, part: int, n_parts: int) -> bool:
+    """Return whether a suspension belongs to a part of the processes: by SHA-256 of its name.
+
+    Examples
+    --------
+    >>> [k for k in (1, 2, 3) if is_in_part("train 1, car 2", k, 3)]
+    [1]
+    """
+    digest = hashlib.sha256(suspension.encode()).digest()
+    return int.from_bytes(digest[:8], "big") % n_parts == part - 1

@@ -1,36 +1,41 @@
-"""Mileage and temperature of a suspension: a number now and then, from frames or from the speed."""
+"""Mileage, temperature and standstill of a suspension, by time, from its frames."""
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import numpy as np
+
+from suspnet.ground.records import HIGHEST_KM
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame, FrameError
-from suspnet.recordings.manifest import HIGHEST_KM, TEMPERATURES_C
+from suspnet.recordings.frames import Frame, FrameError, end_ns
+from suspnet.recordings.manifest import TEMPERATURES_C
+from suspnet.recordings.units import size_of
 
 STEP_NS = 10 * SECOND_NS
-"""Time of which the first value is kept, [ns]: in it a train runs less than a kilometre."""
-
+"""Steps of time for each of which one value is stored, [ns]: in it a train runs less than a
+kilometre."""
 MOST_KEPT = 10_000
-"""Largest number of values of one kind that are kept, those of a day. The latest go first: they are
+"""Largest number of steps that are stored, those of a day. The latest are dropped first: they are
 of wrong times, as sections are at most a day long."""
-
 MOST_IN_FRAME = 1000
-"""Number of samples of a frame that are looked at."""
+"""Number of samples of a frame of mileages or temperatures that are looked at."""
+LEAST_M_PER_S = 1.0
+"""Speed below which a train stands, [m/s]: more than the noise of what measures it."""
 
 
 class SlowValues:
     """The last values of mileage and temperature, by time: the first of every ten seconds.
 
     Frames may come in any order, and twice. Between frames the mileage goes on with the distance
-    that the speed tells.
+    that the speed gives.
 
     Parameters
     ----------
     mileage_km : float, [km]
-        Until a frame tells it.
+        Until a frame gives it.
     temperature_c : float, optional, [°C]
-        Until a frame tells it.
+        Until a frame gives it.
 
     Attributes
     ----------
@@ -50,7 +55,7 @@ class SlowValues:
         self._first_c = temperature_c
 
     def take(self, frame: Frame) -> None:
-        """Keep the values of a frame.
+        """Store the values of a frame.
 
         Raises
         ------
@@ -70,17 +75,15 @@ class SlowValues:
             one = frame.time_ns + round(i * SECOND_NS / frame.rate_hz), value
             step = one[0] // STEP_NS
             known[step] = min(one, known.get(step, one))
-        for step in sorted(known)[MOST_KEPT:]:
-            del known[step]
+        _drop_latest(known)
 
     def within(
         self, begin_ns: int, end_ns: int, before_ns: int = 0
     ) -> tuple[float | None, float | None]:
-        """Return mileage [km] and temperature [°C] of a section.
+        """Return mileage [km] and temperature [°C] of a section: the first values in it.
 
-        Of several values in it the first one counts. Where there is none, the mileage is the last
-        one of a time `before_ns` before it, or None: that at the end of the section before; and the
-        temperature is the last one before.
+        Where there is none, the mileage is the last one of a time `before_ns` before it, or None:
+        that at the end of the section before; and the temperature is the last one before.
         """
         mileages, temperatures = (sorted(one.values()) for one in self._known.values())
         km = [value for at, value in mileages if begin_ns <= at < end_ns]
@@ -110,3 +113,49 @@ class SlowValues:
             name: {at // STEP_NS: (at, value) for at, value in one}
             for name, one in state["known"].items()
         }
+
+
+class Standing:
+    """Whether a train moved, for each step of time in which its speed is known.
+
+    It does not depend on the order in which frames come.
+    """
+
+    def __init__(self) -> None:
+        self._moved: dict[int, bool] = {}
+
+    def take(self, frame: Frame) -> None:
+        """Take a frame of the speed."""
+        speeds = (size_of("speed", frame.unit) or 1.0) * frame.samples
+        has_moved = bool(np.max(speeds) >= LEAST_M_PER_S)
+        for step in _steps(frame.time_ns, end_ns(frame)):
+            self._moved[step] = has_moved or self._moved.get(step, False)
+        _drop_latest(self._moved)
+
+    def stood(self, begin_ns: int, end_ns: int) -> bool:
+        """Return whether the speed is known in all of a time, and the train stood."""
+        return not any(self._moved.get(step, True) for step in _steps(begin_ns, end_ns))
+
+    def forget(self, before_ns: int) -> None:
+        """Forget what was before a time."""
+        first = before_ns // STEP_NS
+        if self._moved and min(self._moved) < first:
+            self._moved = {step: one for step, one in self._moved.items() if step >= first}
+
+    def state(self) -> list[Any]:
+        """Return JSON-able values that `restore` makes the same of."""
+        return sorted(self._moved.items())
+
+    def restore(self, state: list[Any]) -> None:
+        """Go on from a state."""
+        self._moved = dict(state)
+
+
+def _steps(begin_ns: int, end_ns: int) -> range:
+    return range(begin_ns // STEP_NS, -(-end_ns // STEP_NS))
+
+
+def _drop_latest(by_step: dict[int, Any]) -> None:
+    if len(by_step) > MOST_KEPT:
+        for step in sorted(by_step)[MOST_KEPT:]:
+            del by_step[step]

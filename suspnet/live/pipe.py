@@ -11,9 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from suspnet.ground.settings import Setting, check_values
-from suspnet.live.framing import Splitter
-from suspnet.live.inbox import Inbox
-from suspnet.live.source import Kind, print_result
+from suspnet.live.source import Kind, Splitter, print_result
 
 PIECE_BYTES = 2**16
 """Largest number of bytes that are read at once: what a pipe of Linux holds."""
@@ -23,7 +21,7 @@ class Pipe:
     """Source of the frames on standard input.
 
     What was read cannot be read again: after a kill, the sender must send again what was not yet
-    kept. Reading stops while the buffer is full, so that a sender that is too fast waits.
+    stored. Reading stops while the buffer is full: a sender that is too fast waits.
 
     Raises
     ------
@@ -54,7 +52,7 @@ class Pipe:
         return Counter(self._splitter.counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Begin to read; all suspensions are this process's. See `Source`."""
+        """Start to read; all suspensions are this process's. See `Source`."""
         if sys.stdin is None:
             raise ValueError("source=stdin needs a standard input, which is closed")
         self._awake, self._wake = os.pipe()
@@ -98,3 +96,49 @@ class Pipe:
             if not data:
                 self._inbox.end()
                 return
+
+
+class Inbox:
+    """A queue of encoded frames whose writer waits while it is full.
+
+    Parameters
+    ----------
+    most_bytes : int
+        It holds no more, or one frame.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self.most_bytes = most_bytes
+        self._changed = threading.Condition()
+        self._frames: list[bytes] = []
+        self._n_bytes = 0
+        self._has_ended = False
+
+    def put(self, frame: bytes) -> None:
+        """Add a frame as soon as there is room, which one frame always has; none after `end`."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: (
+                    self._has_ended
+                    or not self._frames
+                    or self._n_bytes + len(frame) <= self.most_bytes
+                )
+            )
+            if not self._has_ended:
+                self._frames.append(frame)
+                self._n_bytes += len(frame)
+                self._changed.notify_all()
+
+    def end(self) -> None:
+        """End the queue: there will be no more frames."""
+        with self._changed:
+            self._has_ended = True
+            self._changed.notify_all()
+
+    def take(self, timeout_s: float) -> list[bytes] | None:
+        """Return all frames, [] if there are none after a time [s], None after the last ones."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._frames or self._has_ended, timeout_s)
+            frames, self._frames, self._n_bytes = self._frames, [], 0
+            self._changed.notify_all()
+            return None if self._has_ended and not frames else frames

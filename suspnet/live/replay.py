@@ -1,4 +1,7 @@
-"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a pace."""
+"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a pace.
+
+Frames hold the raw samples of each sensor, with the times at which they were taken.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +10,48 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, tzinfo
+from datetime import UTC, datetime, timedelta, tzinfo
+from itertools import chain
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from suspnet.ground.checks import check_number
-from suspnet.live.recorded import nanoseconds, trip_clock, trip_frames
-from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame, end_ns
-from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
+from suspnet.recordings.faults import find_gaps, runs
+from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
+from suspnet.recordings.manifest import (
+    ACCELERATION_UNITS,
+    SPEED_UNITS,
+    Source,
+    SpeedSource,
+    TripError,
+    TripManifest,
+)
 from suspnet.recordings.manifest_files import read_manifest, time_zone
+from suspnet.recordings.recording import even_values, known_rate
+from suspnet.recordings.sources import OpenSource, open_source, zero_of
+from suspnet.recordings.timeline import Timeline
 from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
 PAUSE_S = 3600
-"""Time between the end of a trip and the begin of the next one of the same suspension, where
+"""Time between the end of a trip and the start of the next one of the same suspension, where
 neither manifests nor files say when they were recorded, [s]."""
-
 LONGEST_WAIT_S = 60.0
 """Longest time without any frame [s] that a replay at a pace waits for, in recorded time."""
+
+
+MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
+"""Sensor and unit of the frames of one sample at the start of a trip."""
+SLOW_HZ = 1.0
+"""Rate of these frames, which no sample follows."""
+UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
+"""Unit of frames where the manifest leaves it to the file, and the known ones."""
 
 
 @dataclass
@@ -42,7 +67,7 @@ class Replay:
     frame_s : float, [s]
         Length of a frame.
     start : str, optional
-        Begin of the first trip of each suspension whose manifests and files do not say when they
+        Start of the first trip of each suspension whose manifests and files do not say when they
         were recorded, in ISO 8601; its other trips follow after ``PAUSE_S``.
     zone : str
         Time zone of times that name none: "UTC", "+02:00" or "Europe/Berlin".
@@ -50,7 +75,7 @@ class Replay:
     Attributes
     ----------
     n_suspensions, n_trips : int
-        Number of suspensions, and of trips that were begun.
+        Number of suspensions, and of trips that were started.
     problems : list of str
         Why trips are missing, or end early.
 
@@ -82,13 +107,13 @@ class Replay:
             for name in {str(trip.place) for trip in trips}:
                 if name in by_name:
                     raise ValueError(
-                        f"{group.folder} holds trips of {name!r}, as another folder does; tell "
-                        "them apart by `train` and `car` in the manifests"
+                        f"{group.folder} holds trips of {name!r}, as another folder does; "
+                        "distinguish them by `train` and `car` in the manifests"
                     )
             for trip in trips:
                 by_name.setdefault(str(trip.place), []).append(trip)
             if group.error:
-                self._tell(f"{group.folder}: {group.error}")
+                self._report(f"{group.folder}: {group.error}")
         self.n_suspensions = len(by_name)
         self._trips = list(by_name.values())
 
@@ -97,34 +122,32 @@ class Replay:
         yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
 
     def _read(self, path: Path) -> TripManifest | None:
-        """Return a manifest; None if it has mistakes, which are told."""
         try:
             return read_manifest(path)
         except TripError as error:
-            self._tell(str(error))
+            self._report(str(error))
             return None
 
     def _suspension(self, trips: Sequence[TripManifest]) -> Iterator[Frame]:
-        """Yield the frames of one suspension, trip by trip."""
         numbers: Counter[str] = Counter()
         last_ns: int | None = None
         for trip in _in_order(trips, self._zone):
             try:
-                clock = trip_clock(trip, self._zone)
-                zero_ns = self._undated(trip, last_ns) if clock.zero_ns is None else clock.zero_ns
+                dated_ns, offsets = trip_clock(trip, self._zone)
+                zero_ns = self._undated(trip, last_ns) if dated_ns is None else dated_ns
                 self.n_trips += 1
                 before_ns = last_ns
-                for frame in trip_frames(trip, zero_ns, clock.offsets_s, numbers, self.frame_s):
+                for frame in trip_frames(trip, zero_ns, offsets, numbers, self.frame_s):
                     if before_ns is not None and frame.time_ns < before_ns:
-                        self._tell(f"{trip.path}: begins before the trip before it has ended")
+                        self._report(f"{trip.path}: starts before the end of the trip before it")
                     before_ns = None
                     last_ns = max(end_ns(frame), last_ns or 0)
                     yield frame
             except TripError as error:
-                self._tell(str(error))
+                self._report(str(error))
 
     def _undated(self, trip: TripManifest, last_ns: int | None) -> int:
-        """Return when a trip begins that does not say so; TripError if `start` is not given."""
+        """Return when a trip without a date starts; TripError if `start` is not given."""
         if self._start_ns is None:
             raise TripError(
                 f"{trip.path}: neither `start` nor the data files say when the trip was recorded; "
@@ -134,8 +157,7 @@ class Replay:
             return self._start_ns
         return math.ceil(last_ns / SECOND_NS + PAUSE_S) * SECOND_NS
 
-    def _tell(self, problem: str) -> None:
-        """Keep and log what is wrong with a trip; the others go on."""
+    def _report(self, problem: str) -> None:
         self.problems.append(problem)
         log.warning("%s", problem)
 
@@ -163,8 +185,7 @@ class Pace:
     def wait(self, frame: Frame) -> None:
         """Wait until a frame is due: as long after the one before as it was recorded later.
 
-        Without any frame in ``LONGEST_WAIT_S`` no longer than that. Delays of the other side are
-        caught up.
+        It waits at most ``LONGEST_WAIT_S`` of recorded time, and catches up delays of the receiver.
         """
         if self.times is None:
             return
@@ -178,9 +199,9 @@ class Pace:
 
 
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
-    """Return trips by their start if all of them say it, else by mileage."""
+    """Return trips by their start if all of them have one, else by mileage."""
     starts = [trip.start for trip in trips]
-    known = [nanoseconds(start, zone) for start in starts if start is not None]
+    known = [_nanoseconds(start, zone) for start in starts if start is not None]
     if len(known) == len(trips):
         order = sorted(range(len(trips)), key=lambda k: known[k])
         return [trips[k] for k in order]
@@ -188,10 +209,152 @@ def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]
 
 
 def _parsed(text: str, zone: tzinfo) -> int:
-    """Return a date and time in nanoseconds since 1970; ValueError if it is none."""
     try:
-        return nanoseconds(datetime.fromisoformat(text), zone)
+        return _nanoseconds(datetime.fromisoformat(text), zone)
     except (TypeError, ValueError):
         raise ValueError(
             f"`start` must be a date and time like 2026-03-01T06:00:00Z, got {text!r}"
         ) from None
+
+
+def _sources(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
+    """Return kind and source of each sensor, and of the speed if it is recorded."""
+    found: dict[str, tuple[str, Source]] = {
+        name: ("acceleration", one) for name, one in manifest.sensors().items()
+    }
+    if isinstance(manifest.speed, SpeedSource):
+        found["speed"] = "speed", manifest.speed
+    return found
+
+
+def trip_clock(
+    manifest: TripManifest, zone: tzinfo = UTC
+) -> tuple[int | None, Mapping[str, float]]:
+    """Return when a trip was recorded.
+
+    First the zero of its clock [ns] since 1970 in UTC, None if neither manifest nor files give it;
+    then, for each sensor and the speed, the time [s] that is added to its own times. TripError if a
+    file cannot be read, or clocks cannot be aligned.
+    """
+    zeros = {
+        name: zero_of(manifest, source, _source_name(manifest, name), kind)
+        for name, (kind, source) in _sources(manifest).items()
+    }
+    offsets = offsets_s(manifest, zeros)
+    dated = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
+    for name, ns in dated.items():
+        zero_ns = ns - round(offsets[name] * SECOND_NS)
+        return zero_ns - _ahead_ns(zero_ns, zeros[name], zone), offsets
+    return None if manifest.start is None else _nanoseconds(manifest.start, zone), offsets
+
+
+def _nanoseconds(moment: datetime, zone: tzinfo) -> int:
+    """Return a date and time, in a zone if it names none, in nanoseconds since 1970 in UTC."""
+    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
+    return (aware - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+
+
+def trip_frames(
+    manifest: TripManifest,
+    zero_ns: int,
+    offsets: Mapping[str, float],
+    numbers: Counter[str],
+    frame_s: float = 1.0,
+) -> Iterator[Frame]:
+    """Yield the frames of a trip in the order in which they would be complete.
+
+    Samples have the unit of the manifest and are as in the file: not cleaned, filtered or turned.
+    They are float32 where that holds them exactly, else float64. A sample that is missing (NaN,
+    infinite or absurd) or whose time is missing ends a frame; so does sample ``MOST_SAMPLES``. A
+    block of each sensor is in memory. `zero_ns` and `offsets` are those of `trip_clock`; `numbers`
+    holds the sequence number of the next frame of each sensor, and grows.
+    """
+    suspension = str(manifest.place)
+    streams = [
+        _sensor_frames(manifest, name, zero_ns + round(offsets[name] * SECOND_NS), numbers, frame_s)
+        for name in _sources(manifest)
+    ]
+    merged = heapq.merge(*streams, key=end_ns)
+    for first in merged:
+        slow = {MILEAGE: manifest.mileage_km, TEMPERATURE: manifest.temperature_c}
+        for (name, unit), value in slow.items():
+            if value is not None:
+                number, sample = _next(numbers, name), np.array([value])
+                yield Frame(suspension, name, number, first.time_ns, SLOW_HZ, unit, sample)
+        yield first
+        break
+    yield from merged
+
+
+def _sensor_frames(
+    manifest: TripManifest, name: str, zero_ns: int, numbers: Counter[str], frame_s: float
+) -> Iterator[Frame]:
+    """Yield the frames of one sensor; `zero_ns` is what its times are counted from."""
+    kind, source = _sources(manifest)[name]
+    where, suspension = _source_name(manifest, name), str(manifest.place)
+    with open_source(manifest, source, where, kind) as opened:
+        timeline = None if opened.times is None else Timeline(where, opened.rate_hz)
+        unit, factor = _unit(kind, source, opened)
+        blocks = even_values(opened, timeline)
+        first_block = next(blocks)
+        rate_hz = known_rate(where, opened.rate_hz, timeline)
+        first_s = source.start_s + (0.0 if timeline is None else timeline.first_s)
+        first_ns = zero_ns + round(first_s * SECOND_NS)
+        size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
+        whole = chain([first_block], blocks)
+        del first_block  # it is as large as all other memory of a sensor
+        for at, values in _recut(whole, size):
+            for start, stop in zip(*runs(~find_gaps(values)), strict=True):
+                time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)
+                samples = _shortest(factor * values[start:stop])
+                number = _next(numbers, name)
+                yield Frame(suspension, name, number, time_ns, rate_hz, unit, samples)
+
+
+def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, FloatArray]]:
+    """Yield pieces of `size` samples of a signal, the last one shorter, and where they start."""
+    at, rest = 0, np.empty(0)
+    for block in blocks:
+        rest = np.concatenate([rest, block])
+        del block
+        n_whole = len(rest) - len(rest) % size
+        for start in range(0, n_whole, size):
+            yield at + start, rest[start : start + size]
+        at, rest = at + n_whole, rest[n_whole:]
+    if len(rest):
+        yield at, rest
+
+
+def _unit(kind: str, source: Source, opened: OpenSource) -> tuple[str, float]:
+    """Return the unit of a source's frames, and the size of the file's numbers in it."""
+    usual, sizes = UNITS[kind]
+    unit = source.unit or usual
+    return unit, abs(opened.size) / sizes[unit]
+
+
+def _shortest(samples: FloatArray) -> FloatArray:
+    """Return samples in single precision where that changes none of them."""
+    with np.errstate(over="ignore"):
+        single: Any = samples.astype(np.float32)
+    return single if (single == samples).all() else samples
+
+
+def _next(numbers: Counter[str], name: str) -> int:
+    """Return the number of a sensor's next frame, and count it."""
+    numbers[name] += 1
+    return numbers[name] - 1
+
+
+def _ahead_ns(local_ns: int, zero: Zero, zone: tzinfo) -> int:
+    """Return how far a clock is ahead of UTC, [ns]: 0 if its times have a zone."""
+    if zero.is_zoned:
+        return 0
+    naive = datetime(1970, 1, 1) + timedelta(seconds=local_ns // SECOND_NS)
+    offset = naive.replace(tzinfo=zone).utcoffset()
+    assert offset is not None  # every zone has an offset
+    return round(offset.total_seconds()) * SECOND_NS
+
+
+def _source_name(manifest: TripManifest, name: str) -> str:
+    named = "`speed`" if name == "speed" else f"channel {name!r}"
+    return f"{manifest.path}: {named}"

@@ -1,4 +1,4 @@
-"""What a monitor tells: estimates and alarms in the history, as JSON, and in TensorBoard."""
+"""Results of a monitor: estimates and alarms in the history, as JSON, and in TensorBoard."""
 
 from __future__ import annotations
 
@@ -9,24 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import ERROR, OK, TripResult
 from suspnet.ground.storage import json_bytes
+from suspnet.ground.wording import kilometres
 from suspnet.history import History, HistoryError
-from suspnet.history.records import ERROR, OK, TripResult
 from suspnet.live.source import Kind
-from suspnet.live.suspension import LiveSuspension, Told
+from suspnet.live.suspension import Estimate, LiveSuspension
 from suspnet.maintenance.alarms import Alarm
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.watch import km_words
-from suspnet.maintenance.watching import keep_trips
 from suspnet.report.tensorboard import RunLog
+from suspnet.trips.earlier import keep_trips
 from suspnet.trips.fleet import FleetSettings
 
 log = logging.getLogger(__name__)
-
 LEAST_KM = 0.5
-"""A section without an estimate is kept only if the train ran so far in it: a train that stands
+"""A section without an estimate is stored only if the train ran so far in it: a train that stands
 all night leaves no trips."""
-
 WAIT_S = 5.0
 """Time until a store that cannot be written is tried again, [s]."""
 
@@ -34,7 +32,7 @@ Publish = Callable[[Kind, str, bytes], None]
 
 
 class Results:
-    """Keeps and publishes what suspensions show.
+    """Stores and publishes the estimates and alarms of suspensions.
 
     Parameters
     ----------
@@ -58,35 +56,35 @@ class Results:
         self._folder = tensorboard
         self._logs: dict[str, RunLog] = {}
 
-    def tell(self, suspension: LiveSuspension, told: Told) -> None:
-        """Keep and publish an estimate; that of a section that is over raises and ends alarms.
+    def report(self, suspension: LiveSuspension, estimate: Estimate) -> None:
+        """Store and publish an estimate; that of a section that is over raises and clears alarms.
 
-        The same estimate again replaces what was kept of it. A store that is away is waited for.
+        The same estimate again replaces the one stored. This waits for a store that is away.
         """
-        result = told.result
-        moved = result.status == OK or told.distance_km >= LEAST_KM
-        if told.is_final and result.status != ERROR and moved:
-            alarms = self._kept(result, suspension.models)
+        result = estimate.result
+        moved = result.status == OK or estimate.distance_km >= LEAST_KM
+        if estimate.is_final and result.status != ERROR and moved:
+            alarms = self._stored(result, suspension.models)
             row = alarms_row(suspension.name, result, alarms)
             self._publish("alarms", suspension.name, json_bytes(row))
-        row = estimate_row(suspension.name, told, self._settings.trips.level)
+        row = estimate_row(suspension.name, estimate, self._settings.trips.level)
         self._publish("estimates", suspension.name, json_bytes(row))
         if self._folder is not None and result.status == OK:
             self._log(suspension.name).scalars(
-                "trips" if told.is_final else "running",
+                "trips" if estimate.is_final else "running",
                 result.estimates | {"n_averages": result.quality.n_averages},
-                round(result.mileage_km + (0.0 if told.is_final else told.distance_km)),
+                round(result.mileage_km + (0.0 if estimate.is_final else estimate.distance_km)),
             )
-        words = result.reason or result.flags
-        log.info("%s %s%s", suspension.name, summary(told), words and f": {words}")
+        remark = result.reason or result.flags
+        log.info("%s %s%s", suspension.name, summary(estimate), remark and f": {remark}")
 
     def close(self) -> None:
         """Close the events."""
         for one in self._logs.values():
             one.close()
 
-    def _kept(self, result: TripResult, models: Sequence[TrainedModel]) -> list[Alarm]:
-        """Keep a trip and return the suspension's alarms; wait where the store is away."""
+    def _stored(self, result: TripResult, models: Sequence[TrainedModel]) -> list[Alarm]:
+        """Store a trip and return the suspension's alarms; wait while the store is away."""
         while True:  # ends when the store is back, or with the process
             try:
                 limits = self._settings.limits_of(models)
@@ -98,7 +96,6 @@ class Results:
                 time.sleep(WAIT_S)
 
     def _log(self, name: str) -> RunLog:
-        """Return the TensorBoard log of a suspension."""
         assert self._folder is not None
         if name not in self._logs:
             folder = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
@@ -106,17 +103,19 @@ class Results:
         return self._logs[name]
 
 
-def summary(told: Told) -> str:
+def summary(estimate: Estimate) -> str:
     """Return an estimate on one line."""
-    result = told.result
+    result = estimate.result
     values = ", ".join(f"{name} {value:.4g}" for name, value in result.estimates.items())
-    where = f"{result.trip}, {km_words(result.mileage_km)}{'' if told.is_final else ' (so far)'}"
+    where = (
+        f"{result.trip}, {kilometres(result.mileage_km)}{'' if estimate.is_final else ' (so far)'}"
+    )
     return f"{where}: {values or 'no estimate'}"
 
 
-def estimate_row(name: str, told: Told, level: float) -> dict[str, Any]:
+def estimate_row(name: str, estimate: Estimate, level: float) -> dict[str, Any]:
     """Return an estimate as it is published."""
-    result = told.result
+    result = estimate.result
     ends = {key: result.interval(key) for key in result.estimates}
     return {
         "suspension": name,
@@ -124,7 +123,7 @@ def estimate_row(name: str, told: Told, level: float) -> dict[str, Any]:
         "trip": result.trip,
         "start": result.start,
         "mileage_km": result.mileage_km,
-        "final": told.is_final,
+        "final": estimate.is_final,
         "status": result.status,
         "reason": result.reason,
         "flags": result.flags,
@@ -138,14 +137,14 @@ def estimate_row(name: str, told: Told, level: float) -> dict[str, Any]:
         "duration_s": result.quality.duration_s,
         "usable_percent": result.quality.usable_percent,
         "faults": result.quality.faults,
-        "frames": told.frames,
+        "frames": estimate.frames,
     }
 
 
 def alarms_row(name: str, result: TripResult, alarms: Sequence[Alarm]) -> dict[str, Any]:
-    """Return the alarms that stand as they are published."""
-    standing = [one for one in alarms if one.is_open]
-    severity = max((one.severity for one in standing), default=Severity.NONE)
+    """Return the active alarms as they are published."""
+    active = [one for one in alarms if one.is_open]
+    severity = max((one.severity for one in active), default=Severity.NONE)
     return {
         "suspension": name,
         "vehicle": result.vehicle,
@@ -159,6 +158,6 @@ def alarms_row(name: str, result: TripResult, alarms: Sequence[Alarm]) -> dict[s
                 "begin_km": one.begin_km,
                 "words": one.words,
             }
-            for one in standing
+            for one in active
         ],
     }

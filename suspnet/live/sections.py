@@ -1,14 +1,14 @@
-"""A stream without end as recordings of bounded length, which follow its trips.
+"""A stream without end, divided into sections: recordings of bounded length that follow its trips.
 
-A trip begins with the first frame after a pause, and its sections with the second of their first
+A trip starts with the first frame after a pause, and a section at the full second of its first
 frame. A section ends where no frame comes for the time of a pause; after a fixed time; or, from a
 third of it on, where the train has stood for the time of a pause. Where frames go on, another
-section follows. One that ends short joins the section before, which waits for it. A frame is
-divided where it crosses the end of a section.
+section follows. A short last section joins the one before, which waits for it. A frame is divided
+where it crosses the end of a section.
 
 None of this depends on the order in which frames come, as long as no sensor lags behind another by
-more than `late_s`, which a pause is not shorter than. A section stays open for such frames; then it
-is a recording like any other.
+more than `late_s`, which is at most the time of a pause. A section stays open for such frames; then
+it is a recording like any other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from suspnet.ground.checks import check_number
-from suspnet.live.standing import Standing
+from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS
@@ -31,17 +31,13 @@ MOST_OPEN = 5
 """Largest number of open sections. Three are enough where clocks are right: one that is over, the
 rest of its trip, and the next trip. The others are for frames of wrong times, none of which may
 close a section that still runs."""
-
 SHORT, SHORT_S = 1 / 4, 120.0
 """Part of the length of a section, and length [s], below which the last one of a trip joins the one
 before: twice what a recording needs."""
-
 TRIED_NS = 60 * SECOND_NS
-"""Time between two looks whether the train stood, [ns]."""
-
+"""Time between two checks whether the train stood, [ns]."""
 AHEAD_NS = 86_400 * SECOND_NS
-"""Frames so much before a section that was over [ns] are not late: a clock was wrong then."""
-
+"""Frames so much before a section that was over [ns] are not late: then a clock was wrong."""
 BORDER_SAMPLES = 1e-3
 """A sample this close before a border [samples] counts as on it, as times are whole nanoseconds."""
 
@@ -53,13 +49,13 @@ class _Open:
     Attributes
     ----------
     after : Counter
-        Number of the latest frames of each sensor, in a row, that begin so late that it is over.
+        Number of latest frames of each sensor, in a row, that start after the section is over.
     before : int or None
         Key of the section of the same trip before it.
     cut_ns : int or None, [ns]
-        Where it ends before it has its full length, as the train stood.
+        Where it ends before its full length, as the train stood.
     n_tried : int
-        Number of the times at which it was looked whether the train stood.
+        Number of checks for that.
     """
 
     section: Running
@@ -72,7 +68,7 @@ class _Open:
 class Sections:
     """The recordings of one suspension, one after the other.
 
-    It holds at most ``MOST_OPEN`` recordings of `section_s`, as `Running` says.
+    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`, as of `Running`.
 
     Parameters
     ----------
@@ -81,10 +77,9 @@ class Sections:
     section_s : int, [s]
         Largest length of a section.
     late_s : float, [s]
-        A section is over once more than ``order.window`` frames of one sensor, one after the other,
-        begin later than this after the pause that follows it, or, where its trip goes on, later
-        than this and the length of a short section after its end. No sensor may lag behind another
-        by more.
+        A section is over once more than ``order.window`` frames of one sensor in a row start later
+        than this after the pause that follows it, or, where its trip goes on, later than this and
+        the length of a short section after its end. No sensor may lag behind another by more.
     pause_s : float, [s]
         Without a frame for so long, or without moving, a trip has ended.
     rate_hz, cleaning, order
@@ -93,8 +88,7 @@ class Sections:
     Attributes
     ----------
     counts : Counter
-        "dropped" are frames of sections of wrong times that were given up, "late" those of which a
-        part came too late.
+        Frames "dropped" with sections of wrong times, and "late" ones of which a part was too late.
     identity : JSON-able
         What a state must share with the stream that goes on from it.
 
@@ -122,6 +116,8 @@ class Sections:
         self.manifest, self.section_s, self.late_s = manifest, section_s, late_s
         self.rate_hz, self.cleaning, self.pause_s = rate_hz, cleaning, pause_s
         self.order = OrderSettings() if order is None else order
+        self._pause_ns, self._late_ns = round(pause_s * SECOND_NS), round(late_s * SECOND_NS)
+        self._short_s = min(max(SHORT * section_s, SHORT_S), section_s)
         self.counts: Counter[str] = Counter()
         self._open: dict[int, _Open] = {}
         self._next_ns = 0
@@ -152,7 +148,7 @@ class Sections:
             raise FrameError("late", f"a frame of {frame.sensor!r} is of a section that is over")
         reasons = ["late"] * bool(n_late)
         n_taken = 0
-        while rest is not None:  # ends: each round takes a sample, or begins at a border
+        while rest is not None:  # ends: each round takes a sample, or starts at a border
             key = self._place(rest.time_ns)
             one = self._open.get(key)
             if one is None:
@@ -172,9 +168,9 @@ class Sections:
         self.counts.update(reasons)
 
     def _check_clock(self, frame: Frame, is_known: bool) -> None:
-        """Go back in time with a clock that was far ahead and is right again.
+        """Accept earlier times if a clock was far ahead and is right again.
 
-        Else all frames would be late for as long as it was ahead.
+        Otherwise all frames would be late for as long as it was ahead.
         """
         if frame.time_ns >= self._next_ns - AHEAD_NS:
             self._back[frame.sensor] = 0
@@ -200,7 +196,7 @@ class Sections:
 
     @property
     def growing(self) -> list[Running]:
-        """Those of them whose trip has not gone on with another section."""
+        """Those of the open sections that no other section of the same trip follows."""
         followed = {one.before for one in self._open.values()}
         return [
             self._open[k].section for k in self._keys if k not in followed and not self._is_rest(k)
@@ -212,25 +208,14 @@ class Sections:
 
     @property
     def _keys(self) -> list[int]:
-        """Keys of the open sections, the earliest first."""
         return sorted(self._open, key=lambda k: self._open[k].section.begin_ns)
 
-    @property
-    def _pause_ns(self) -> int:
-        return round(self.pause_s * SECOND_NS)
-
-    @property
-    def _short_s(self) -> float:
-        return min(max(SHORT * self.section_s, SHORT_S), self.section_s)
-
     def _begun(self, zero_ns: int) -> Running:
-        """Return a new section."""
         longest_s = self.section_s + self.pause_s + 1
         settings = self.rate_hz, self.cleaning, self.order, longest_s, float(self.pause_s)
         return Running(self.manifest, zero_ns, *settings)
 
     def _full_ns(self, begin_ns: int) -> int:
-        """Return where a section that begins at a time has its full length."""
         return (begin_ns // SECOND_NS + self.section_s) * SECOND_NS
 
     def _border_ns(self, one: _Open) -> int:
@@ -238,18 +223,17 @@ class Sections:
         return self._full_ns(one.section.begin_ns) if one.cut_ns is None else one.cut_ns
 
     def _cut(self, one: _Open, time_ns: int) -> None:
-        """Let a section end where the train has stood, as far as frames of a time have come.
+        """End a section where the train stood, if frames up to a time say so.
 
-        Looked at is what all sensors must have sent by then.
+        Only speeds that must have come by then count: those older than `late_s`.
         """
         first_ns = self._full_ns(one.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
-        late_ns = round(self.late_s * SECOND_NS)
-        while one.cut_ns is None:  # ends: each round goes on by a minute
+        while one.cut_ns is None:  # ends: each round advances by a minute
             at_ns = first_ns + one.n_tried * TRIED_NS
             if time_ns <= at_ns:
                 return
             one.n_tried += 1
-            if self._standing.stood(at_ns - late_ns - self._pause_ns, at_ns - late_ns):
+            if self._standing.stood(at_ns - self._late_ns - self._pause_ns, at_ns - self._late_ns):
                 one.cut_ns = at_ns
 
     def _end_ns(self, one: _Open) -> int:
@@ -257,7 +241,7 @@ class Sections:
         return min(self._border_ns(one), one.section.end_ns + self._pause_ns)
 
     def _place(self, time_ns: int) -> int:
-        """Return the key of the section in which a time lies; that of a new one if in none."""
+        """Return the key of the section that a time belongs to, which may be a new one."""
         for k in self._keys:
             one = self._open[k]
             least_ns = k if one.section.goes_on else one.section.begin_ns - self._pause_ns
@@ -281,57 +265,58 @@ class Sections:
             self._open[key] = found = _Open(section, before[0] if before else None)
             section.goes_on = bool(before)
             self._drop()
-        if found.before in self._open:
-            self._open[found.before].section.rest = section if self._is_short(key) else None
+        self._join_rests()
         for one in self._open.values():
             has_passed = part.time_ns >= self._over_ns(one)
             one.after[part.sensor] = one.after[part.sensor] + 1 if has_passed else 0
         if part.sensor == "speed":
             self._standing.take(part)
-            kept_ns = 2 * self._pause_ns + round(2 * self.late_s * SECOND_NS) + TRIED_NS
-            self._standing.forget(part.time_ns - kept_ns)
+            needed_ns = 2 * (self._pause_ns + self._late_ns) + TRIED_NS
+            self._standing.forget(part.time_ns - needed_ns)
 
     def _over_ns(self, one: _Open) -> int:
-        """Return the time from which frames say that a section is over."""
-        wait_s = max(self.late_s, self._short_s)
-        goes_on_ns = self._border_ns(one) + round(wait_s * SECOND_NS)
-        pause_ns = self._pause_ns + round(self.late_s * SECOND_NS)
-        return min(goes_on_ns, one.section.end_ns + pause_ns)
+        """Return the time from which on frames show that a section is over."""
+        wait_ns = max(self._late_ns, round(self._short_s * SECOND_NS))
+        pause_ns = one.section.end_ns + self._pause_ns + self._late_ns
+        return min(self._border_ns(one) + wait_ns, pause_ns)
 
     def _after(self, key: int) -> int | None:
-        """Return the key of the section with which a trip goes on."""
+        """Return the key of the section that follows in the same trip."""
         return next((k for k, one in self._open.items() if one.before == key), None)
 
     def _is_short(self, key: int | None) -> bool:
         """Return whether a section is too short for a recording of its own; None is not."""
-        if key is None or key not in self._open:
+        if key is None:
             return False
         section = self._open[key].section
         return section.end_ns - section.begin_ns < self._short_s * SECOND_NS
 
     def _is_rest(self, key: int) -> bool:
         """Return whether a section is the rest of one that is open."""
-        before = self._open[key].before
-        return before in self._open and self._open[before].section.rest is not None
+        return self._open[key].before in self._open and self._is_short(key)
+
+    def _join_rests(self) -> None:
+        for k, one in self._open.items():
+            after = self._after(k)
+            one.section.rest = None
+            if after is not None and self._is_short(after):
+                one.section.rest = self._open[after].section
 
     def _drop(self) -> None:
-        """Give up the section with the fewest frames, of these the latest, if there are many.
+        """Drop the section with the fewest frames, of these the latest, if too many are open.
 
-        The one that was opened last stays: others would keep out all that comes.
+        The one that was opened last stays: else no new section could ever grow.
         """
         if len(self._open) > MOST_OPEN:
             old = list(self._open.items())[:-1]
             sizes = {k: (one.section.n_frames, -one.section.begin_ns) for k, one in old}
             worst = min(sizes, key=sizes.__getitem__)
-            before, after = self._open[worst].before, self._after(worst)
-            if before in self._open:
-                self._open[before].section.rest = None
-            if after is not None:
+            if (after := self._after(worst)) is not None:
                 self._open[after].before = None
             self.counts["dropped"] += self._open.pop(worst).section.n_frames
 
     def _close(self, keys: list[int]) -> list[Running]:
-        """Return some sections without those that are a rest, and wait for no frame of them."""
+        """Close some sections; return those that are not the rest of another."""
         found = [self._open[k].section for k in keys if not self._is_rest(k)]
         for k in keys:
             self._next_ns = max(self._next_ns, self._end_ns(self._open[k]))
@@ -372,9 +357,7 @@ class Sections:
             one = _Open(self._begun(int(k)), saved["before"], after, *cut)
             one.section.restore(saved["section"])
             self._open[int(k)] = one
-        for k, one in self._open.items():
-            if one.before in self._open and self._is_short(k):
-                self._open[one.before].section.rest = one.section
+        self._join_rests()
 
 
 def _n_before(frame: Frame, time_ns: int) -> int:
@@ -384,7 +367,7 @@ def _n_before(frame: Frame, time_ns: int) -> int:
 
 
 def _from(frame: Frame, n: int, border_ns: int) -> Frame | None:
-    """Return what is left of a frame without its first samples, which lie before a border."""
+    """Return a frame without its first `n` samples, which lie before a border."""
     if n >= len(frame.samples):
         return None
     if n == 0:

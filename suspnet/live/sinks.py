@@ -24,20 +24,18 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 NUMBERED = re.compile(r"\d{9}", re.ASCII)
 """Names of the files that a `Folder` writes, without their suffix."""
-
 MOST_FILE_BYTES = 2**23
-"""Size of a file of frames, [bytes], beyond which the next one is begun."""
-
+"""Size of a file of frames, [bytes], beyond which the next one is started."""
 ANSWER_S = 10.0
 """Longest time that a broker may take to answer the first request to connect, [s]."""
 
 
 class Sink(Protocol):
-    """What a replay asks of the place that frames go to."""
+    """What a replay asks of the place to which frames go."""
 
     @property
     def counts(self) -> Counter[str]:
-        """What went wrong, by its reason in one word."""
+        """Counts of what went wrong, by reason in one word."""
         ...
 
     def open(self) -> None:
@@ -45,11 +43,11 @@ class Sink(Protocol):
         ...
 
     def send(self, frame: Frame) -> None:
-        """Send a frame; waits while the other side does not take it."""
+        """Send a frame; waits while the receiver does not take it."""
         ...
 
     def close(self) -> None:
-        """Send what is held back, and wait until it is taken."""
+        """Send frames that wait, and wait until all are taken."""
         ...
 
 
@@ -112,7 +110,7 @@ class Folder:
         self._n_files = max(there, default=0)
 
     def send(self, frame: Frame) -> None:
-        """Put a frame into the file, and write it if it is full."""
+        """Add a frame to the file; write the file first if it is full."""
         is_over = frame.time_ns - self._first_ns >= self.file_s * SECOND_NS
         if self._held and (is_over or self._n_bytes >= MOST_FILE_BYTES):
             self.close()
@@ -122,7 +120,7 @@ class Folder:
         self._n_bytes += len(self._held[-1])
 
     def close(self) -> None:
-        """Write the frames that are held back."""
+        """Write the frames that wait."""
         if not self._held:
             return
         self._n_files += 1
@@ -135,7 +133,7 @@ class MqttSink:
     """Publishes frames to PREFIX/frames/SUSPENSION, with QoS 1.
 
     At most `in_flight` frames, or as many as the broker takes at once, are on the way; then `send`
-    waits, also for a broker that went away.
+    waits, also while the broker is away.
 
     Parameters
     ----------
@@ -181,7 +179,7 @@ class MqttSink:
         Raises
         ------
         OSError, ValueError
-            If nobody answers there, or the broker does not let us in.
+            If the connection is refused.
         """
         client = self.broker.client("")  # the broker names us, unlike any other
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
@@ -221,8 +219,8 @@ class MqttSink:
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
     ) -> None:
-        """Keep to what the broker takes at once; it would close the connection otherwise."""
-        if self._answered.is_set():  # what it said first holds
+        """Send no more than the broker takes at once; it would close the connection."""
+        if self._answered.is_set():  # its first answer holds
             return
         if reason.is_failure:
             self._refusal = str(reason)
@@ -232,7 +230,7 @@ class MqttSink:
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
             self._counts["disconnect"] += 1
-            log.warning("the broker at %s has gone; waiting for it", self.broker.where)
+            log.warning("the broker at %s is away; waiting for it", self.broker.where)
 
     def _on_publish(
         self, client: Client, userdata: Any, number: int, reason: Any, properties: Any

@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
+from suspnet.ground.records import TripResult
 from suspnet.ground.settings import check_settings, setting
-from suspnet.history.records import TripResult
+from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
-from suspnet.live.stream_state import dump_state, load_state
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame
-from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.frames import MOST_CHARACTERS, Frame
+from suspnet.recordings.manifest import TripError, TripManifest
+from suspnet.recordings.manifest_files import read_live_manifest
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running
+from suspnet.trips.commissionings import models_of
+from suspnet.trips.fleet import FleetSettings
+from suspnet.trips.grouping import find_groups
 from suspnet.trips.trip import evaluate_recording
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -31,7 +37,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """How a monitor cuts and tells what comes in.
+    """How a monitor divides a stream into sections, and when it reports estimates.
 
     Parameters
     ----------
@@ -85,15 +91,15 @@ class LiveSettings:
 
 @dataclass(frozen=True)
 class Due:
-    """An estimate that is to be made; it keeps the signals of its section.
+    """A section of which an estimate is due.
 
     Attributes
     ----------
     section : Running
     is_final : bool
-        Whether the section is over, or is told as if it were; else it is what has come so far.
+        Whether the section is over, or is reported as if it were; else it is still open.
     mileage_km : float, optional, [km]
-        At the section's begin; None: at the end of the section before.
+        At the section's start; None: at the end of the section before.
     temperature_c : float, optional, [°C]
     """
 
@@ -104,69 +110,17 @@ class Due:
 
 
 @dataclass(frozen=True)
-class Job:
-    """An estimate that can be made, by any thread: it holds all that it needs.
-
-    Attributes
-    ----------
-    due : Due
-    section : Running
-        That of `due` as it was: no more frames come into it.
-    manifest : TripManifest
-    frames : dict of int
-        As of `Told`.
-    models : sequence of TrainedModel
-    trips : TripSettings
-    """
-
-    due: Due
-    section: Running
-    manifest: TripManifest
-    frames: dict[str, int]
-    models: Sequence[TrainedModel]
-    trips: TripSettings
-
-    def make(self) -> Made:
-        """Return the estimate, or why there is none; it never fails."""
-        distance_km = 0.0
-
-        def read() -> Recording:
-            nonlocal distance_km
-            recording = replace(self.section.recording(), manifest=self.manifest)
-            distance_km = _distance_km(recording)
-            return recording
-
-        result = evaluate_recording(self.manifest, read, self.models, self.trips)
-        return Made(result, distance_km)
-
-
-@dataclass(frozen=True)
-class Made:
-    """What became of a job.
-
-    Attributes
-    ----------
-    result : TripResult
-    distance_km : float, [km]
-        As of `Told`.
-    """
-
-    result: TripResult
-    distance_km: float
-
-
-@dataclass(frozen=True)
-class Told:
-    """An estimate from a section.
+class Estimate:
+    """What a section showed.
 
     Attributes
     ----------
     result : TripResult
     is_final : bool
-        Whether the section is over; else it is what has come of it so far.
+        As of `Due`.
     frames : dict of int
-        What became of the section's frames, as ``Assembler.counts``, over all sensors; "dropped"
-        are those that were given up before it as ``Sections.counts``.
+        Counts of the section's frames as ``Assembler.counts``, over all sensors; "dropped" are
+        those that were given up before it as ``Sections.counts``.
     distance_km : float, [km]
         Run in the section; 0 where that is not known.
     """
@@ -177,6 +131,35 @@ class Told:
     distance_km: float
 
 
+@dataclass(frozen=True)
+class Job:
+    """An estimate that any thread can make: it holds all that it needs.
+
+    `section` is that of `due`, or a copy of it if more frames may come; `frames` are those of
+    `Estimate`.
+    """
+
+    due: Due
+    section: Running
+    manifest: TripManifest
+    frames: dict[str, int]
+    models: Sequence[TrainedModel]
+    trips: TripSettings
+
+    def make(self) -> Estimate:
+        """Return the estimate, or why there is none; it never fails."""
+        distance_km = 0.0
+
+        def read() -> Recording:
+            nonlocal distance_km
+            recording = replace(self.section.recording(), manifest=self.manifest)
+            distance_km = _distance_km(recording)
+            return recording
+
+        result = evaluate_recording(self.manifest, read, self.models, self.trips)
+        return Estimate(result, self.due.is_final, self.frames, distance_km)
+
+
 class LiveSuspension:
     """Frames of one suspension in, estimates out.
 
@@ -185,16 +168,11 @@ class LiveSuspension:
     Parameters
     ----------
     manifest : TripManifest
-        As of `Sections`. Its mileage is that of the first section, unless frames tell it.
+        As of `Sections`. Its mileage is that of the first section, unless frames report it.
     models : sequence of TrainedModel
         Those of this suspension.
     trips : TripSettings
     settings : LiveSettings
-
-    Attributes
-    ----------
-    name : str
-        As frames name it.
 
     Raises
     ------
@@ -221,18 +199,13 @@ class LiveSuspension:
             pause_s=settings.pause_s,
         )
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
-        self._told: dict[int, int] = {}
+        # of the open section that was reported: its key, and how many times `every_s`
+        self._reported: dict[int, int] = {}
+        # of open sections that were reported as if over: mileage [km] and number of frames
         self._silent: dict[int, tuple[float, int]] = {}
 
     def take(self, frame: Frame, is_known: bool = False) -> None:
-        """Take a frame, of which nothing is taken where this raises FrameError.
-
-        Parameters
-        ----------
-        frame : Frame
-        is_known : bool
-            As of `Sections.add`.
-        """
+        """Take a frame; raises FrameError, and takes nothing of it, as `Sections.add` does."""
         if frame.sensor in SlowValues.UNITS:
             self._slow.take(frame)
         else:
@@ -249,14 +222,14 @@ class LiveSuspension:
             return found
         for section in self._sections.growing[:1]:
             step = int(section.n_seconds / every_s)
-            is_new = step > self._told.get(section.zero_ns, 0)
+            is_new = step > self._reported.get(section.zero_ns, 0)
             if is_new and step * every_s < self._settings.section_s:
-                self._told = {section.zero_ns: step}
+                self._reported = {section.zero_ns: step}
                 found.append(self._due(section, is_final=False))
         return found
 
     def silent(self) -> list[Due]:
-        """Return the estimates of what has come of open sections, once: nothing has for long."""
+        """Return the estimates of open sections with new frames, as nothing has come for long."""
         found = []
         for section in self._sections.open:
             _, n_frames = self._silent.get(section.zero_ns, (0.0, 0))
@@ -269,14 +242,14 @@ class LiveSuspension:
         return self._over(self._sections.close())
 
     def job(self, due: Due) -> Job:
-        """Return an estimate that is due with what it needs of the state as it is now.
+        """Return an estimate that is due with what it needs of the present state.
 
         Before the next one of this suspension, `finish` is called with its result.
         """
         section, mileage_km = due.section, due.mileage_km
         start = EPOCH + timedelta(seconds=section.begin_ns // SECOND_NS)
         if section.zero_ns in self._silent:
-            # a trip that is kept already is replaced under the mileage by which it is known
+            # the store knows the trip by this mileage, and replaces it only under the same
             mileage_km, _ = self._silent[section.zero_ns]
         manifest = replace(
             self.manifest,
@@ -296,17 +269,17 @@ class LiveSuspension:
         if section in self._sections.open:
             if due.is_final:
                 self._silent[section.zero_ns] = manifest.mileage_km, _n_frames(section)
-            section = copy.deepcopy(section)  # as the first thread goes on with it
+            section = copy.deepcopy(section)  # the first thread adds frames to the original
         return Job(due, section, manifest, dict(frames), self.models, self._trips)
 
-    def finish(self, job: Job, made: Made) -> Told:
-        """Return what is to be told; the mileage goes on behind a section that is over."""
-        section, result, distance_km = job.due.section, made.result, made.distance_km
-        was_over = job.section is section  # when the job was begun: it is no copy
+    def finish(self, job: Job, estimate: Estimate) -> None:
+        """Let the mileage go on after a section that is over."""
+        section = job.due.section
+        was_over = job.section is section  # when the job was made: it is no copy
         if job.due.is_final and was_over:
-            self._slow.pass_section(_end_ns(section), result.mileage_km + distance_km)
+            end_km = estimate.result.mileage_km + estimate.distance_km
+            self._slow.pass_section(_end_ns(section), end_km)
             self._silent.pop(section.zero_ns, None)
-        return Told(result, job.due.is_final, job.frames, distance_km)
 
     def dump(self) -> bytes:
         """Return the state."""
@@ -329,31 +302,77 @@ class LiveSuspension:
         return [self.name, self._sections.identity]
 
     def _over(self, sections: Sequence[Running]) -> list[Due]:
-        """Return the estimates of sections that are over.
-
-        A section with no acceleration at all tells nothing: the last speed of a trip may lie in it.
-        """
+        # without any acceleration there is nothing to report: it is the last speed of a trip
         return [self._due(section, is_final=True) for section in sections if not section.is_empty]
 
     def _due(self, section: Running, is_final: bool) -> Due:
-        """Return the estimate of a section; what is known of it by now does not depend on when."""
+        # mileage and temperature are looked up now, so that the time of the job does not matter
         begin_ns = section.begin_ns // SECOND_NS * SECOND_NS
         before_ns = 0 if section.goes_on else round(self._settings.pause_s * SECOND_NS)
         return Due(section, is_final, *self._slow.within(begin_ns, _end_ns(section), before_ns))
 
 
 def _end_ns(section: Running) -> int:
-    """Return the end of a section and its rest, [ns]."""
     return max(section.end_ns, 0 if section.rest is None else section.rest.end_ns)
 
 
 def _n_frames(section: Running) -> int:
-    """Return the number of frames of a section and its rest."""
     return section.n_frames + (0 if section.rest is None else section.rest.n_frames)
 
 
 def _distance_km(recording: Recording) -> float:
-    """Return the distance run [km]; unknown speeds are as the others, 0 without any."""
+    """Return the distance run [km]: unknown speeds count as the mean of the others."""
     speeds = recording.speed_m_per_s
     known = speeds[np.isfinite(speeds)]
     return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0
+
+
+def read_suspensions(
+    folder: Path, models: Sequence[TrainedModel], settings: FleetSettings, live: LiveSettings
+) -> list[LiveSuspension]:
+    """Return each suspension that a folder has manifests of.
+
+    Parameters
+    ----------
+    folder : Path
+        As `evaluate_fleet` takes it: with the manifests of one suspension or of several, or with
+        subfolders. Data files need not be there.
+    models : sequence of TrainedModel
+    settings : FleetSettings
+    live : LiveSettings
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no manifest.
+    TripError
+        If a manifest is faulty, is of another vehicle, lacks the unit of a sensor's range, or has a
+        name that frames cannot have.
+    ModelFileError
+        If a suspension has no model, or the limits do not go together.
+    """
+    found = []
+    for group in find_groups(folder):
+        if group.error:
+            raise TripError(f"{group.folder}: {group.error}")
+        manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        name = str(manifest.place)
+        if not name.isprintable() or len(name) > MOST_CHARACTERS:
+            raise TripError(
+                f"{manifest.path}: frames cannot name the suspension {name[:80]!r}; a name is "
+                f"plain text of at most {MOST_CHARACTERS} characters"
+            )
+        fitting = models_of(models, group.place)
+        settings.limits_of(fitting)
+        if (vehicle := fitting[0].vehicle.name) != manifest.vehicle:
+            raise TripError(
+                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, the model was "
+                f"trained for {vehicle!r}"
+            )
+        found.append(LiveSuspension(manifest, fitting, settings.trips, live))
+    return found
+
+
+def _km(manifest: TripManifest) -> float:
+    # a manifest without a mileage comes before all others
+    return -1.0 if math.isnan(manifest.mileage_km) else manifest.mileage_km

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, Severity
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, Watched, alarm_table, watch
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.cusum import cusum, residuals, threshold
 from suspnet.maintenance.forecast import remaining_lives
 from suspnet.maintenance.life import Life, learn_fleet, predict_life
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, Severity
 from suspnet.maintenance.plan import make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.series import Event, Series, make_series
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
+from suspnet.maintenance.state import State
 from suspnet.maintenance.visit_costs import Costs
-from suspnet.maintenance.watch import Watched, alarm_table, watch
-
-if TYPE_CHECKING:
-    from suspnet.maintenance.calendar_figure import plan_calendar
 
 __all__ = [
     "DEFAULT_LIMITS",
@@ -29,14 +25,17 @@ __all__ = [
     "ChangeSettings",
     "Changes",
     "Costs",
+    "Event",
     "Life",
     "Limits",
     "Part",
     "Plan",
     "PlanSettings",
+    "Series",
     "Severity",
     "Sister",
     "SisterSettings",
+    "State",
     "Train",
     "Watched",
     "alarm_table",
@@ -44,7 +43,7 @@ __all__ = [
     "find_changes",
     "learn_fleet",
     "make_plan",
-    "plan_calendar",
+    "make_series",
     "predict_life",
     "remaining_lives",
     "residuals",
@@ -52,12 +51,3 @@ __all__ = [
     "threshold",
     "watch",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the calendar when it is first used: it needs matplotlib."""
-    if name != "plan_calendar":
-        raise AttributeError(f"module 'suspnet.maintenance' has no attribute {name!r}")
-    from suspnet.maintenance.calendar_figure import plan_calendar
-
-    return plan_calendar

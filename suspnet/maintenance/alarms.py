@@ -1,16 +1,28 @@
-"""Alarms of a suspension, and what people said who saw them."""
+"""Alarms of a suspension as its trips raise them, and the people who acknowledged them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
 
 import numpy as np
+from tabulate import tabulate
 
-from suspnet.maintenance.limits import Severity
+from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import kilometres
+from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
+from suspnet.maintenance.judge import N_LAST, judge, level_words
+from suspnet.maintenance.series import Series
+
+N_QUIET = 3
+"""Trips in a row within the limits that end an alarm: one that comes and goes stays active."""
+GOES_ON = 1.5
+"""Ratio of a change now to what it was at its alarm from which words give both."""
 
 
 class Cause(StrEnum):
@@ -25,7 +37,7 @@ class Cause(StrEnum):
 
 
 OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE)
-"""Causes of alarms that the trips of a suspension tell by themselves."""
+"""Causes of alarms that are found in the trips of one suspension alone."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +49,18 @@ class Alarm:
     parameter : str
     cause : Cause
     severity : Severity
-        The worst while it stood.
+        The worst while it was active.
     begin_km : float, [km]
         Mileage of the trip that raised it.
     end_km : float, [km]
-        Mileage of the trip that ended it; NaN: it stands still.
+        Mileage of the trip that ended it; NaN: it is active.
     words : str
         The reason.
 
     Raises
     ------
     ValueError
-        If it has no begin, or ends before it.
+        If it has no start, or ends before it.
     """
 
     parameter: str
@@ -68,7 +80,7 @@ class Alarm:
 
     @property
     def is_open(self) -> bool:
-        """Whether it stands still."""
+        """Whether it is active."""
         return math.isnan(self.end_km)
 
 
@@ -132,3 +144,184 @@ def newest_of(alarm: Alarm, seen: Iterable[Acknowledgement]) -> Acknowledgement 
     """Return the newest of the acknowledgements that cover an alarm; None if there is none."""
     covering = (one for one in seen if one.covers(alarm))
     return max(covering, key=lambda one: datetime.fromisoformat(one.at), default=None)
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What the trips of a suspension raised.
+
+    Attributes
+    ----------
+    alarms : list of Alarm
+        By the mileage where they start.
+    changes : Changes
+        What the detector found, and whether it could.
+    """
+
+    alarms: list[Alarm] = field(default_factory=list)
+    changes: Changes = field(default_factory=Changes)
+
+    def standing(self, parameter: str) -> list[Alarm]:
+        """Return the alarms of a parameter that stand still."""
+        return [one for one in self.alarms if one.parameter == parameter and one.is_open]
+
+    @property
+    def passed(self) -> set[str]:
+        """The parameters that are beyond their act limit."""
+        standing = [one for one in self.alarms if one.is_open]
+        return {one.parameter for one in standing if one.severity == Severity.ACT}
+
+
+def watch(
+    series: Series, limits: Mapping[str, Limits], settings: ChangeSettings | None = None
+) -> Watched:
+    """Return the alarms that the trips of a suspension raise, one after the other.
+
+    Each trip is judged with those before it, by ``judge`` against the limits and by
+    ``find_changes``, so that the alarms of a history are the same however often it is read. An
+    alarm of a limit is active until ``N_QUIET`` trips in a row are within the limits, and keeps its
+    worst severity. A change is a notice, and none where an alarm of a limit is active already.
+    Maintenance ends all alarms, and reference trips are those since the last.
+
+    Parameters
+    ----------
+    series : Series
+        Trips without a mileage are not used. All are relative to one healthy state. Payload, speed
+        and temperature are taken into account where they are known.
+    limits : mapping from parameter to Limits
+        A parameter that is not there has none.
+    settings : ChangeSettings, optional
+    """
+    km = series.mileage_km[np.isfinite(series.mileage_km)]
+    ends = [event.mileage_km for event in series.events]
+    parts = np.split(np.arange(len(km)), np.searchsorted(km, ends))
+    alarms: list[Alarm] = []
+    found = Watched()
+    for part, end in zip(parts, [*ends, np.nan], strict=True):
+        found = _watch(series.part(part), series.outputs, limits, settings or ChangeSettings())
+        alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
+    return replace(found, alarms=alarms)
+
+
+def _watch(
+    one: Series, outputs: Iterable[str], limits: Mapping[str, Limits], settings: ChangeSettings
+) -> Watched:
+    values = {name: one.estimates[name] for name in outputs if name != PAYLOAD}
+    if not values:
+        return Watched()
+    covariates = {
+        "payload": one.estimates[PAYLOAD],
+        "speed": one.speed_m_per_s,
+        "temperature": one.temperature_c,
+    }
+    km, widths = one.mileage_km, {name: one.half_widths[name] for name in values}
+    changes = find_changes(km, values, covariates, settings, usable=~one.flagged, widths=widths)
+    alarms = []
+    for name, column in values.items():
+        beyond = _beyond(name, one, limits.get(name))
+        changed = [_changed(name, km, column, change) for change in changes.found.get(name, [])]
+        alarms += beyond + [late for late in changed if not any(_stood(b, late) for b in beyond)]
+    return Watched(sorted(alarms, key=lambda one: (one.begin_km, one.parameter)), changes)
+
+
+def alarm_table(alarms: list[Alarm]) -> str:
+    """Return alarms as a table for a terminal."""
+    rows = [
+        [
+            str(one.severity),
+            one.parameter,
+            one.cause,
+            kilometres(one.begin_km),
+            "now" if one.is_open else kilometres(one.end_km),
+            one.words,
+        ]
+        for one in alarms
+    ]
+    return tabulate(rows, ["severity", "of", "cause", "since", "until", "why"], tablefmt="github")
+
+
+def detector_words(changes: Changes, settings: ChangeSettings) -> str:
+    """Return in words what the detector of changes can do."""
+    if changes.why_not:
+        return f"not armed yet, {changes.why_not}"
+    beside = f"; {', '.join(changes.covariates)} taken into account" if changes.covariates else ""
+    unlike = f"; {changes.n_unlike} trips too unlike the first to be judged"
+    return (
+        f"armed by {changes.n_needed} trips, at most one false alarm in "
+        f"{kilometres(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
+    )
+
+
+def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
+    """Return the alarms of one parameter's limits; none if it has no limits."""
+    there = np.flatnonzero(np.isfinite(one.estimates[name]))
+    if limits is None or len(there) == 0:
+        return []
+    km, centre, doubtful = one.mileage_km[there], one.estimates[name][there], one.flagged[there]
+    with np.errstate(over="ignore"):
+        low, high = (centre * np.exp(sign * one.half_widths[name][there]) for sign in (-1, 1))
+    last, lowest, highest = (_windows(part, np.nan) for part in (centre, low, high))
+    judged = judge(last, lowest, highest, _windows(doubtful, False), limits)
+    severity = np.where(
+        np.logical_and.accumulate(doubtful),
+        np.minimum(judged.severity, Severity.NOTICE),
+        judged.severity,
+    )
+    found = []
+    for begin, worst, end in _spans(severity.tolist()):
+        newest = len(severity) - 1
+        at = newest if end is None and severity[newest] == severity[worst] else worst
+        side, level = int(judged.side[at]), Severity(int(severity[at]))
+        limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
+        is_out = side * (centre - limit) > 0
+        beyond = f"{'above' if side > 0 else 'below'} the {level} limit of {100 * limit:g} %"
+        words = f"the last trip is {level_words(centre[newest], limit)} of healthy, {beyond}"
+        if end is not None or not is_out[newest]:  # it is elsewhere now
+            out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
+            level_then = level_words(centre[out], limit)
+            words = f"was {level_then} of healthy, {beyond}, at {kilometres(km[out])}"
+            if end is None:
+                words += f"; the last trip is {level_words(centre[newest], limit)}"
+        until = np.nan if end is None else float(km[end])
+        found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, words))
+    return found
+
+
+def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> Alarm:
+    about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
+    verb = "fell" if change.percent < 0 else "rose"
+    words = f"{verb} by {abs(change.percent):.2g} % at about {kilometres(about)}"
+    before = float(np.nanmedian(values[: max(change.onset, 1)]))
+    now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
+    if change.end is None and abs(now) > GOES_ON * abs(change.percent):
+        words += f", by {abs(now):.2g} % on the last {N_LAST} trips"
+    end = np.nan if change.end is None else float(km[change.end])
+    return Alarm(name, Cause.CHANGE, Severity.NOTICE, float(km[change.begin]), end, words)
+
+
+def _stood(alarm: Alarm, later: Alarm) -> bool:
+    """Return whether an alarm stood when another one began, which says nothing new then."""
+    return alarm.begin_km <= later.begin_km and not later.begin_km > alarm.end_km
+
+
+def _spans(severity: list[int]) -> list[tuple[int, int, int | None]]:
+    """Return the trips that began, were the worst of, and ended each alarm; None: it is active."""
+    found: list[tuple[int, int, int | None]] = []
+    begin, worst, quiet = -1, 0, 0
+    for trip, level in enumerate(severity):
+        if begin < 0:
+            if level >= Severity.NOTICE:
+                begin, worst, quiet = trip, trip, 0
+            continue
+        worst = trip if level > severity[worst] else worst
+        quiet = quiet + 1 if level == Severity.NONE else 0
+        if quiet == N_QUIET:
+            found.append((begin, worst, trip))
+            begin = -1
+    return found if begin < 0 else [*found, (begin, worst, None)]
+
+
+def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
+    """Return the last ``N_LAST`` trips as they were at each trip, the newest last."""
+    padded = np.concatenate([np.full(N_LAST - 1, fill), column])
+    return np.lib.stride_tricks.sliding_window_view(padded, N_LAST)

@@ -1,22 +1,29 @@
-"""Assessment of a suspension by its trips, for maintenance: a severity and its reason in words."""
+"""Assessment of a parameter by its trips, for maintenance: a severity and its reason in words."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.fleet_lives import ONE_FLAGGED
+from suspnet.maintenance.judge import (
+    N_CONFIRMING,
+    N_LAST,
+    Judged,
+    LastTrips,
+    judge_last,
+    level_words,
+)
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import N_CONFIRMING, N_LAST, Judged, Limits, Severity, judge
-from suspnet.maintenance.trend import PAYLOAD, Shape, Step, Trend
-from suspnet.maintenance.watch import beside, km_words
+from suspnet.maintenance.trend import Shape, Step, Trend
 
+ONE_FLAGGED = "the only trip is flagged"
 LARGE_PERCENT = 10.0
 """Size of a change, in % of healthy, from which words give the level that it leads to."""
 TOLD_PERCENT = 2.0
@@ -24,26 +31,6 @@ TOLD_PERCENT = 2.0
 named."""
 FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = "all trips are flagged"
-
-
-@dataclass(frozen=True)
-class LastTrips:
-    """The last trips with an estimate of one parameter, the newest last.
-
-    Attributes
-    ----------
-    values, low, high : arrays of shape (n_last,), [-]
-        Estimates and their intervals relative to healthy; an interval may be NaN.
-    flagged : bool array of shape (n_last,)
-    all_flagged : bool
-        Every trip with an estimate is flagged, also those before.
-    """
-
-    values: FloatArray
-    low: FloatArray
-    high: FloatArray
-    flagged: BoolArray
-    all_flagged: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,7 +46,7 @@ class Assessment:
     limited : bool
         The parameter has limits.
     alarms : tuple of Alarm
-        That stand.
+        Active ones.
     life : Life, optional
         Mileage until the act limit; None if it is unknown.
     now : float, [-]
@@ -83,43 +70,21 @@ class Assessment:
         return self.trend.parameter
 
     @property
-    def is_told(self) -> bool:
+    def is_named(self) -> bool:
         """Whether the parameter is named at the top of a report."""
         return self.severity > Severity.NONE or self.trend.changed
 
 
-def last_trips(
-    mileage_km: ArrayLike, values: ArrayLike, intervals: ArrayLike, flagged: ArrayLike
-) -> LastTrips:
-    """Return the ``N_LAST`` trips of largest mileage that have an estimate.
-
-    Parameters
-    ----------
-    mileage_km : array of shape (n_trips,), [km]
-        In any order.
-    values : array of shape (n_trips,), [-]
-        NaN: no estimate.
-    intervals : array of shape (n_trips, 2), [-]
-    flagged : bool array of shape (n_trips,)
-    """
-    km, centre = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
-    known = np.flatnonzero(np.isfinite(km) & np.isfinite(centre))
-    order = known[np.argsort(km[known], kind="stable")]
-    doubtful = np.asarray(flagged, dtype=bool)
-    last = order[-N_LAST:]
-    low, high = np.asarray(intervals, dtype=float).reshape(-1, 2)[last].T
-    everywhere = bool(len(order)) and bool(doubtful[order].all())
-    return LastTrips(centre[last], low, high, doubtful[last], everywhere)
-
-
 def assess(
-    trend: Trend, last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm] = ()
+    trend: Trend,
+    last: LastTrips,
+    limits: Limits | None,
+    alarms: Sequence[Alarm] = (),
+    doubt: str = "",
 ) -> Assessment:
     """Return how severe it is what the trips show of one parameter, and why.
 
-    The severity is that of ``judge``, of the last trips alone, or that of an alarm that stands if
-    that is worse. If all trips are flagged, they speak against the model rather than the vehicle:
-    then it is a notice at most, and unknown at least.
+    The severity is that of ``severity_of``.
 
     Parameters
     ----------
@@ -127,38 +92,50 @@ def assess(
         Of all trips.
     last : LastTrips
     limits : Limits or None
-        None: no value is alarming, as of the pay-load.
+        None: no value is alarming, as of the payload.
     alarms : sequence of Alarm
-        Of the parameter, that stand.
+        Active ones of the parameter.
+    doubt : str
+        Why nothing can be judged by the limits; empty if it can be.
     """
-    found = _assess(trend, last, limits)
-    worst = max((one.severity for one in alarms), default=Severity.NONE)
-    if worst <= found.severity:
-        return replace(found, alarms=tuple(alarms))
-    why = min((one for one in alarms if one.severity == worst), key=lambda one: one.begin_km)
-    since = f"alarm since {km_words(why.begin_km)}"
-    told = why.cause == Cause.CHANGE and trend.changed
-    words = f"{found.words} ({since})" if told else f"{why.words} ({since}); {found.words}"
-    return replace(found, severity=worst, words=words, alarms=tuple(alarms))
+    severity = severity_of(last, limits, alarms, doubt)
+    words = _words(trend, last, limits)
+    worst = max(alarms, key=lambda one: (one.severity, -one.begin_km), default=None)
+    if worst is not None and worst.severity > judge_last(last, limits)[0]:
+        since = f"alarm since {kilometres(worst.begin_km)}"
+        is_named = worst.cause == Cause.CHANGE and trend.changed
+        words = f"{words} ({since})" if is_named else f"{worst.words} ({since}); {words}"
+    if doubt and limits is not None:
+        words = f"{doubt}; {words}"
+    return Assessment(trend, severity, words, limits is not None, tuple(alarms))
 
 
-def _assess(trend: Trend, last: LastTrips, limits: Limits | None) -> Assessment:
-    """Return the assessment by the limits."""
+def severity_of(
+    last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm], doubt: str = ""
+) -> Severity:
+    """Return how severe it is what the trips show of a parameter: the one rule for it.
+
+    It is that of the last trips (``judge_last``), or that of an active alarm if that is worse. A
+    `doubt`, of a parameter with limits, makes it unknown at least.
+    """
+    least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
+    by_limits = judge_last(last, limits)[0]
+    return max(least, by_limits, *(one.severity for one in alarms))
+
+
+def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
+    """Return what the trips show, without alarms."""
+    severity, judged = judge_last(last, limits)
     if len(last.values) == 0:
-        severity = Severity.UNKNOWN if limits else Severity.NONE
-        return Assessment(trend, severity, "no trip with an estimate", bool(limits))
-    if limits is None:
-        return Assessment(trend, Severity.NONE, _joined(_calm(trend, last), trend, last), False)
-    judged = judge(last.values, last.low, last.high, last.flagged, limits)
-    severity = Severity(int(judged.severity))
-    if severity == Severity.NONE and last.flagged.all():
-        return Assessment(trend, Severity.UNKNOWN, _not_judged(trend, last))
-    parts = _calm(trend, last, limits) if severity == Severity.NONE else []
-    if severity > Severity.NONE:
-        parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
-    if last.all_flagged:
-        severity = min(severity, Severity.NOTICE)
-    return Assessment(trend, severity, _joined(parts, trend, last))
+        return "no trip with an estimate"
+    if limits is None or judged is None:
+        return _joined(_calm(trend, last), trend, last)
+    if judged.severity == Severity.NONE:
+        if severity == Severity.UNKNOWN:
+            return _not_judged(trend, last)
+        return _joined(_calm(trend, last, limits), trend, last)
+    parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
+    return _joined(parts, trend, last)
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
@@ -171,7 +148,7 @@ def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
 
 def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
     """Return the assessments named at the top of a report, the most severe first."""
-    return sorted((a for a in assessments if a.is_told), key=lambda a: -a.severity)
+    return sorted((a for a in assessments if a.is_named), key=lambda a: -a.severity)
 
 
 def spoken(assessments: Sequence[Assessment]) -> str:
@@ -201,14 +178,14 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
     if severity == Severity.NOTICE:
         return severity, f"Notice: {n[severity]} {of} {_is(n[severity])} to be looked at:"
     if n_known == 0:
-        return severity, "No trip has an estimate, so that nothing can be told."
+        return severity, "No trip has an estimate, so that nothing is known."
     if severity == Severity.UNKNOWN:
         return severity, f"No alarm, but {n[severity]} {of} cannot be judged:"
     if n_changed:
         return severity, f"{quiet}; {n_changed} {of} changed:"
     if n_tested < len(judged):
         which = "there are" if n_tested == 0 else "some parameters have"
-        return severity, f"{quiet}; {which} too few trips to tell of a change."
+        return severity, f"{quiet}; {which} too few trips to find a change."
     return (
         severity,
         f"Nothing stands out. {quiet}, and none changed by more than its trips scatter.",
@@ -224,20 +201,20 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
     if count >= N_CONFIRMING and run < count:
         out = last.values[side * (last.values - limit) > 0]
-        where = beside(np.median(out), limit)
+        where = level_words(np.median(out), limit)
         words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
-        return words if run else f"{words}; the last trip is {beside(last.values[-1], limit)}"
+        return words if run else f"{words}; the last trip is {level_words(last.values[-1], limit)}"
     trips, it, are, its = ("trip", "it", "is", "its interval reaches")
     if run > 1:
         trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
-    where = beside(np.median(last.values[n_last - run :]), limit)
+    where = level_words(np.median(last.values[n_last - run :]), limit)
     words = f"the last {trips} {are} {where} of healthy, {beyond}"
     if judged.weak and last.flagged[n_last - run :].any():
         return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
     if judged.weak:
         return f"{words}, but without an interval that would make it sure"
     if severity == Severity.UNKNOWN:
-        return f"{words}, but {its} back within it: too uncertain to tell"
+        return f"{words}, but {its} back within it: too uncertain to judge"
     return words
 
 
@@ -274,7 +251,7 @@ def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[s
     """Return how the parameter develops where no limit is crossed, or there is none."""
     change, median = _change(trend), float(np.median(last.values))
     if trend.parameter == PAYLOAD:
-        return [f"{change} (pay-load: varies by nature, no fault)"]
+        return [f"{change} (payload: varies by nature, no fault)"]
     scatter = 3 * float(np.nan_to_num(trend.spread_percent))
     level = f"at {100 * median:.0f} % of healthy"
     if trend.changed:
@@ -298,15 +275,13 @@ def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[s
 
 
 def _change(trend: Trend) -> str:
-    """Return what the tests along the mileage found."""
     without = ", without the flagged trips" if trend.without_flagged else ""
     return f"{_change_words(trend)}{without}"
 
 
 def _change_words(trend: Trend) -> str:
-    """Return what the tests found, in the trips that they were made of."""
     if trend.shape == Shape.TOO_FEW:
-        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to tell of a change"
+        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to find a change"
     if trend.shape == Shape.NONE:
         return f"no change beyond the spread of {_percent(trend.spread_percent)}"
     if trend.shape == Shape.RETURNED and trend.step is not None:
@@ -343,18 +318,15 @@ def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
 
 
 def _is(n: int) -> str:
-    """Return the verb for some number of things."""
     return "is" if n == 1 else "are"
 
 
 def _percent(value: float) -> str:
-    """Return the size of a change in %, with digits by its size."""
     size = abs(value)
     digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
     return f"{size:.{digits}f} %"
 
 
 def _km(step: Step) -> str:
-    """Return the mileage, rounded to the power of ten below the distance between the trips."""
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return km_words(round(step.mileage_km, -digits))
+    return kilometres(round(step.mileage_km, -digits))

@@ -19,13 +19,13 @@ N_BACK = 5
 BACK = 0.25
 """Share of a change that may be left when it has ended."""
 SURE = 8.0
-"""As many trips must be back that their mean is known to the size of the change over this."""
+"""Number of trips that must be back: their mean is known to the size of the change over this."""
 STEP = 1.05
 """Rates of false alarms are powers of this, so that suspensions share their thresholds."""
 LONGEST_GAP = 2e4
-"""Mileage in km that counts between two trips at most: a long pause allows no false alarm."""
+"""Largest mileage in km that counts between two trips: a long pause allows no false alarm."""
 VARIES = 0.01
-"""Relative standard deviation from which a covariate varies; also of what others do not tell."""
+"""Relative standard deviation from which a covariate varies, also of its residual after others."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ class Change:
     Attributes
     ----------
     onset, begin : int
-        Trip from which on it is likely, and trip that raised the alarm.
+        Most likely first trip, and trip that raised the alarm.
     end : int or None
-        Trip at which the parameter was back; None: it lasts.
+        Trip at which the parameter was back; None: the change lasts.
     percent : float, [%]
-        Median of the trips from the onset to the alarm, against what was to be expected.
+        Median of the trips from the onset to the alarm, relative to the expected value.
     """
 
     onset: int
@@ -90,7 +90,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Changes:
-    """What was found in the parameters of one suspension.
+    """Changes of the parameters of one suspension.
 
     Attributes
     ----------
@@ -99,13 +99,13 @@ class Changes:
     covariates : tuple of str
         That were taken into account.
     n_reference : int
-        Trips that can be in the reference, so far.
+        Number of trips so far that can be in the reference.
     n_needed : int
-        Without so many there is no detection.
+        Number of trips without which there is no detection.
     threshold : float, [-]
         Of the CUSUM at the last trip; NaN if there is no detection.
     n_unlike : int
-        Trips that were not judged, as a covariate is unlike that of the reference or not known.
+        Number of trips that were not judged: a covariate is unknown or unlike the reference.
     why_not : str
         Why nothing can be detected; empty if it can.
     """
@@ -132,13 +132,13 @@ def find_changes(
 
     The logarithms of the parameters are compared with those of the first trips and of later ones
     that are older than ten trips (``residuals``); a CUSUM of their pre-whitened deviations raises
-    an alarm at the ``threshold`` of a rate of false alarms that is shared by all parameters. That
-    rate is per trip, by the mean spacing of as many trips as the reference has, up to the trip
-    judged: no later trip changes whether, and when, an alarm is raised. Of a trip whose interval is
-    wider than the median of the reference's, the deviation is divided by their ratio. A change has
-    ended when the median of ``N_BACK`` trips, or of more if its size over ``SURE`` is less than
-    their uncertainty, is less than ``BACK`` of it; the detector starts anew then, and forgets the
-    trips of the change.
+    an alarm at the ``threshold`` of a rate of false alarms that all parameters share. That rate is
+    per trip, by the mean spacing of as many trips as the reference has, up to the trip judged: no
+    later trip changes whether, or when, an alarm is raised. For a trip whose interval is wider than
+    the median of the reference's, the deviation is divided by their ratio. A change has ended when
+    the median of ``N_BACK`` trips, or of more if its size over ``SURE`` is less than their
+    uncertainty, is less than ``BACK`` of it; then the detector starts again, without the trips of
+    the change.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def find_changes(
     values : mapping from parameter to array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
     covariates : mapping from name to array of shape (n_trips,)
-        Pay-load, speed, temperature, say. One that does not vary in the reference, that others
+        Payload, speed, temperature, say. One that does not vary in the reference, that others
         determine there, or that a trip of it lacks, is left out. Later trips that lack one are not
         judged.
     settings : ChangeSettings
@@ -161,26 +161,15 @@ def find_changes(
     ValueError
         If shapes differ, no parameter is given, or the mileage falls.
     """
+    given, widths = {} if usable is None else {"usable": usable}, widths or {}
     km = np.asarray(mileage_km, dtype=float)
-    names = tuple(values)
-    if not names:
-        raise ValueError("`values` must have one parameter at least")
-    if km.ndim != 1:
-        raise ValueError(f"`mileage_km` must have one dimension, got {km.ndim}")
-    for what, columns in {
-        "values": values,
-        "covariates": covariates,
-        "widths": widths or {},
-        "usable": {} if usable is None else {"usable": usable},
-    }.items():
-        for name, column in columns.items():
-            if np.shape(column) != km.shape:
-                raise ValueError(
-                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
-                )
-    estimates = np.stack([np.asarray(values[name], dtype=float) for name in names], axis=-1)
+    _check_shapes(
+        km, {"values": values, "covariates": covariates, "widths": widths, "usable": given}
+    )
     if (np.diff(km[np.isfinite(km)]) < 0).any():
         raise ValueError("`mileage_km` must ascend")
+    names = tuple(values)
+    estimates = np.stack([np.asarray(values[name], dtype=float) for name in names], axis=-1)
     good = np.isfinite(km) & (np.isfinite(estimates) & (estimates > 0)).all(axis=-1)
     if usable is not None:
         good &= np.asarray(usable, dtype=bool)
@@ -189,26 +178,50 @@ def find_changes(
     if len(trips) < needed:
         why = f"{len(trips)} of {needed} trips for the reference so far"
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
-    kept, z, known = _covariates(covariates, trips, needed)
+    used_names, z, known = _covariates(covariates, trips, needed)
     n_lacking = int((~known).sum())
     trips, z = trips[known], z[known]
-    limits = _limits(km[trips], len(names), settings)
+    judged = _Judged(trips, z, _limits(km[trips], len(names), settings), settings)
     logs = np.log(estimates[trips])
     rest = residuals(logs, np.repeat(z[:, None], len(names), 1), needed)
-    found = {}
-    for i, name in enumerate(names):
-        ratio = _relative_widths((widths or {}).get(name), trips, needed)
-        least = settings.least_percent
-        found[name] = _of_one(logs[:, i], z, ratio, trips, _column(rest, i), limits, needed, least)
+    found = {
+        name: _of_one(
+            judged, logs[:, i], _relative_widths(widths.get(name), trips, needed), rest.of(i)
+        )
+        for i, name in enumerate(names)
+    }
     n_unlike = n_lacking + int((rest.leverage > 1).any(axis=-1).sum())
-    return Changes(found, kept, len(trips), needed, float(limits[-1]), n_unlike)
+    return Changes(found, used_names, len(trips), needed, float(judged.limits[-1]), n_unlike)
+
+
+def _check_shapes(km: FloatArray, given: Mapping[str, Mapping[str, ArrayLike]]) -> None:
+    if not given["values"]:
+        raise ValueError("`values` must have one parameter at least")
+    if km.ndim != 1:
+        raise ValueError(f"`mileage_km` must have one dimension, got {km.ndim}")
+    for what, columns in given.items():
+        for name, column in columns.items():
+            if np.shape(column) != km.shape:
+                raise ValueError(
+                    f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
+                )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """The trips that count: their places, covariates (n_trips, n_covariates), and thresholds."""
+
+    trips: IntArray
+    covariates: FloatArray
+    limits: FloatArray
+    settings: ChangeSettings
 
 
 def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> FloatArray:
     """Return the threshold at each trip from the last one of the reference on.
 
     Each gap between two trips counts in as many means as a mean has gaps: the expected number of
-    false alarms is that of the mileage, however trips are spaced.
+    false alarms is that of the mileage, for any spacing of the trips.
     """
     n_gaps = settings.n_reference - 1
     counted = np.cumsum(np.minimum(np.diff(km, prepend=km[0]), LONGEST_GAP))
@@ -222,18 +235,10 @@ def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> Floa
     return np.array(limits)[where]
 
 
-def _of_one(
-    logs: FloatArray,
-    covariates: FloatArray,
-    widths: FloatArray,
-    trips: IntArray,
-    rest: Residuals,
-    limits: FloatArray,
-    needed: int,
-    least: float,
-) -> list[Change]:
+def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residuals) -> list[Change]:
     """Return the changes of one parameter; arrays are of the trips that count."""
     found = []
+    trips, needed = judged.trips, judged.settings.n_reference
     used = np.arange(len(logs))
     start = needed
     for _ in range(len(logs)):  # each turn ends, or leaves out a trip
@@ -241,18 +246,19 @@ def _of_one(
         alarm = _first(
             standard / widths[used[start:]],
             rest.deviations[start - needed :],
-            limits[used[start:] - needed + 1],
-            least,
+            judged.limits[used[start:] - needed + 1],
+            judged.settings.least_percent,
         )
         if alarm is None:
             break
         onset, begin, size = alarm[0] + start, alarm[1] + start, alarm[2]
-        known = max(needed, min(onset, int(rest.n_reference[begin - needed])))
-        usual = np.concatenate([np.ones(needed, bool), rest.usual])[:known]
-        x = np.concatenate([np.ones((len(used), 1)), covariates[used]], axis=1)
-        fit = np.linalg.lstsq(x[:known][usual], logs[used][:known][usual], rcond=None)[0]
+        # the course since the onset, against the reference as it was at the alarm
+        n_known = max(needed, min(onset, int(rest.n_reference[begin - needed])))
+        usual = np.concatenate([np.ones(needed, bool), rest.usual])[:n_known]
+        x = np.concatenate([np.ones((len(used), 1)), judged.covariates[used]], axis=1)
+        fit = np.linalg.lstsq(x[:n_known][usual], logs[used][:n_known][usual], rcond=None)[0]
         away = logs[used] - x @ fit
-        spread = float(away[:known][usual].std())
+        spread = float(away[:n_known][usual].std())
         last = _end(away, begin, size, spread, float(rest.correlation[begin - needed]))
         found.append(
             Change(
@@ -264,11 +270,12 @@ def _of_one(
         )
         if last is None:
             break
+        # start again without the trips of the change
         used = np.delete(used, np.arange(onset, last + 1))
         start = onset
         if start >= len(used):
             break
-        rest = _column(residuals(logs[used][:, None], covariates[used][:, None], needed), 0)
+        rest = residuals(logs[used][:, None], judged.covariates[used][:, None], needed).of(0)
     return found
 
 
@@ -310,7 +317,7 @@ def _first(
 def _covariates(
     given: Mapping[str, ArrayLike], trips: IntArray, needed: int
 ) -> tuple[tuple[str, ...], FloatArray, BoolArray]:
-    """Return the covariates that tell trips of the reference apart, and which trips have them all.
+    """Return the covariates that vary in the reference, and which trips have all of them.
 
     They are standardised by the reference.
     """
@@ -346,15 +353,3 @@ def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> 
         return np.ones(len(trips))
     usual = float(np.nanmedian(known[:needed]))
     return np.asarray(np.maximum(np.nan_to_num(known / usual, nan=1.0), 1.0))
-
-
-def _column(rest: Residuals, i: int) -> Residuals:
-    """Return the residuals of one parameter."""
-    return Residuals(
-        rest.standard[:, i],
-        rest.deviations[:, i],
-        rest.leverage[:, i],
-        rest.n_reference,
-        rest.correlation[:, i],
-        rest.usual[:, i],
-    )

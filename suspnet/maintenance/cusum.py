@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,32 +20,32 @@ ALLOWANCE = 0.5
 CLIP = 6.0
 """Deviation to which one trip is limited, in standard deviations: no trip raises an alarm alone."""
 DELAY = 10
-"""Trips that pass before a trip becomes part of the reference: a change is seen before that."""
+"""Number of trips after which a trip joins the reference: a change is detected before."""
 MAX_CORRELATION = 0.6
-"""Largest correlation of successive trips that pre-whitening takes away."""
+"""Largest correlation of successive trips that pre-whitening removes."""
 LEAST_SPREAD = 1e-6
-"""Standard deviation that trips have at least, in the unit of the values: smaller is rounding."""
+"""Least standard deviation of trips, in the unit of the values: smaller is rounding."""
 N_SIMULATED = 8000
 N_MONITORED = 200
-"""Healthy histories, and their trips after the reference, from which a threshold is found."""
+"""Number of simulated healthy histories, and of their trips after the reference."""
 HORIZONS = (10, 20, 50, 100, 200)
-"""Numbers of trips after the reference over each of which the false-alarm rate is kept."""
+"""Numbers of trips after the reference over each of which the false-alarm rate holds."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What is left of each trip after the reference.
+    """Deviation of each trip from the reference.
 
     Attributes
     ----------
     standard : array of shape (n_trips - n_reference, ...), [-]
         Pre-whitened, about standard normal as long as nothing changes.
     deviations : array of the same shape
-        Trip minus what the reference and the covariates let expect, not pre-whitened, in the unit
-        of the trips.
+        Trip minus its expectation by reference and covariates, not pre-whitened, in the unit of the
+        trips.
     leverage : array of the same shape, [-]
-        Variance of that expectation over the variance of a trip: above 1, the covariates are so
-        unlike those of the reference that nothing can be expected.
+        Variance of that expectation over the variance of a trip: above 1, the covariates are too
+        unlike those of the reference.
     n_reference : int array of shape (n_trips - n_reference,)
         Trips that are old enough for the reference.
     correlation : array of the shape of `standard`, [-]
@@ -60,6 +60,11 @@ class Residuals:
     n_reference: IntArray
     correlation: FloatArray
     usual: BoolArray
+
+    def of(self, i: int) -> Residuals:
+        """Return the residuals of one parameter, the `i`-th of the last axis."""
+        one = {name: column[..., i] for name, column in vars(self).items() if column.ndim > 1}
+        return replace(self, **one)
 
 
 def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
@@ -175,10 +180,10 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
 
     ``N_SIMULATED`` healthy histories, each with a reference of its own, are made by a normal
     autoregressive process. The rate is that of the first false alarms for each trip monitored, and
-    it is kept over each of ``HORIZONS``. As the CUSUM of standardised residuals does not depend on
+    it holds over each of ``HORIZONS``. As the CUSUM of standardised residuals does not depend on
     level and spread of the trips, that is a parametric bootstrap of any suspension's reference,
-    with the correlation that is least favourable in place of its own: `n_reference` trips do not
-    tell it well enough. At least ``CLIP``, so that no trip raises an alarm alone. Below the
+    with the least favourable correlation instead of its own, which `n_reference` trips do not
+    determine well enough. At least ``CLIP``, so that no trip raises an alarm alone. Below the
     smallest rate that the simulation shows, the logarithm of the rate falls with the threshold as
     over the last decade shown, which is slower than the exp(-2 k h) of a known level.
 
@@ -261,7 +266,6 @@ def _posterior_mean(lagged: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def _outer(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products of the elements of each two rows."""
     return left[..., :, None] * right[..., None, :]
 
 

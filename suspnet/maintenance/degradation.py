@@ -1,14 +1,15 @@
-"""Degradation models of one parameter: what a history says of its level, its rate and its onset.
+"""Degradation models of one parameter: posterior of its level, its rate and its onset.
 
-All work in units of ``UNIT_KM`` and on blocks of neighbouring trips, so that the cost does not grow
-with the history. A model is a drift from an onset h on,
+All work in units of ``UNIT_KM`` and on blocks of neighbouring trips: the cost does not grow with
+the history. A model is a drift from an onset h on,
 
     level + rate * f(t - h) + B(t - h),
 
 in the value or, "exponential", in its logarithm. f(x) = x, but "changing rate" has powers of x. B
 is Brownian motion of variance q x for "wiener", its integral for "changing rate", and 0 otherwise.
-Measurement noise is autoregressive of order one. Level and rate are Gaussian given the rest, so
-that their posterior and the evidence are closed forms; sums over grids do the rest.
+Measurement noise is autoregressive of order one. Given onset, power, q and the component of the
+prior ("node"), level and rate are Gaussian: their posterior and the evidence are closed forms, and
+everything else is a sum over a grid of nodes.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
 
 MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
 LEAST_EIGENVALUE = 1e-9
-"""Least eigenvalue of a covariance over its largest, where it could not be factored."""
+"""Least eigenvalue over the largest to which a covariance that has no Cholesky factor is raised."""
 N_ONSETS = 40
-"""Onsets that each model is tried with; "linear" and "exponential" then refine the best."""
+"""Number of onsets of each model."""
 ONSET_PASSES = 3
-"""Number of times that they do."""
+"""Number of times that "linear" and "exponential" add onsets about the best one."""
 AT_ONCE = 0.5
 """Prior probability that wear begins before the first trip."""
 LEVEL_SPREAD = 0.1
@@ -36,18 +37,18 @@ DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
 RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
 """Standard deviations of the change of the rate after ``UNIT_KM``, per ``UNIT_KM``."""
 POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
-"""Powers of the mileage since the onset that "changing rate" is tried with."""
+"""Powers of the mileage since the onset in "changing rate"."""
 POWER_UNITS = 3.0
 """Mileage [UNIT_KM] since the onset to which the rate of a power is the mean rate."""
 FIRST_WIENER = 3
 FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
-"""First row of each model in ``FleetPrior.models``."""
+"""First rows of "wiener" and "changing rate" in ``FleetPrior.models``."""
 N_STARTS = 8
-"""Onsets of Brownian motion; an onset of the drift uses the last one before it."""
+"""Number of onsets of Brownian motion; an onset of the drift uses the last one before it."""
 TINY = 1e-300
-"""Stands for a probability of 0 in logarithms."""
+"""Replaces a probability of 0 in logarithms."""
 DETAILED = 0.3
-"""Probability of a trend, without Brownian motion, from which that is considered too."""
+"""Least probability of a trend, without Brownian motion, for which that is fitted too."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +92,11 @@ def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
 
 
 def _onsets(last: float) -> FloatArray:
-    """Return onsets from before the first trip to shortly before the last."""
     return last * np.linspace(0, 0.95, N_ONSETS)
 
 
 def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) -> Fit:
-    """Return the fit of a constant value: a rate of which the prior knows that it is 0."""
+    # a constant value is a rate whose prior is 0
     constant = FleetPrior(prior.models, np.ones(1), np.zeros(1), np.full(1, 1e-9))
     hinges = Hinges(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
     return Fit(blocks, True, covariance[:, None], hinges, constant, np.zeros(1, dtype=np.int64))
@@ -105,13 +105,11 @@ def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) ->
 def _straight(
     blocks: Blocks, covariance: FloatArray, prior: FleetPrior, row: int, onsets: FloatArray
 ) -> Fit:
-    """Return the fit of "linear" or "exponential", without Brownian motion."""
     hinges = Hinges(onsets[None], np.ones((1, onsets.size)), _log_measure(onsets)[None])
     return Fit(blocks, row == 1, covariance[:, None], hinges, prior, np.array([row]))
 
 
 def _refined(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit) -> Fit:
-    """Return a fit with more onsets about the best."""
     for _ in range(ONSET_PASSES):
         onsets = fit.hinges.onsets[0]
         best = int(fit.log_weight.max(axis=(0, 1, 3)).argmax())
@@ -122,7 +120,6 @@ def _refined(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit
 
 
 def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion: Motion) -> Fit:
-    """Return the fit of "wiener" or "changing rate", with Brownian motion of value or rate."""
     powers = POWERS if motion.integrated else np.ones(1)
     onsets = _onsets(blocks.last)
     log_measure = np.repeat(_log_measure(onsets), powers.size) - np.log(powers.size)
@@ -153,7 +150,7 @@ class Motion:
     integrated: bool
 
     def covariance(self, since: FloatArray, length: FloatArray) -> FloatArray:
-        """Return that of unit variance between blocks (starts, blocks, blocks)."""
+        """Return the covariance of unit variance between blocks (starts, blocks, blocks)."""
         least = np.minimum(since[:, :, None], since[:, None, :])
         if self.integrated:
             most = np.maximum(since[:, :, None], since[:, None, :])
@@ -271,7 +268,7 @@ class Fit:
         self._solve(2 * np.log(diagonal).sum(axis=-1), prior)
 
     def _solve(self, log_det: FloatArray, prior: FleetPrior) -> None:
-        """Compute level, rate and evidence of each node."""
+        # level, rate and evidence of each node, by the normal equations of two unknowns
         of_one, of_values = (self._inverse @ x for x in (self._one, self._values))
         of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)
         a11 = (of_one @ self._one)[..., None, None]
@@ -298,7 +295,7 @@ class Fit:
         with_last = self._with_last[first, s]
         of_last = self._inverse[m, np.minimum(s, self._inverse.shape[1] - 1)] @ with_last
         since, power = self.last - self.hinges.onsets[s, o], self.hinges.powers[s, o]
-        # at the last trip: gain (level, rate) + what is known of Brownian motion
+        # at the last trip: gain (level, rate) + Brownian motion given the trips
         gain = np.zeros((m.size, 3, 2))
         gain[:, :, 0] = -(self._one @ of_last)
         gain[:, :, 1] = -(self._course[s, o][:, None] @ of_last)[:, 0]
@@ -345,7 +342,7 @@ class State:
 
 
 def join(states: list[State]) -> State:
-    """Return all nodes as one state."""
+    """Return the nodes of several states as one."""
     return State(*(np.concatenate([getattr(one, f.name) for one in states]) for f in fields(State)))
 
 
@@ -358,10 +355,10 @@ def shares(fits: list[Fit]) -> list[FloatArray]:
 
 
 def _definite(covariance: FloatArray) -> FloatArray:
-    """Return covariances whose eigenvalues are positive, where blocks of uneven trips left others.
+    """Return covariances with positive eigenvalues.
 
-    The covariance of a path between blocks is that of even trips within each, which is none when
-    trips of very different noise lie very unevenly.
+    The covariance of a path between blocks is that of evenly spaced trips within each; it is not
+    definite where trips of very different noise are spaced very unevenly.
     """
     values, vectors = np.linalg.eigh(covariance)
     raised = np.maximum(values, LEAST_EIGENVALUE * values[..., -1:])

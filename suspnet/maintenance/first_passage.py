@@ -1,14 +1,22 @@
-"""Mileages until a process first passes a limit, drawn at random."""
+"""Draws of the mileage until a degradation process first passes a limit."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.maintenance.degradation import (
+    DIFFUSIONS,
+    FIRST_CHANGING,
+    FIRST_WIENER,
+    RATE_CHANGES,
+    State,
+    powered,
+)
 from suspnet.maintenance.noise import UNIT_KM
 
 HORIZON_KM = 5e6
-"""Mileage still to go beyond which a crossing is called never: no prediction reaches as far."""
+"""Mileage still to go beyond which a crossing counts as never: no prediction reaches so far."""
 FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
 """Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
 
@@ -93,3 +101,58 @@ def changing_passage_km(
         share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
     passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
     return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
+
+
+def draw_lives_km(
+    state: State,
+    draw: IntArray,
+    limits: tuple[float, float],
+    freedom: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of the remaining life from the nodes `draw` of a state.
+
+    `freedom` is the number of degrees of freedom of the noise. The two limits are passed
+    independently given rate and present value: exact but for paths that would pass both.
+
+    Parameters
+    ----------
+    state : State
+    draw : int array of shape (n_samples,)
+    limits : (lower, upper), [-]
+        Lower 0 or upper infinity is no limit on that side.
+    freedom : float
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    array of shape (n_samples,), [km]
+        inf beyond ``HORIZON_KM``.
+    """
+    row = state.row[draw]
+    values, vectors = np.linalg.eigh(state.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
+    wide = np.sqrt(freedom / rng.chisquare(freedom, (row.size, 1)))
+    off = wide * (root[draw] @ rng.normal(size=(row.size, 3, 1)))[..., 0]
+    now, rate, change = (state.mean[draw] + off).T
+    lower, upper = (_on_scale(limit, row == 2) for limit in limits)
+    wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
+    diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
+    samples = np.minimum(
+        first_passage_km(now - lower, -rate, diffusion, rng),
+        first_passage_km(upper - now, rate, diffusion, rng),
+    )
+    changing = np.flatnonzero(row >= FIRST_CHANGING)
+    if changing.size:
+        spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
+        since, power = (part[draw[changing], None] for part in (state.since, state.power))
+        ahead = powered(since + FUTURE, power) - powered(since, power)
+        mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
+        samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)
+    return np.where(samples > HORIZON_KM, np.inf, samples)
+
+
+def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
+    if limit == 0:
+        return np.full(logarithmic.size, -np.inf)
+    return np.where(logarithmic, np.log(limit), limit - 1)

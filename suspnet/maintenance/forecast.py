@@ -1,4 +1,4 @@
-"""Remaining lives of the parameters of a suspension, where its trips can tell them."""
+"""Remaining lives of the parameters of a suspension, where its trips determine them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.ground.limits import Limits
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
-from suspnet.maintenance.limits import Limits
 
 MOST_RATIO = 100.0
 MOST_WIDTH = 1.0
-"""Factor from healthy, and half width in logarithms, beyond which a trip says nothing."""
+"""Factor from healthy, and half width in logarithms, beyond which a trip is not used."""
 Trips = tuple[FloatArray, FloatArray, FloatArray]
 """Mileage [km], estimates and half widths of the trips that a life is predicted from."""
 
@@ -43,9 +43,9 @@ def remaining_lives(
         Trips that are not used.
     limits : mapping from parameter to Limits
     passed : collection of str
-        Parameters whose alarm says that the act limit is passed: nothing is left of their lives.
+        Parameters whose alarm says that the act limit is passed: their remaining life is 0.
     fleet : mapping of FleetPrior, optional
-        What is known of each parameter from suspensions of this type (``learn_fleet``).
+        Prior of each parameter from suspensions of this type (``learn_fleet``).
     seed : int
     """
     found = {}
@@ -63,7 +63,7 @@ def remaining_lives(
 def why_unknown(
     mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
 ) -> str:
-    """Return why these trips say nothing about a parameter's remaining life; empty if they do."""
+    """Return why these trips do not determine a remaining life; empty if they do."""
     if trips_of_life(mileage_km, values, half_widths, flagged) is not None:
         return ""
     known, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
@@ -84,8 +84,8 @@ def trips_of_life(
 ) -> Trips | None:
     """Return the trips that a life can be predicted from, by mileage; None if there are too few.
 
-    Left out are flagged trips, and those of which nothing is known: an estimate beyond a factor of
-    ``MOST_RATIO``, or a half width above ``MOST_WIDTH``.
+    Flagged trips are left out, and those with an estimate beyond a factor of ``MOST_RATIO`` or a
+    half width above ``MOST_WIDTH``.
     """
     km, centre, width = (
         np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)

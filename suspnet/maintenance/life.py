@@ -11,28 +11,19 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from suspnet.ground.checks import check_number
-from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
-    FIRST_CHANGING,
-    FIRST_WIENER,
     MODELS,
     RATE_CHANGES,
     TINY,
     Fit,
     FleetPrior,
-    State,
     fit_models,
     join,
-    powered,
     shares,
 )
-from suspnet.maintenance.first_passage import (
-    FUTURE,
-    HORIZON_KM,
-    changing_passage_km,
-    first_passage_km,
-)
+from suspnet.maintenance.first_passage import HORIZON_KM, draw_lives_km
 from suspnet.maintenance.noise import (
     LEAST_NOISE,
     UNIT_KM,
@@ -43,11 +34,11 @@ from suspnet.maintenance.noise import (
 )
 
 BEST_TRIP = 0.01
-"""Least noise of a trip over the median of all: an interval of no width is not believed."""
+"""Least noise of a trip over the median of all: an interval of width 0 is not believed."""
 MIN_TRIPS = 5
 """Fewest trips with an estimate that a life is predicted from."""
 NOISE_TRIPS = 4.0
-"""Number of trips that the half-widths count for in the degrees of freedom of the noise."""
+"""Degrees of freedom of the noise, in trips, that the half-widths are worth."""
 DEFAULT_PRIOR = FleetPrior(
     models=np.concatenate(
         [
@@ -60,14 +51,14 @@ DEFAULT_PRIOR = FleetPrior(
     means=np.zeros(3),
     spreads=np.array([0.03, 0.1, 0.3]),
 )
-"""Vague prior: four of five parameters do not wear; those that do change by 3, 10 or 30 % in
+"""Vague prior: four of five parameters do not wear; the others change by 3, 10 or 30 % in
 100,000 km (standard deviation, both signs), slower being likelier."""
 FLEET_RATES = np.geomspace(0.005, 0.3, 10)
-"""Means of the rates, per ``UNIT_KM``, that a fleet can tell apart."""
+"""Means of the rates, per ``UNIT_KM``, that a fleet can distinguish."""
 FLEET_SPREAD = 0.35
 """Standard deviation of each of these, relative to its mean."""
 PRIOR_SERIES = 3.0
-"""Number of series that the default prior counts for beside a fleet."""
+"""Number of series that the default prior counts for, next to those of a fleet."""
 MAX_STEPS = 200
 """Most steps of the fit of a fleet."""
 
@@ -93,7 +84,7 @@ class Life:
     probabilities: dict[str, float] = field(default_factory=dict)
 
     def quantile_km(self, q: float) -> float:
-        """Return the mileage still to go that is not reached with probability `q`.
+        """Return the mileage still to go within which the limit is passed with probability `q`.
 
         Raises
         ------
@@ -126,7 +117,7 @@ class Life:
         return float(np.mean(self.samples_km <= km))
 
     def __str__(self) -> str:
-        """Return model, median and the interval of 80 % in words."""
+        """Return model, median and the interval of 80 % as text."""
         low, high = self.interval_km()
         median = self.quantile_km(0.5)
         if np.isinf(low):
@@ -163,7 +154,7 @@ def predict_life(
     limits_pair : (lower, upper), [-]
         Lower 0 or upper infinity is no limit on that side.
     fleet : FleetPrior, optional
-        What is known of suspensions of this type, from ``learn_fleet``.
+        Prior of suspensions of this type, from ``learn_fleet``.
     level : float
         Of the intervals.
     seed, n_samples : int
@@ -211,58 +202,17 @@ def predict_life(
     )
     share = np.zeros(len(MODELS))
     share[: len(fits)] = [weight.sum() for weight in weights]
-    samples = rng.permutation(_samples(state, draw, (lower, upper), n_trips + NOISE_TRIPS, rng))
+    freedom = n_trips + NOISE_TRIPS
+    samples = rng.permutation(draw_lives_km(state, draw, (lower, upper), freedom, rng))
     probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
     model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
     return Life(model, samples, probabilities)
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return `n` indices drawn with these weights, each as often as it can be expected."""
+    """Return `n` indices drawn with these weights, each about as often as expected."""
     places = (np.arange(n) + rng.random(n)) / n
     return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
-
-
-def _samples(
-    state: State,
-    draw: IntArray,
-    limits: tuple[float, float],
-    freedom: float,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return draws of the remaining life from nodes; the noise has `freedom` degrees of freedom.
-
-    The two limits are passed independently given rate and present value: exact but for paths that
-    would pass both.
-    """
-    row = state.row[draw]
-    values, vectors = np.linalg.eigh(state.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0))[:, None, :]
-    wide = np.sqrt(freedom / rng.chisquare(freedom, (row.size, 1)))
-    off = wide * (root[draw] @ rng.normal(size=(row.size, 3, 1)))[..., 0]
-    now, rate, change = (state.mean[draw] + off).T
-    lower, upper = (_on_scale(limit, row == 2) for limit in limits)
-    wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
-    diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
-    samples = np.minimum(
-        first_passage_km(now - lower, -rate, diffusion, rng),
-        first_passage_km(upper - now, rate, diffusion, rng),
-    )
-    changing = np.flatnonzero(row >= FIRST_CHANGING)
-    if changing.size:
-        spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
-        since, power = (part[draw[changing], None] for part in (state.since, state.power))
-        ahead = powered(since + FUTURE, power) - powered(since, power)
-        mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
-        samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)
-    return np.where(samples > HORIZON_KM, np.inf, samples)
-
-
-def _on_scale(limit: float, logarithmic: BoolArray) -> FloatArray:
-    """Return a limit on the scale of each sample; 0 is no limit."""
-    if limit == 0:
-        return np.full(logarithmic.size, -np.inf)
-    return np.where(logarithmic, np.log(limit), limit - 1)
 
 
 def _fits(
@@ -289,7 +239,6 @@ def _fits(
 def _checked_series(
     mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the trips with an estimate, or raise."""
     named = {"mileage_km": mileage_km, "values": values, "half_widths": half_widths}
     km, value, half = (np.asarray(one, dtype=float) for one in named.values())
     if km.ndim != 1 or value.shape != km.shape or half.shape != km.shape:
@@ -325,12 +274,12 @@ def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
 def learn_fleet(
     series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
 ) -> FleetPrior:
-    """Return what several suspensions of one type say of models and rates, by empirical Bayes.
+    """Return the prior over models and rates of one type of suspension, by empirical Bayes.
 
     The rate is given a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and
-    narrower ones about ``FLEET_RATES`` of both signs. Weights of these, and of the models, are
-    those of the largest posterior probability (expectation maximisation with a Dirichlet prior
-    that counts as much as ``PRIOR_SERIES`` series). With no series it is the default.
+    narrower ones about ``FLEET_RATES`` of both signs. The weights of these, and of the models, have
+    the largest posterior probability (expectation maximisation with a Dirichlet prior that counts
+    as ``PRIOR_SERIES`` series). Without series it is ``DEFAULT_PRIOR``.
 
     Parameters
     ----------
@@ -368,7 +317,7 @@ def learn_fleet(
     for _ in range(MAX_STEPS):
         share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
         share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
-        # a constant value says nothing of the rate
+        # without a trend a series says nothing of the rate
         old = models, weights
         models = _counted(share.sum(axis=(0, 2)), even.models)
         weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)

@@ -11,23 +11,23 @@ from suspnet.ground.types import FloatArray, IntArray
 UNIT_KM = 100_000.0
 """Unit of mileage inside, which keeps numbers near 1."""
 MAX_BLOCKS = 32
-"""Most blocks that the trips of a history are averaged to."""
+"""Largest number of blocks to which the trips of a history are averaged."""
 LEAST_NOISE = 1e-5
 """Smallest standard deviation of the noise of a trip, relative to the value."""
 NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
-"""Noise from trip to trip, relative to what the half-widths say."""
+"""Noise from trip to trip, relative to that of the half-widths."""
 NOISE_SPREAD = 0.5
 """Prior standard deviation of the logarithm of that factor."""
 CORRELATIONS = np.linspace(0.0, 0.75, 6)
 """Correlations of the noise from one trip to the next."""
 N_HINGES = 12
-"""Onsets of the hinges that are subtracted before the noise is estimated."""
+"""Number of onsets of the hinges that are tried before the noise is estimated."""
 N_SLOWEST = 2
-"""Frequencies of the history that the noise is not estimated from."""
+"""Number of lowest frequencies from which the noise is not estimated."""
 MAX_BINS = 32
 """Most frequencies of the Whittle likelihood."""
 OUTLYING = 6.0
-"""A trip farther from the median of five is drawn to it, in robust standard deviations."""
+"""Largest deviation of a trip from the median of five, in robust standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Noise:
     Attributes
     ----------
     variance : array, [-]
-        Relative to what the half-widths say.
+        Relative to that of the half-widths.
     correlation : array, [-]
         From one trip to the next.
     """
@@ -167,9 +167,9 @@ def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> F
     r = np.maximum(rho[..., None], 1e-9)
     g = (1 - r**m) / (m * (1 - r))
     end = blocks.first + blocks.size - 1
-    apart = np.abs(blocks.first[None, :] - end[:, None])
-    apart = np.where(np.arange(m.size)[:, None] < np.arange(m.size), apart, apart.T)
-    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** apart
+    between = np.abs(blocks.first[None, :] - end[:, None])
+    between = np.where(np.arange(m.size)[:, None] < np.arange(m.size), between, between.T)
+    covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** between
     own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
     index = np.arange(m.size)
     covariance[..., index, index] = own
@@ -183,7 +183,7 @@ def robust_spread(log_values: FloatArray) -> float:
 
 
 def tame(values: FloatArray) -> FloatArray:
-    """Return values with single trips that lie far off drawn to the median of five trips."""
+    """Return values with outlying trips moved towards the median of five trips."""
     logs = np.log(values)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
     middle = np.median(windows, axis=1)

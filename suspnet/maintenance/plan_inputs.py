@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import date, datetime
+from datetime import date
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from suspnet.ground.checks import check_number
+from suspnet.ground.limits import Severity
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.visit_costs import Costs
 
 MOST_DAYS = 36_525.0
@@ -20,7 +20,7 @@ MOST_DAYS = 36_525.0
 MAX_DATES = 1000
 """Largest number of possible dates before the horizon."""
 WINDOW_DAYS = 180
-"""Number of days whose trips, the newest, tell how far a train runs in a day."""
+"""Number of days, the newest, whose trips show how far a train runs in a day."""
 LEAST_DAYS = 14
 """Least number of days between the first and the last of these trips."""
 
@@ -148,7 +148,7 @@ class Part:
     Parameters
     ----------
     train, suspension, parameter : str
-        Which one, together with `car`.
+        With `car`, its place.
     samples_km : array of shape (n_samples,), [km]
         Equally likely mileages from the last trip until a limit is passed, as of
         ``Life.samples_km``; inf: never, 0: it has been already.
@@ -158,8 +158,8 @@ class Part:
         Of its alarm.
     car : str
     unknown : str
-        Why its remaining life is unknown, or not to be relied on; empty if it is known. Its visits
-        are then those of its alarm, unless there are samples.
+        Why its remaining life is unknown or unreliable; empty if it is known. Without samples only
+        the severity of its alarm decides on its visits.
     """
 
     train: str
@@ -188,24 +188,22 @@ class Part:
 
     @property
     def is_passed(self) -> bool:
-        """Whether the limit is passed already, for sure."""
+        """Whether the limit is passed already, with certainty."""
         return bool((self.samples_km == 0).all())
 
     def __str__(self) -> str:
-        """Return where it is, in words."""
+        """Return train, car, suspension and parameter as text."""
         car = f"car {self.car}" if self.car else ""
         return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
 
 
-def km_per_day(
-    starts: Sequence[str] | NDArray[np.datetime64], mileages_km: ArrayLike, default: float
-) -> float:
-    """Return how far a train runs in a day, from the begins and mileages of its newest trips.
+def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
+    """Return how far a train runs in a day, from starts and mileages of its newest trips.
 
     Parameters
     ----------
-    starts : sequence of str, or array of datetime64, of shape (n_trips,)
-        ISO 8601, or empty or NaT where it is not known.
+    starts : array of datetime64 of shape (n_trips,)
+        NaT where it is not known.
     mileages_km : array of shape (n_trips,), [km]
         NaN where it is not known.
     default : float
@@ -214,38 +212,18 @@ def km_per_day(
     Raises
     ------
     ValueError
-        If a start is no date, or the lengths differ.
+        If the lengths differ.
     """
-    mileages = np.asarray(mileages_km, dtype=float)
-    if mileages.shape != (len(starts),):
+    if mileages_km.shape != starts.shape:
         raise ValueError(
             f"`mileages_km` must be one for each of {len(starts)} starts, "
-            f"got shape {mileages.shape}"
+            f"got shape {mileages_km.shape}"
         )
-    days = _ordinals(starts)
-    known = np.isfinite(days) & np.isfinite(mileages)
-    days, mileages = days[known], mileages[known]
+    known = ~np.isnat(starts) & np.isfinite(mileages_km)
+    days, mileages = starts[known].astype("datetime64[D]").astype(float), mileages_km[known]
     if not days.size:
         return default
     new = days >= days.max() - WINDOW_DAYS
     span = np.ptp(days[new])
     run = mileages[new][days[new].argmax()] - mileages[new][days[new].argmin()]
     return float(run / span) if span >= LEAST_DAYS and run > 0 else default
-
-
-def _ordinals(starts: Sequence[str] | NDArray[np.datetime64]) -> FloatArray:
-    """Return the days of time stamps as numbers, NaN where there is none."""
-    if isinstance(starts, np.ndarray) and starts.dtype.kind == "M":
-        days = starts.astype("datetime64[D]").astype(float)
-        return np.where(np.isnat(starts), np.nan, days)
-    return np.array([_ordinal(start) for start in starts], dtype=float)
-
-
-def _ordinal(start: str) -> float:
-    """Return the day of a time stamp as a number, NaN if there is none."""
-    if not start:
-        return np.nan
-    try:
-        return float(datetime.fromisoformat(start).toordinal())
-    except ValueError:
-        raise ValueError(f"`starts` must be ISO 8601 or empty, got {start!r}") from None

@@ -1,4 +1,4 @@
-"""What a plan says: visits with their jobs, as a table in words and as rows."""
+"""A plan: visits with their jobs, as a table of text and as rows."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.wording import count
 from suspnet.maintenance.plan_inputs import Part, Train
 
 URGENCIES = ("unknown", "now", "soon", "later")
-"""Nothing is known of a part's remaining life; a visit on the first possible day; one to be decided
-on within ``SOON_DAYS``; any other visit."""
+"""The remaining life of a part is unknown; a visit on the first possible day; one to be decided on
+within ``SOON_DAYS``; any other visit."""
 UNKNOWN = URGENCIES[0]
 SOON_DAYS = 30
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
 PROVEN = 1e-6
-"""Share of the objective up to which the solver's rounding is no gap."""
+"""Share of the objective up to which a gap is the solver's rounding."""
 SLACK = 0.1
 """Share of a visit's cost that it may cost more at its latest date than at its best."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What is done to one part at a visit, or that it waits.
+    """Work on one part at a visit, or that the part waits.
 
     Attributes
     ----------
@@ -45,7 +46,7 @@ class Job:
     unused_km : float, [km]
         Expected life, up to the usual one, that a replacement throws away; else NaN.
     plan_again_km : float, [km]
-        Of a part that waits: from today, until it is to be planned again; else NaN.
+        Of a part that waits: from today until it is planned again; else NaN.
     """
 
     part: Part
@@ -93,7 +94,7 @@ class Visit:
     expected_cost: float
 
     def urgency_of(self, job: Job) -> str:
-        """Return the urgency of one of its jobs: unknown, unless that is seen to at once anyway."""
+        """Return the urgency of one of its jobs; that of an unknown part is "now" or "unknown"."""
         return UNKNOWN if job.part.unknown and self.urgency != "now" else self.urgency
 
 
@@ -112,7 +113,7 @@ class Plan:
         Parts without a visit that have an alarm or may pass a limit before the horizon; the first
         to be planned again first.
     n_quiet : int
-        Other parts: nothing to be done.
+        Number of other parts, which need nothing.
     objective : float
         What the plan minimises, summed over trains: see ``choose_dates`` and ``part_costs``.
     bound : float
@@ -151,7 +152,7 @@ class Plan:
     def gap(self) -> float:
         """Largest share of the objective that the best plan might save; 0: this one is proven best.
 
-        It is above 0 only where a search was ended after ``visits.MAX_SOLVE_S``.
+        It is above 0 only where a search ended after ``MAX_SOLVE_S``.
         """
         excess = self.objective - self.bound
         return excess / self.objective if excess > PROVEN * self.objective else 0.0
@@ -159,7 +160,7 @@ class Plan:
     def rows(self) -> list[dict[str, Any]]:
         """Return one flat row for each job; days in ISO 8601, empty where none.
 
-        What is unknown comes first, then visits, then parts that wait.
+        Unknown parts come first, then visits, then parts that wait.
         """
         jobs = [self._row(job, visit) for visit in self.visits for job in visit.jobs]
         rest = (self._row(job, None) for job in self.waiting)
@@ -197,7 +198,7 @@ class Plan:
 
     @property
     def summary(self) -> str:
-        """What the plan holds, whether it is the best, and which mileages per day are assumed."""
+        """Counts of the plan, whether it is proven best, and which mileages per day are assumed."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
         n_waiting = len(self.waiting)
         unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
@@ -213,7 +214,7 @@ class Plan:
         ).rstrip()
 
     def __str__(self) -> str:
-        """Return the plan as a table, what is unknown first, and what waits in one sentence."""
+        """Return the plan as a table, unknown parts first, and parts that wait as one sentence."""
         lines, table, before = [self.summary], [], None
         for row in joined(self.rows()):
             if row["what"] == "plan again":
@@ -234,13 +235,8 @@ class Plan:
         return "\n".join(lines)
 
 
-def count(n: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{n} {noun}{'s' * (n != 1)}"
-
-
 def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of a plan, those of one suspension that are unknown for one reason as one row.
+    """Return rows of a plan, with one row for the unknown parts of a suspension with one reason.
 
     Each has its parameters as "parameters", a list.
     """
@@ -254,7 +250,7 @@ def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    """Return what is done to which part, without its train, and why its life is unknown."""
+    """Return the work and the part without its train, and why its life is unknown."""
     car = f"car {row['car']}" if row["car"] else ""
     where = ", ".join(filter(None, (car, row["suspension"], *row["parameters"])))
     what = "" if row["what"] == UNKNOWN else f"{row['what']} "

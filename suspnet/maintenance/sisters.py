@@ -1,14 +1,14 @@
 """Sister suspensions side by side: one that differs from the others of its car has changed.
 
 Values are relative to each suspension's own healthy value, so that healthy sisters are alike; what
-comes to all of them, as from cold or load, is not told. With L_i the mean logarithm of the last
-``N_LAST`` values of suspension i, and n sisters,
+is common to all of them, as from cold or load, is not reported. With L_i the mean logarithm of the
+last ``N_LAST`` values of suspension i, and n sisters,
 
     d_i = L_i - median_j L_j,    var d_i = s_i^2 + min(1, pi / 2n) mean_j s_j^2,
     s_i^2 = C sigma_i^2 + sigma_0i^2,
 
 where j runs over the sisters, sigma_i is the standard deviation of a trip, C sigma_i^2 that of the
-mean of correlated trips, and sigma_0i that of the healthy value. An alarm begins where |d_i| is
+mean of correlated trips, and sigma_0i that of the healthy value. An alarm starts where |d_i| is
 larger than the least difference and than Student's quantile times the root of var d_i.
 """
 
@@ -23,22 +23,25 @@ import numpy as np
 from scipy import stats
 
 from suspnet.ground.checks import check_number
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Key
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.limits import N_LAST, Severity
+from suspnet.maintenance.judge import N_LAST
+from suspnet.maintenance.series import Series, of_same_car
 
 CORRELATION = 0.5
 """Largest correlation between the errors of one trip and the next that is allowed for."""
 N_REFERENCE = 20
-"""Number of first trips of each suspension that tell how much its trips scatter."""
+"""Number of first trips of each suspension that show how much its trips scatter."""
 EFFICIENCY = 0.37
 """Degrees of freedom of a median absolute deviation for each of its normal numbers, in those of a
 standard deviation."""
 LOWEST_PROBABILITY, HIGHEST_PROBABILITY = 1e-12, 0.05
 """Bounds of the probability of a false alarm at one trip."""
 LEAST_PERCENT = {"k_p": 2.0, "c_p": 5.0, "k_s": 2.0, "c_s": 5.0}
-"""Least differences that are told, assumed: a fifth or a quarter of the way to the limits."""
+"""Least differences that are reported, assumed: a fifth or a quarter of the way to the limits."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def sister_alarms(
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """One suspension beside its sisters, at each trip of any; arrays of shape (n_km,)."""
+    """One suspension next to its sisters, at each trip of any; arrays of shape (n_km,)."""
 
     level: FloatArray
     median: FloatArray
@@ -154,7 +157,6 @@ class _Compared:
 
 
 def _known(one: Sister) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mileage, logarithm and half width of the trips that have a value."""
     values = np.asarray(one.values, dtype=float)
     known = np.isfinite(one.mileage_km) & np.isfinite(values) & (values > 0)
     halves = np.nan_to_num(np.asarray(one.half_widths, dtype=float)[known], posinf=np.inf)
@@ -186,7 +188,6 @@ def _levels(
 
 
 def _of_mean() -> float:
-    """Return the variance of the mean of ``N_LAST`` correlated numbers of variance 1."""
     lags = np.arange(1, N_LAST)
     return float(1 + 2 * np.sum((1 - lags / N_LAST) * CORRELATION**lags)) / N_LAST
 
@@ -205,7 +206,6 @@ def _scatter_until(logs: FloatArray) -> FloatArray:
 
 
 def _robust(steps: FloatArray) -> float:
-    """Return the standard deviation of trips from the sizes of their successive differences."""
     if len(steps) == 0:
         return math.nan
     of_steps = float(np.median(steps) / stats.norm.ppf(0.75))
@@ -213,7 +213,6 @@ def _robust(steps: FloatArray) -> float:
 
 
 def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatArray]]:
-    """Return, for each trip until all references are full, its place and all differences so far."""
     steps, ends = [], []
     for one in sisters:
         own_km, logs, _ = _known(one)
@@ -225,7 +224,6 @@ def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatA
 
 
 def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
-    """Return the robust standard deviation of the trips of all sisters until each mileage."""
     found = np.full(len(km), np.nan)
     for place, steps in _pooled(sisters, km):
         found[place:] = _robust(steps)
@@ -235,7 +233,6 @@ def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
 def _quantiles(
     sisters: Sequence[Sister], km: FloatArray, settings: SisterSettings, n_parameters: int
 ) -> FloatArray:
-    """Return the number of standard deviations that a difference must exceed at each mileage."""
     degrees = np.ones(len(km))
     for place, steps in _pooled(sisters, km):
         degrees[place:] = max(1.0, EFFICIENCY * len(steps))
@@ -247,7 +244,6 @@ def _quantiles(
 
 
 def _compared(i: int, levels: FloatArray, variances: FloatArray) -> _Compared:
-    """Return a suspension beside its sisters."""
     others, own = np.delete(levels, i, axis=0), levels[i]
     there = np.isfinite(others)
     n = there.sum(axis=0)
@@ -264,7 +260,6 @@ def _compared(i: int, levels: FloatArray, variances: FloatArray) -> _Compared:
 def _alarms(
     parameter: str, km: FloatArray, found: _Compared, scale: FloatArray, least: float
 ) -> list[Alarm]:
-    """Return the alarms of one suspension."""
     size = np.abs(found.level - found.median)
     threshold = np.maximum(scale * found.deviation, least)
     is_odd = 2 * found.n_apart >= found.n_sisters + 1  # most of them are elsewhere, or half
@@ -282,12 +277,11 @@ def _alarms(
 
 
 def _newest(size: FloatArray) -> int:
-    """Return the place of the newest difference that is known."""
     return int(np.flatnonzero(np.isfinite(size))[-1])
 
 
 def _spans(raised: BoolArray, over: BoolArray) -> list[tuple[int, int | None]]:
-    """Return where each alarm begins and ends; None: it stands."""
+    """Return where each alarm starts and ends; None: it is active."""
     spans: list[tuple[int, int | None]] = []
     begin = None
     for place in np.flatnonzero(raised | over):
@@ -300,7 +294,6 @@ def _spans(raised: BoolArray, over: BoolArray) -> list[tuple[int, int | None]]:
 
 
 def _words(parameter: str, found: _Compared, place: int) -> str:
-    """Return how a suspension differs from its sisters."""
     n, n_apart = int(found.n_sisters[place]), int(found.n_apart[place])
     level, median = math.exp(found.level[place]), math.exp(found.median[place])
     percent = 100 * (level / median - 1)
@@ -311,3 +304,26 @@ def _words(parameter: str, found: _Compared, place: int) -> str:
     if 2 * n_apart == n + 1:
         return f"{size} {n_apart} of its {n} sisters ({levels}): which of them changed is not known"
     return f"{size} its sisters (median of {n})"
+
+
+def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dict[Key, list[Alarm]]:
+    """Return the alarms of each suspension that differs, or differed, from its sisters.
+
+    Trips before the last commissioning or maintenance of a suspension do not count, nor do
+    flagged ones.
+    """
+    found: dict[Key, list[Alarm]] = {}
+    for car in of_same_car(series):
+        for parameter in settings.least_percent:
+            alarms = sister_alarms(parameter, [_sister(one, parameter) for one in car], settings)
+            for one, own in zip(car, alarms, strict=True):
+                if own:
+                    found.setdefault((one.vehicle, one.place), []).extend(own)
+    return found
+
+
+def _sister(one: Series, parameter: str) -> Sister:
+    used = one.recent & ~one.flagged
+    return Sister(
+        one.mileage_km[used], one.estimates[parameter][used], one.half_widths[parameter][used]
+    )

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 
 LEVEL = 0.01
@@ -23,8 +23,6 @@ N_ENDS = 5
 """Number of trips at the beginning, and at the end, whose medians are compared."""
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one odd trip is no step."""
-PAYLOAD = "M_s"
-"""Name of the car-body mass, which the pay-load changes from trip to trip."""
 
 
 class Shape(StrEnum):
@@ -111,7 +109,7 @@ class Trend:
 
     @property
     def changed(self) -> bool:
-        """Whether there is a change; never of the car-body mass, which is pay-load."""
+        """Whether there is a change; never of the car-body mass, which is payload."""
         return self.shape not in (Shape.TOO_FEW, Shape.NONE) and self.parameter != PAYLOAD
 
 
@@ -119,40 +117,32 @@ def trend(
     parameter: str,
     mileage_km: ArrayLike,
     values: ArrayLike,
-    n_ends: int = N_ENDS,
-    *,
-    level: float = LEVEL,
-    multiple: float = MULTIPLE,
     least_percent: float = LEAST_PERCENT,
 ) -> Trend:
     """Return whether a parameter at the end differs from the beginning, or has a step.
 
-    Two tests share `level`: Welch's t test of the last `n_ends` trips against the first ones,
-    and that of ``steps``, which also sees what began fewer than `n_ends` trips ago. Whichever is
-    significant, its difference of medians must also exceed `multiple` times the spread, so that
-    single odd trips and clear but tiny changes do not count. Trips are taken as independent;
-    what lasts for many trips (another line, season, load) counts as a change.
+    Two tests share ``LEVEL``: Welch's t test of the last ``N_ENDS`` trips against the first ones,
+    and that of ``steps``, which also sees what started fewer than ``N_ENDS`` trips ago. Whichever
+    is significant, its difference of medians must also exceed ``MULTIPLE`` times the spread, so
+    that single odd trips and clear but tiny changes do not count. Trips are taken as independent;
+    what lasts for many trips (another line, season, load) counts as a change. With fewer than twice
+    ``N_ENDS`` trips there is no test.
 
     Parameters
     ----------
     parameter : str
-        "M_s" is pay-load, and never said to have changed.
+        "M_s" is payload, and never said to have changed.
     mileage_km : array of shape (n_trips,), [km]
         In any order.
     values : array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
-    n_ends : int
-        With fewer than twice as many trips there is no test.
-    level : float, [-]
-        Largest share of unchanged parameters that are said to change.
-    multiple : float, [-]
     least_percent : float, [% of healthy]
         No smaller change counts.
 
     Raises
     ------
     ValueError
-        If shapes differ or `n_ends` is below 2.
+        If shapes differ.
 
     Examples
     --------
@@ -162,32 +152,34 @@ def trend(
     >>> found.shape.name, found.step.mileage_km, round(found.change_percent, 1)
     ('STEP', 245000.0, -1.0)
     """
-    if n_ends < 2:
-        raise ValueError(f"`n_ends` must be at least 2 trips, got {n_ends}")
     km, known = known_trips(mileage_km, values)
     n = len(known)
-    n_compared = min(n_ends, n // 2)
+    n_compared = min(N_ENDS, n // 2)
     first, last = known[:n_compared], known[n - n_compared :]
     start, end = (float(np.median(part)) if n_compared else np.nan for part in (first, last))
     change, spread = 100 * (end - start), 100 * _spread(known)
-    found = Trend(parameter, n, 2 * n_ends, start, end, change, spread, n_ends=n_compared)
-    if n < 2 * n_ends:
+    found = Trend(parameter, n, 2 * N_ENDS, start, end, change, spread, n_ends=n_compared)
+    if n < 2 * N_ENDS:
         return found
-    threshold = max(multiple * spread, least_percent)
-    step = steps(km, known, level=level / 2)
+    threshold = max(MULTIPLE * spread, least_percent)
+    step = steps(km, known, LEVEL / 2)
     p_ends = _welch(first, last)
     has_step = step is not None and step.significant and abs(step.size_percent) > threshold
     shape = Shape.NONE
     if step is not None and has_step:
         shape = _shape(known, change, threshold, step)
-    elif p_ends < level / 2 and abs(change) > threshold:
+    elif p_ends < LEVEL / 2 and abs(change) > threshold:
         shape = Shape.ENDS
     p_value = min(1.0, 2 * p_ends, 2 * (step.p_value if step else 1.0))
     return replace(found, p_value=p_value, shape=shape, step=step if has_step else None)
 
 
 def flagged_trend(
-    parameter: str, mileage_km: ArrayLike, values: ArrayLike, flagged: ArrayLike, **options: Any
+    parameter: str,
+    mileage_km: ArrayLike,
+    values: ArrayLike,
+    flagged: ArrayLike,
+    least_percent: float = LEAST_PERCENT,
 ) -> Trend:
     """Return the trend of trips of which some are flagged: their estimates may be wrong.
 
@@ -197,16 +189,16 @@ def flagged_trend(
 
     Parameters
     ----------
-    parameter, mileage_km, values, **options
+    parameter, mileage_km, values, least_percent
         Of ``trend``.
     flagged : bool array of shape (n_trips,)
     """
     doubtful = np.asarray(flagged, dtype=bool)
-    whole = trend(parameter, mileage_km, values, **options)
+    whole = trend(parameter, mileage_km, values, least_percent)
     if not doubtful.any():
         return whole
     rest = np.where(doubtful, np.nan, np.asarray(values, dtype=float))
-    alone = trend(parameter, mileage_km, rest, **options)
+    alone = trend(parameter, mileage_km, rest, least_percent)
     if alone.changed and not whole.changed:
         return replace(alone, without_flagged=True)
     known = np.where(np.isfinite(values), doubtful.astype(float), np.nan)
@@ -215,9 +207,7 @@ def flagged_trend(
     return replace(whole, flagged_first=int(first.sum()), flagged_last=int(last.sum()))
 
 
-def steps(
-    mileage_km: ArrayLike, values: ArrayLike, *, min_size: int = MIN_SIZE, level: float = LEVEL
-) -> Step | None:
+def steps(mileage_km: ArrayLike, values: ArrayLike, level: float = LEVEL) -> Step | None:
     """Return the split into two levels with the least sum of squares; None with too few trips.
 
     Its significance is that of Student's t test between the two sides, with Bonferroni's
@@ -229,24 +219,20 @@ def steps(
         In any order.
     values : array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
-    min_size : int
-        Fewest trips on each side.
     level : float, [-]
         Largest probability of a significant step where there is none.
 
     Raises
     ------
     ValueError
-        If shapes differ or `min_size` is below 2.
+        If shapes differ.
     """
-    if min_size < 2:
-        raise ValueError(f"`min_size` must be at least 2 trips, got {min_size}")
     km, known = known_trips(mileage_km, values)
     n = len(known)
-    if n < 2 * min_size:
+    if n < 2 * MIN_SIZE:
         return None
     centred = known - known.mean()
-    before = np.arange(min_size, n - min_size + 1)
+    before = np.arange(MIN_SIZE, n - MIN_SIZE + 1)
     between = np.cumsum(centred)[before - 1] ** 2 * n / (before * (n - before))
     best = int(np.argmax(between))
     size = int(before[best])
@@ -330,7 +316,6 @@ def _slope(values: FloatArray, change: float, threshold: float) -> float:
 
 
 def _is_line(values: FloatArray, threshold: float) -> bool:
-    """Tell whether most trips lie within `threshold` percent of one straight line."""
     trips = np.arange(len(values))
     line = stats.linregress(trips, values)
     deviations = values - line.intercept - line.slope * trips

@@ -81,7 +81,7 @@ class PartCosts:
 def part_costs(
     samples_km: FloatArray, dates_km: FloatArray, visit: float, end_km: float, costs: Costs
 ) -> PartCosts:
-    """Return what a part is expected to cost if it is seen to at each date.
+    """Return the expected costs of a part if it is replaced or inspected at each date.
 
     With T' = min(T, L), and V(x) = V max(1 - x / `end_km`, 0) for a visit after x km,
 
@@ -89,12 +89,12 @@ def part_costs(
     - replaced: f(t) + R / L E[max(T' - t, 0)], the value of the life that is thrown away,
     - inspected: f(t) + I + E[min(R / L (T' - t), V(T')); t < T <= u] + g(u), u = t + `reach_km`:
       an inspection finds T <= u; such a part is replaced at once, or at a visit of its own just
-      before the limit, whichever costs less. Others run on, at the cost g of the best that can be
-      done with them from u on: min over t' >= u of f(t') - f(u), the life thrown away at t' and
-      V(t') P(T > t'), or nothing but failures.
+      before the limit, whichever costs less. Others run on, at the least cost g from u on:
+      min over t' >= u of f(t') - f(u), the life thrown away at t' and V(t') P(T > t'), or nothing
+      but failures.
 
-    The price of the part itself is due once a life whatever is done and enters as R / L only, as
-    the cost rate of renewal-reward theory does (Barlow and Proschan, Mathematical Theory of
+    The price of the part itself is due once a life in any case and enters as R / L only, as the
+    cost rate of renewal-reward theory does (Barlow and Proschan, Mathematical Theory of
     Reliability, 1965, ch. 4). A limit that is passed already (T = 0) counts as passed just after
     the first date, so that the first visit can still prevent the failure.
 
@@ -107,7 +107,7 @@ def part_costs(
     visit : float
         V.
     end_km : float, [km]
-        Mileage from which on a visit is worth nothing, as the next one is due anyhow.
+        Mileage from which on a visit costs nothing, as another one is due then anyway.
     costs : Costs
     """
     life, rate = costs.usual_life_km, costs.replacement / costs.usual_life_km
@@ -129,7 +129,7 @@ def part_costs(
     i = np.searchsorted(samples, dates_km, side="right")
     thrown_away = rate * np.clip(until[n] - until[i] - dates_km * (n - i), 0, None) / n
     found = np.searchsorted(samples, dates_km + costs.reach_km, side="right")
-    # R / L (T' - t) rises and V(T') falls along T': the former is the less up to where they meet
+    # R / L (T' - t) rises and V(T') falls along T': the former is smaller up to where they meet
     meet_km = (visit + rate * dates_km) / (rate + visit / end_km) if visit else dates_km
     k = np.clip(np.searchsorted(capped, meet_km, side="right"), i, found)
     at_once = rate * (until[k] - until[i] - dates_km * (k - i))
@@ -168,13 +168,13 @@ def choose_dates(costs: FloatArray, visits: FloatArray, max_s: float = MAX_SOLVE
         min sum_d visits[d] y_d + sum_jd (costs[j, d] - costs[j, n_dates]) x_jd,
         x_jd <= y_d,  sum_d x_jd <= 1,  0 <= x, y integer
 
-    with the x_jd alone that cost less than no visit does. Its linear relaxation is nearly always
-    integer already, so that HiGHS proves the optimum at its root.
+    with only those x_jd that cost less than no visit. Its linear relaxation is nearly always
+    integer already, and HiGHS proves the optimum at its root.
 
     Parameters
     ----------
     costs : array of shape (n_parts, n_dates + 1)
-        Of each part at each date, and last without a visit; inf where it must not be.
+        Of each part at each date, and last without a visit; inf where it is forbidden.
     visits : array of shape (n_dates,)
         Prices >= 0.
     max_s : float, [s]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from suspnet.ground.plain_files import open_plain, stored_bytes
+from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.checked_mapping import TripError
 
 MOST_SAMPLES = 48 * 3600 * 10_000

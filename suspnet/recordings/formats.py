@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.io.matlab import MatReadError
 
-from suspnet.ground.plain_files import NotPlainError, open_plain
+from suspnet.ground.storage import NotPlainError, open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.bounds import check_samples
 from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, as_block, choose

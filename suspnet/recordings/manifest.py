@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+from suspnet.ground.records import Place
 from suspnet.recordings.checked_mapping import TripError
 
 __all__ = [
@@ -22,7 +23,6 @@ __all__ = [
     "Channel",
     "CsvDialect",
     "Pair",
-    "Place",
     "Source",
     "SpeedSource",
     "TripError",
@@ -56,39 +56,8 @@ MIDDLE = "middle"
 """Side of a single sensor between left and right, or of the mean of both."""
 
 
-HIGHEST_KM = 2e7
-"""Mileage that no rail vehicle reaches [km]: 40 years of 500 000 km, which fast trains run."""
-
 TEMPERATURES_C = (-60.0, 60.0)
 """Temperatures outside that a train meets [°C]."""
-
-
-@dataclass(frozen=True, order=True)
-class Place:
-    """Which suspension a trip is of; text is empty where the manifest does not say it.
-
-    Parameters
-    ----------
-    suspension : str
-    bogie : str
-        One of ``BOGIES``.
-    side : str
-        One of ``SIDES``.
-    train, car : str
-        Of which train and which of its cars, in free text.
-    """
-
-    suspension: str = ""
-    bogie: str = ""
-    side: str = ""
-    train: str = ""
-    car: str = ""
-
-    def __str__(self) -> str:
-        """Return the place in words."""
-        vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
-        where = [self.bogie and f"{self.bogie} bogie", self.side]
-        return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
 
 
 @dataclass(frozen=True)

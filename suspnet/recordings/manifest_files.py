@@ -14,8 +14,8 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.plain_files import NotPlainError, read_plain
-from suspnet.ground.storage import printable, read_json, write_atomically
+from suspnet.ground.records import HIGHEST_KM, Place
+from suspnet.ground.storage import NotPlainError, printable, read_json, read_plain, write_atomically
 from suspnet.recordings.checked_mapping import CheckedMapping, TripError, all_of
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.dates import date_problem
@@ -25,7 +25,6 @@ from suspnet.recordings.manifest import (
     CHANNELS,
     DELIMITERS,
     FORMAT,
-    HIGHEST_KM,
     MIDDLE,
     SIDES,
     SPEED_UNITS,
@@ -34,7 +33,6 @@ from suspnet.recordings.manifest import (
     Channel,
     CsvDialect,
     Pair,
-    Place,
     SpeedSource,
     TripManifest,
 )

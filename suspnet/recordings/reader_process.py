@@ -32,7 +32,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from suspnet.ground.plain_files import open_plain, stored_bytes
+from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.bounds import memory_bytes, step_s
 from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile

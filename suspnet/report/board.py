@@ -9,22 +9,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from suspnet.dynamics import Vehicle
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
-from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.car_sisters import Key
+from suspnet.maintenance.alarms import Alarm, Cause, Watched
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.maintenance.fleet_plan import Planner
 from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.planner import Planner
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import SisterSettings
-from suspnet.maintenance.state import State, worst_first
-from suspnet.maintenance.watch import Watched
-from suspnet.report.fleet_view import FleetView, fleet_view
+from suspnet.maintenance.state import State, by_urgency
+from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
@@ -37,13 +35,25 @@ AT_ONCE = 50
 """Number of suspensions whose alarms are found before the time is looked at."""
 
 
+class Limited(Protocol):
+    """A vehicle, as far as its name and limits go."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def known_limits(self) -> Mapping[str, Limits]:
+        """Limits of its parameters."""
+
+
 @dataclass(frozen=True)
 class BoardSettings:
     """What the states of a fleet and its plan depend on, besides its history.
 
     Parameters
     ----------
-    vehicles : mapping of Vehicle
+    vehicles : mapping of vehicles
         Those whose limits are known; others have ``DEFAULT_LIMITS``.
     limits : mapping, optional
         In place of the vehicles': from a parameter to `notice` and `act`.
@@ -61,7 +71,7 @@ class BoardSettings:
         If `today` is not a day, or the limits do not go together.
     """
 
-    vehicles: Mapping[str, Vehicle] = field(default_factory=dict)
+    vehicles: Mapping[str, Limited] = field(default_factory=dict)
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
     sisters: SisterSettings = field(default_factory=SisterSettings)
@@ -101,10 +111,10 @@ class Board:
     suspensions, are learnt again as ``Fleet`` says. A refresh that takes long shows what it has
     every ``SHOWN_S``: first the suspensions with the alarms that the store keeps.
 
-    The store is told the alarms of sisters, which nobody else finds while trips are monitored;
-    those of limits and changes are kept by who evaluates the trips. They are written only when they
-    are not as this board found them the last time, so that boards of different settings do not wake
-    each other again and again.
+    The alarms of sisters are written to the store, as nobody else finds them while trips are
+    monitored; those of limits and changes are stored by who evaluates the trips. They are written
+    only when they are not as this board found them the last time, so that boards of different
+    settings do not wake each other again and again.
 
     Parameters
     ----------
@@ -163,7 +173,6 @@ class Board:
             return self._view is not before
 
     def _refresh(self, history: History) -> None:
-        """Make the view again, if anything changed."""
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
         bad = {one.key for one in self._view.bad_rows}  # they may have been mended
@@ -193,7 +202,6 @@ class Board:
             self._keep(history)
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        """Read the suspensions that changed, and find their alarms."""
         changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
         series = [  # in parts: an SQLite file cannot be written while it is read
             one
@@ -205,15 +213,18 @@ class Board:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that the settings do not name
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
-        new = [one for one in series if (one.vehicle, one.place) not in self._revisions]
+        new = [one for one in series if one.key not in self._revisions]
         if new or self._view.bad_rows:
             alarms = history.all_alarms()
-            states = [State(one, Watched(alarms.get((one.vehicle, one.place), []))) for one in new]
+            states = [
+                State(one, self._limits[one.vehicle], Watched(alarms.get(one.key, [])))
+                for one in new
+            ]
             self._early |= {state.key: state for state in states}
         if len(new) > AT_ONCE:
             self._show(history, is_complete=False)
         gone = self._fleet.keys() - revisions.keys()
-        gone |= set(changed) - {(one.vehicle, one.place) for one in series}
+        gone |= set(changed) - {one.key for one in series}
         self._is_due |= bool(gone)
         self._found(self._fleet.update([], gone))
         self._unkept -= gone
@@ -225,18 +236,16 @@ class Board:
         self._revisions = revisions
 
     def _found(self, keys: set[Key]) -> None:
-        """Note suspensions whose alarms were found anew, for the view and for the store."""
         self._is_due |= bool(keys)
         self._unkept |= keys
 
     def _show(self, history: History, *, is_complete: bool) -> None:
-        """Make the view of what is known by now."""
         states = self._fleet.states()
         known = {state.key for state in states}
         early = [state for key, state in self._early.items() if key not in known]
         acknowledged = history.all_acknowledgements()
         self._view = fleet_view(
-            sorted([*states, *early], key=worst_first),
+            by_urgency([*states, *early]),
             dict(self._limits),
             acknowledged,
             self._plan,
@@ -254,7 +263,7 @@ class Board:
             history.keep_all_alarms(other, [Cause.SISTER])
         except HistoryError as error:  # it may be locked or read-only: try at the next look
             if str(error) != self._not_kept:
-                log.warning("alarms of sisters are not kept: %s", error)
+                log.warning("alarms of sisters are not stored: %s", error)
             self._not_kept = str(error)
             return
         self._kept |= other

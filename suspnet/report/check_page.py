@@ -1,4 +1,4 @@
-"""All checked trips in words, as a table, as JSON and as a page."""
+"""Checked trips as text, JSON, page and pictures."""
 
 from __future__ import annotations
 
@@ -8,13 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from tabulate import tabulate
+from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.wording import span
+from suspnet.recordings.overview import overview
+from suspnet.recordings.recording import Recording
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
+from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
 from suspnet.report.templates import render
+from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.speeds import covering, setting_words
 
@@ -62,8 +70,8 @@ class Suspension:
             setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
             kilometres = [check.mileage_km for check in ready]
             words[0] += (
-                f", {_span(min(kilometres), max(kilometres), '{:.0f}')} km, at "
-                f"{_span(min(speeds), max(speeds), '{:.1f}')} m/s: "
+                f", {_ends(kilometres, 0)} km, at "
+                f"{_ends(speeds, 1)} m/s: "
                 f"{ready[0].read_by or f'train with {setting}'}"
             )
         if len(ready) < LEAST_TRIPS:
@@ -86,22 +94,22 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
     return [Suspension(title, by_title[title]) for title in sorted(by_title)]
 
 
-def _span(low: float, high: float, form: str) -> str:
-    """Return a range in words, one number if both ends read the same."""
-    return " to ".join(dict.fromkeys((form.format(low), form.format(high))))
+def _ends(values: Sequence[float], digits: int) -> str:
+    """Return the least and the largest of numbers."""
+    return span(*(f"{of(values):.{digits}f}" for of in (min, max)))
 
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return in one line how many trips are in which state."""
     counts = {state: sum(check.state == state for check in checks) for state in TONES}
-    told = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
+    parts = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
     if counts[TOO_LITTLE]:
-        told.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
+        parts.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
     if counts[PROBLEM]:
-        told.append(f"{counts[PROBLEM]} with problems")
+        parts.append(f"{counts[PROBLEM]} with problems")
     if elsewhere:
-        told.append(f"{len(elsewhere)} of the arguments lead to no trip")
-    return ", ".join(told)
+        parts.append(f"{len(elsewhere)} of the arguments lead to no trip")
+    return ", ".join(parts)
 
 
 def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
@@ -121,30 +129,30 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         lines += [tabulate(rows, header, tablefmt="github", disable_numparse=True)]
     for one in suspensions(checks):
         lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
-    for title, told in (
+    for title, found in (
         ("Problems", _by_words((check.name, check.problems) for check in checks)),
         ("Remarks", _by_words((check.name, check.remarks) for check in checks)),
     ):
         rest = [f"  {words}" for words in elsewhere] if title == "Problems" else []
-        if told or rest:
-            lines += ["", f"{title}:", *rest, *(f"  {names}: {words}" for words, names in told)]
+        if found or rest:
+            lines += ["", f"{title}:", *rest, *(f"  {names}: {words}" for words, names in found)]
     return "\n".join(lines)
 
 
 def _cells(check: TripCheck) -> list[str]:
     """Return the cells of a trip that could be read."""
     parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
-    speeds = _span(min(each), max(each), "{:.1f}") if each else ""
+    speeds = _ends(each, 1) if each else ""
     coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
     numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", speeds
     averages = f"{check.n_averages:.0f}"
     return [check.name, *numbers, averages, coherence, check.sensors, check.state]
 
 
-def _by_words(told: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
-    """Return each sentence once with the trips that it is said of, in the order of the trips."""
+def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
+    """Return each sentence once with its trips, in the order of the trips."""
     names: dict[str, list[str]] = {}
-    for name, sentences in told:
+    for name, sentences in remarks:
         for words in sentences:
             names.setdefault(words, []).append(name)
     return [(words, _listing(of)) for words, of in names.items()]
@@ -184,3 +192,56 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         tones=TONES,
     )
     return write_atomically(output / "check.html", page.encode("utf-8", errors="replace"))
+
+
+LINKS = ("axle box to bogie frame", "bogie frame to car body")
+DPI = 110
+
+
+def trip_figure(
+    recording: Recording,
+    frequencies_hz: Tensor,
+    spectra: CrossSpectra | None,
+    band_hz: tuple[float, float],
+) -> Figure:
+    """Signals and speed of a recording in windows; spectra and coherence with the vehicle's band.
+
+    Parameters
+    ----------
+    recording : Recording
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    spectra : CrossSpectra, optional
+        Of shape (3, n_freq); None if no stretch is free of faults.
+    band_hz : pair of float, [Hz]
+    """
+    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    columns: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
+    left, right = columns
+    axes: list[Axes] = list(left.subplots(4, 1, sharex=True))
+    draw_signals(axes, overview(recording))
+    left.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    left.align_ylabels(axes)
+    upper, lower = right.subplots(2, 1, sharex=True)
+    upper.set(ylabel="power density [(m/s²)²/Hz]", title="spectra")
+    lower.set(ylabel="coherence", title="coherence", xlabel="frequency [Hz]", ylim=(0, 1.05))
+    if spectra is None:
+        for axis in (upper, lower):
+            say(axis, "no stretch is long enough and free of faults")
+        return figure
+    hertz = frequencies_hz.numpy()
+    for title, density in zip(CHANNEL_TITLES, spectra.auto.numpy(), strict=True):
+        upper.semilogy(hertz[1:], np.where(density > 0, density, np.nan)[1:], label=title, lw=1)
+    for title, coherence in zip(LINKS, spectra.coherences().numpy(), strict=True):
+        lower.plot(hertz[1:], coherence[1:], label=title, lw=1)
+    for axis, place in ((upper, "lower left"), (lower, "lower right")):
+        axis.axvspan(*band_hz, color="tab:green", alpha=0.08, lw=0, label="vehicle's band")
+        axis.margins(x=0)
+        axis.grid(True, which="major", alpha=0.3)
+        axis.legend(loc=place, fontsize="small")
+    return figure
+
+
+def write_picture(path: Path, figure: Figure, title: str) -> None:
+    """Write a figure as PNG, whole or not at all; OSError if the folder cannot be written."""
+    figure.suptitle(title, fontsize="medium")
+    write_atomically(path, as_png(figure, DPI))

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.records import Place
 from suspnet.ground.storage import printable
-from suspnet.recordings.manifest import Place
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
 """States of a trip: the models given read it, or without any a model of its speed would; too little

@@ -11,11 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from suspnet.estimation.commissioning import Commissioned
+from suspnet.estimation.commissioning_summary import Number
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.report.commissioning_summary import Number
-from suspnet.report.figures import BAND, LARGEST_BAND, say
-from suspnet.report.plots import SUSPENSIONS
+from suspnet.ground.wording import kilometres
+from suspnet.report.figures import SUSPENSIONS, say
+from suspnet.report.responses import band
 
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21
@@ -30,7 +31,7 @@ def residuals(outcome: Commissioned) -> FloatArray:
     Returns
     -------
     array of shape (n_groups, 2, n_freq), [-]
-        1 is expected; NaN where a bin tells nothing.
+        1 is expected; NaN where a bin is not used.
     """
     left = np.abs(1 - outcome.fitted / outcome.observed) / (np.sqrt(2) * outcome.deviations)
     return np.where(np.isfinite(outcome.deviations), left, np.nan)
@@ -48,8 +49,8 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    km = f"{found.manifests[shown.trip].mileage_km:,.0f}".replace(",", " ")
-    where = f"{km} km, {3.6 * shown.speed_m_per_s:.0f} km/h"
+    km = kilometres(found.manifests[shown.trip].mileage_km)
+    where = f"{km}, {3.6 * shown.speed_m_per_s:.0f} km/h"
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
         (outcome.observed, f"measured at {where}", {"color": MEASURED, "lw": 2.8}),
         (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
@@ -58,7 +59,9 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     for link, (title, column) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
         magnitude, phase, below = column
         magnitude.set(title=title)
-        _band(magnitude, frequencies_hz, outcome.observed[group, link], outcome, group, link)
+        ends = band(np.abs(outcome.observed[group, link]), outcome.deviations[group, link])
+        style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
+        magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
             one = values[group, link]
             magnitude.semilogy(frequencies_hz, np.abs(one), label=label, **style)
@@ -104,22 +107,6 @@ def number_ranges(found: Sequence[Number]) -> Figure:
     return figure
 
 
-def _band(
-    axis: Axes,
-    frequencies_hz: FloatArray,
-    response: ComplexArray,
-    outcome: Commissioned,
-    group: int,
-    link: int,
-) -> None:
-    """Shade 95 % around a measured magnitude."""
-    deviation = outcome.deviations[group, link]  # infinite where a bin is not used: no band there
-    half = np.where(np.isfinite(deviation), np.minimum(BAND * deviation, LARGEST_BAND), np.nan)
-    magnitude = np.abs(response)
-    low, high = magnitude * np.exp(-half), magnitude * np.exp(half)
-    axis.fill_between(frequencies_hz, low, high, color=MEASURED, alpha=0.4, lw=0, label="95 % band")
-
-
 def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:
     """Return a phase [degrees] in the turn of a smooth response's continuous one.
 
@@ -137,7 +124,7 @@ def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None
     """Draw the residual of each group thinly, and the rms of all groups."""
     known = np.isfinite(left)
     if not known.any():
-        say(axis, "no bin tells anything", keep_x=True)
+        say(axis, "no bin can be used", keep_x=True)
         return
     for one in left:
         axis.plot(frequencies_hz, one, color="0.75", lw=0.5)

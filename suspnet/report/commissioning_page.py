@@ -1,8 +1,7 @@
-"""What commissioning leaves in a run's folder: a page, figures, numbers and curves."""
+"""The files of a commissioned vehicle: a page, figures, numbers and curves."""
 
 from __future__ import annotations
 
-import io
 import logging
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -15,15 +14,15 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from suspnet._version import __version__
+from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
 from suspnet.ground.storage import printable, write_atomically, write_json
+from suspnet.ground.tables import write_table
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import commissioning_figures as figures
-from suspnet.report import commissioning_summary as words
-from suspnet.report.output import write_table
-from suspnet.report.report import PNG_DPI, data_uri
+from suspnet.report.figures import as_png, data_uri
 from suspnet.report.templates import render
 
 log = logging.getLogger(__name__)
@@ -41,8 +40,8 @@ CAPTIONS = {
     "numbers": (
         "Numbers before and after the trips",
         "Each bar is a median with one standard deviation to both sides, over the value of the "
-        "drawing. A short blue bar is a number that the trips tell; a blue bar as long as the "
-        "grey one is a number that they do not tell.",
+        "drawing. A short blue bar is a number that the trips determine; a blue bar as long "
+        "as the grey one is a number that they do not determine.",
     ),
 }
 
@@ -69,9 +68,7 @@ def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> N
         "numbers": figures.number_ranges(words.numbers(outcome)),
     }
     for name, figure in drawn.items():
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=PNG_DPI)
-        write_atomically(folder / "figures" / f"{NAME}_{name}.png", stream.getvalue())
+        write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
     write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
     write_json(folder / f"{NAME}.json", as_json(found, outcome))
     page = _page(found, outcome, drawn)
@@ -166,9 +163,7 @@ def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
 
 
 def _place(found: HealthyTrips) -> str:
-    """Return in words which suspension the trips are of."""
-    first = found.manifests[0]
-    return str(first.place)
+    return str(found.manifests[0].place)
 
 
 def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:

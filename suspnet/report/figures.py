@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import base64
+import io
+from collections.abc import Sequence
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -12,17 +15,19 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
-from suspnet.history.records import OK, TripCurves, TripResult
+from suspnet.ground.wording import kilometres
 from suspnet.recordings.overview import Overview
-from suspnet.report.plots import SUSPENSIONS
+from suspnet.report.responses import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
-BAND = 1.96
-"""Standard deviations on each side that hold 95 % of normally distributed values."""
-LARGEST_BAND = 3.0
-"""Largest half width of a band in log-magnitude; wider ones would flatten the rest of the axis."""
+SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
+SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
+SVG_LIMIT = 400_000
+"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
+PNG_DPI = 130
 
 
 def trip_signals(result: TripResult) -> Figure:
@@ -45,9 +50,7 @@ def trip_signals(result: TripResult) -> Figure:
     draw_signals(axes, Overview(curves.overview_s, *parts, curves.overview_speed))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     if np.isfinite(result.mileage_km):
-        axes[0].set_title(
-            f"trip at {result.mileage_km:,.0f} km".replace(",", " "), fontsize="medium"
-        )
+        axes[0].set_title(f"trip at {kilometres(result.mileage_km)}", fontsize="medium")
     figure.align_ylabels(axes)
     return figure
 
@@ -99,20 +102,26 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
-    shown = [(r.mileage_km / 1000, r.curves) for r in by_mileage(results) if r.curves is not None]
-    mileage = np.array([km for km, _ in shown])
+    shown = [
+        response(r.trip, r.mileage_km, r.curves)
+        for r in sorted(results, key=lambda r: np.nan_to_num(r.mileage_km, nan=-np.inf))
+        if r.curves is not None
+    ]
+    mileage = np.array([one.mileage_km / 1000 for one in shown])
     distinct = len(np.unique(mileage[np.isfinite(mileage)]))
     scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if distinct > 1 else None
     for i, (title, (upper, lower)) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
         upper.set(title=title)
         lower.set(xlabel="frequency [Hz]", ylim=(0, 1.05))
-        for km, curves in shown:
+        for km, one in zip(mileage, shown, strict=True):
             colour = colormaps["viridis"](scale(km)) if scale and np.isfinite(km) else "0.4"
-            magnitude = np.abs(curves.responses[i])
-            upper.semilogy(curves.frequencies_hz, magnitude, color=colour, lw=0.8)
-            lower.plot(curves.frequencies_hz, curves.coherences[i], color=colour, lw=0.8)
-        if shown:
-            _band(upper, shown[-1][1], i)
+            upper.semilogy(one.frequencies_hz, one.magnitudes[i], color=colour, lw=0.8)
+            lower.plot(one.frequencies_hz, one.coherences[i], color=colour, lw=0.8)
+        for one in shown[-1:]:
+            if np.isfinite(one.low[i]).any():
+                label = "95 % band of the last trip"
+                style = {"color": "tab:red", "alpha": 0.25, "lw": 0, "label": label}
+                upper.fill_between(one.frequencies_hz, one.low[i], one.high[i], **style)
         for axis in (upper, lower):
             axis.margins(x=0)
             axis.grid(True, which="both", alpha=0.3)
@@ -135,7 +144,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(3, 1, sharex=True))
-    placed = by_mileage(r for r in results if np.isfinite(r.mileage_km))
+    placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
     mileage = np.array([r.mileage_km / 1000 for r in placed])
     done = np.array([r.status == OK for r in placed], dtype=bool)
     panels = (
@@ -166,28 +175,6 @@ def quality(results: Sequence[TripResult]) -> Figure:
     return figure
 
 
-def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
-    """Return trips in ascending order; those without a mileage first."""
-    return sorted(results, key=lambda r: r.mileage_km if np.isfinite(r.mileage_km) else -np.inf)
-
-
-def _band(axis: Axes, curves: TripCurves, link: int) -> None:
-    """Shade 95 % around a magnitude."""
-    magnitude, deviation = np.abs(curves.responses[link]), curves.deviations[link]
-    known = np.isfinite(deviation) & np.isfinite(magnitude)
-    factor = np.exp(np.minimum(BAND * np.where(known, deviation, 0.0), LARGEST_BAND))
-    if known.any():
-        axis.fill_between(
-            curves.frequencies_hz,
-            np.where(known, magnitude / factor, np.nan),
-            np.where(known, magnitude * factor, np.nan),
-            color="tab:red",
-            alpha=0.25,
-            lw=0,
-            label="95 % band of the last trip",
-        )
-
-
 def _lone_point(time: FloatArray) -> dict[str, Any]:
     """Return the style that makes a line of one point visible."""
     return {"marker": "o"} if len(time) == 1 else {}
@@ -199,3 +186,26 @@ def say(axis: Axes, text: str, keep_x: bool = False) -> None:
     axis.set_yticks([])
     if not keep_x:
         axis.set_xticks([])
+
+
+def as_png(figure: Figure, dpi: float = PNG_DPI) -> bytes:
+    """Return a figure as PNG."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi)
+    return stream.getvalue()
+
+
+def as_svg(figure: Figure) -> bytes:
+    """Return a figure as SVG; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "suspnet"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
+
+
+def data_uri(figure: Figure) -> str:
+    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
+    kind, image = "svg+xml", as_svg(figure)
+    if len(image) > SVG_LIMIT:
+        kind, image = "png", as_png(figure)
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode()}"

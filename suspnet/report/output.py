@@ -4,30 +4,34 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
+from matplotlib.figure import Figure
 from tabulate import tabulate
 
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.records import OK, TripResult, relative_to_first_healthy
 from suspnet.ground.storage import write_atomically, write_json
-from suspnet.history import Event
-from suspnet.history.records import OK, TripResult
+from suspnet.ground.tables import write_table
+from suspnet.ground.wording import count
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.assessment import Assessment, overall, spoken
+from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.schedule import count
+from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
-from suspnet.report.health_figure import health_trend
-from suspnet.report.report import write_report
+from suspnet.report.figures import as_png, data_uri
+from suspnet.report.overview import REPORT, Evaluated, FleetView, finding
+from suspnet.report.report import Report, write_report
+from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
-from suspnet.trips.commissionings import Commissioning, relative_to_first_healthy
+from suspnet.report.trend import trend_of_trips
+from suspnet.report.trend_figure import health_trend
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
@@ -113,14 +117,6 @@ def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> d
     }
 
 
-def write_table(table: pa.Table, path: Path) -> None:
-    """Write a table as `path` with the suffixes .parquet and .csv."""
-    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
-        stream = io.BytesIO()
-        write(table, stream)
-        write_atomically(path.with_name(path.name + suffix), stream.getvalue())
-
-
 def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
     """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
     rows = pa.Table.from_pylist([result.row(outputs) for result in results])
@@ -151,37 +147,24 @@ def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output
         write_atomically(output / "responses.parquet", stream.getvalue())
 
 
-def write_pages(
-    results: Sequence[TripResult],
-    outputs: tuple[str, ...],
-    assessments: Sequence[Assessment],
-    output: Path,
-    details: Mapping[str, str],
-    level: float,
-    limits: Mapping[str, Limits],
-    states: Sequence[Commissioning] = (),
-    events: Sequence[Event] = (),
-    alarms: Sequence[Alarm] = (),
-    seen: Sequence[Acknowledgement] = (),
-    draw: bool = True,
-) -> None:
+def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     """Write figures if they are to be drawn, TensorBoard events, metrics.json and report.html.
 
-    The figure of the trend is relative to the first of several commissionings `states`.
+    The figure of the trend is relative to the first of several commissionings.
     """
+    results, outputs, state = report.results, report.outputs, report.state
     done = [r for r in results if r.status == OK]
     drawn = {}
     if draw:
         drawn = {
             "trend": health_trend(
-                relative_to_first_healthy(results, states),
-                outputs,
-                level,
-                limits,
-                states,
-                events,
-                alarms,
-                {one.parameter: one.life for one in assessments if one.life},
+                trend_of_trips(
+                    relative_to_first_healthy(results, report.commissionings),
+                    state,
+                    outputs,
+                    report.level,
+                    report.commissionings,
+                )
             ),
             "responses": figures.trip_responses(results),
             "signals": figures.trip_signals(done[-1] if done else results[-1]),
@@ -195,45 +178,91 @@ def write_pages(
         for name, figure in drawn.items():
             run_log.figure(name, figure, output / "figures")
         run_log.text("trips", summary(results, outputs))
-        run_log.text("verdict", spoken(assessments))
-    errors = errors_percent(results, outputs)
-    severity, sentence = overall(assessments)
-    metrics = {
+        run_log.text("verdict", spoken(state.assessments))
+    metrics = json.loads(json.dumps(_metrics(report), default=float))
+    write_json(output / "metrics.json", metrics)
+    write_report(output / REPORT, "Suspension report", report, drawn)
+
+
+def _metrics(report: Report) -> dict[str, Any]:
+    results, state = report.results, report.state
+    severity, sentence = overall(state.assessments)
+    return {
         "severity": str(severity),
         "verdict": sentence,
         "n_trips": len(results),
-        "n_estimated": len(done),
+        "n_estimated": sum(r.status == OK for r in results),
         "n_flagged": sum(bool(r.flags) for r in results),
-        "rms_error_percent": errors,
-        "coverage_percent": coverage_percent(results, outputs),
-        "limits": {name: one.to_dict() for name, one in limits.items()},
+        "rms_error_percent": errors_percent(results, report.outputs),
+        "coverage_percent": coverage_percent(results, report.outputs),
+        "limits": {name: one.to_dict() for name, one in state.limits.items()},
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
             | {"now": one.now, "life": _life_row(one.life), "unknown_life": one.unknown_life}
-            for one in assessments
+            for one in state.assessments
         ],
-        "commissionings": [asdict(one) for one in states],
-        "maintenance": [asdict(one) for one in events],
-        "alarms": [_alarm_row(one, seen) for one in alarms],
-        "details": dict(details),
+        "commissionings": [asdict(one) for one in report.commissionings],
+        "maintenance": [asdict(one) for one in state.series.events],
+        "alarms": [_alarm_row(one, report.seen) for one in state.watched.alarms],
+        "details": dict(report.details),
     }
-    write_json(output / "metrics.json", json.loads(json.dumps(metrics, default=float)))
-    write_report(
-        output / "report.html",
-        "Suspension report",
-        results,
-        outputs,
-        drawn,
-        assessments,
-        details,
-        level,
-        limits,
-        states,
-        events,
-        alarms,
-        seen,
+
+
+def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Path) -> str:
+    """Write overview.parquet, .csv and .html of a folder, and return the overview as text.
+
+    Parameters
+    ----------
+    done : sequence of Evaluated
+        In the order of the rows.
+    outputs : sequence of str
+        Parameters, whose last estimates are shown.
+    output : Path
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
+    """
+    rows = [one.row(outputs) for one in done]
+    write_table(pa.Table.from_pylist(rows), output / "overview")
+    page = render("overview.html", rows=rows, outputs=outputs, finding=finding(rows))
+    write_atomically(output / "overview.html", page)
+    shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
+    table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
+    return f"{finding(rows)}\n{table}"
+
+
+def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:
+    """Write the files of a fleet: overview.html, .csv and .parquet, plan.csv and .parquet.
+
+    The page holds overview, plan and sister suspensions, and needs no other file.
+
+    Parameters
+    ----------
+    view : FleetView
+    plan : Plan
+    figure : Figure
+        Calendar of the plan.
+    output : Path
+    """
+    write_table(pa.Table.from_pylist(view.rows), output / "overview")
+    jobs: list[dict[str, Any]] = plan.rows()
+    if jobs:
+        write_table(pa.Table.from_pylist(jobs), output / "plan")
+    write_atomically(output / "calendar.png", as_png(figure, 150))
+    page = render(
+        "fleet.html",
+        rows=view.rows,
+        finding=finding(view.rows),
+        plan=plan,
+        jobs=joined(jobs),
+        calendar=data_uri(figure),
+        sisters=[[view.rows[i] for i in car] for car in view.cars],
+        parameters=[name for name in PARAMETERS if name != PAYLOAD],
     )
+    write_atomically(output / "overview.html", page.encode("utf-8", errors="replace"))
 
 
 def _life_row(life: Life | None) -> dict[str, Any] | None:

@@ -1,31 +1,38 @@
-"""All suspensions of a folder on one page and in one table, the worst first."""
+"""Suspensions side by side, the worst first: those of a folder, and a fleet at one time."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import astuple, dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from tabulate import tabulate
 
-from suspnet.ground.storage import write_atomically
-from suspnet.history.records import OK, TripResult
-from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.schedule import count
-from suspnet.recordings.manifest import Place
-from suspnet.report.output import write_table
-from suspnet.report.templates import render
+from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.records import OK, Key, Place, TripResult
+from suspnet.ground.wording import count
+from suspnet.history.schema import BadRow
+from suspnet.maintenance.alarms import Acknowledgement, newest_of
+from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.series import of_same_car
+from suspnet.maintenance.state import State
 
 REPORT = "report.html"
+N_SHOWN = 30
+"""Largest number of suspensions in the table of a terminal."""
+ROW_PLACE = ("train", "car", "suspension", "bogie", "side")
+"""Columns of a row that say which suspension it is."""
+ID_DIGITS = 12
+"""Number of hexadecimal digits of a suspension's name in an address."""
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """One suspension: its trips and what they mean, or why it could not be read.
+    """One suspension of a folder: its trips and its state, or why it could not be read.
 
     Attributes
     ----------
@@ -34,8 +41,8 @@ class Evaluated:
     place : Place
     results : list of TripResult
         Ascending mileage.
-    assessments : list of Assessment
-        One for each parameter.
+    state : State, optional
+        None if it was not read.
     error : str
         Empty if it was read.
     """
@@ -43,13 +50,13 @@ class Evaluated:
     name: str
     place: Place
     results: list[TripResult] = field(default_factory=list)
-    assessments: list[Assessment] = field(default_factory=list)
+    state: State | None = None
     error: str = ""
 
     @property
     def severity(self) -> Severity:
         """The largest severity of its parameters; unknown if it was not read."""
-        return overall(self.assessments)[0]
+        return Severity.UNKNOWN if self.state is None else self.state.severity
 
     @property
     def is_complete(self) -> bool:
@@ -58,10 +65,7 @@ class Evaluated:
 
     def row(self, outputs: Sequence[str]) -> dict[str, Any]:
         """Return the suspension as one flat row of the overview."""
-        worst = next(iter(joined(worst_first(self.assessments))), [])
-        done = [r for r in self.results if r.status == OK]
-        last = {one.parameter: one.now for one in self.assessments}
-        reason = worst[0].words if worst else overall(self.assessments)[1]
+        state, reason = self.state, f"not read: {self.error}"
         return {
             "suspension": self.place.suspension or self.name,
             "bogie": self.place.bogie,
@@ -69,41 +73,162 @@ class Evaluated:
             "train": self.place.train,
             "car": self.place.car,
             "severity": str(self.severity),
-            "parameter": ", ".join(one.parameter for one in worst),
-            **{f"{name}_last": float(last.get(name, np.nan)) for name in outputs},
-            "last_mileage_km": float(done[-1].mileage_km if done else np.nan),
+            "parameter": state.parameters if state else "",
+            **{f"{name}_last": state.now(name) if state else np.nan for name in outputs},
+            "last_mileage_km": state.last_km if state else np.nan,
             "n_trips": len(self.results),
-            "n_estimated": len(done),
+            "n_estimated": sum(r.status == OK for r in self.results),
             "n_flagged": sum(bool(r.flags) for r in self.results),
-            "reason": f"not read: {self.error}" if self.error else reason,
+            "reason": state.reason if state else reason,
             "folder": self.name,
             "report": "" if self.error else f"{self.name}/{REPORT}",
         }
 
 
-def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Path) -> str:
-    """Write overview.parquet, .csv and .html, and return the overview as text.
+@dataclass(frozen=True, eq=False)
+class FleetView:
+    """The fleet at one time; nothing of it changes.
+
+    Attributes
+    ----------
+    version : int
+        Grows with each view of a board; 0 is the one before anything was read.
+    at : datetime
+        When it was made, in UTC.
+    states : tuple of State
+        The most severe first, then the shortest life.
+    rows : list of dict
+        Of ``overview_rows``, in the order of `states`.
+    plan : Plan, optional
+        None until remaining lives are worked out.
+    cars : list of lists of int
+        Places in `states` of the suspensions of each car that has several.
+    keys : dict of int
+        Place in `states` of each suspension by its ``address``.
+    limits : mapping from vehicle to mapping from parameter to Limits
+    acknowledged : mapping from vehicle and place to acknowledgements
+    is_complete : bool
+        Whether alarms, lives and plan are of all trips in `states`; if not, some are those of
+        before, or not worked out yet.
+    trouble : str
+        Why the store could not be read when this was to be made again; empty if it could.
+    bad_rows : tuple of BadRow
+        Rows of the store that cannot be read and are left out.
+    """
+
+    version: int = 0
+    at: datetime = field(default_factory=lambda: datetime.now(UTC))
+    states: tuple[State, ...] = ()
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    plan: Plan | None = None
+    cars: list[list[int]] = field(default_factory=list)
+    keys: dict[str, int] = field(default_factory=dict)
+    limits: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
+    acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
+    is_complete: bool = False
+    trouble: str = ""
+    bad_rows: tuple[BadRow, ...] = ()
+
+
+def fleet_view(
+    states: Sequence[State],
+    limits: Mapping[str, Mapping[str, Limits]],
+    acknowledged: Mapping[Key, Sequence[Acknowledgement]],
+    plan: Plan | None,
+    *,
+    version: int = 1,
+    is_complete: bool = True,
+    bad_rows: Sequence[BadRow] = (),
+) -> FleetView:
+    """Return the view of a fleet.
 
     Parameters
     ----------
-    done : sequence of Evaluated
-        In the order of the rows.
-    outputs : sequence of str
-        Parameters, whose last estimates are shown.
-    output : Path
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    states : sequence of State
+        The most severe first.
+    limits, acknowledged, plan, version, is_complete, bad_rows
+        As in ``FleetView``.
     """
-    rows = [one.row(outputs) for one in done]
-    write_table(pa.Table.from_pylist(rows), output / "overview")
-    page = render("overview.html", rows=rows, outputs=outputs, finding=finding(rows))
-    write_atomically(output / "overview.html", page)
-    shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
-    table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
-    return f"{finding(rows)}\n{table}"
+    places = {id(state.series): i for i, state in enumerate(states)}
+    cars = of_same_car([state.series for state in states])
+    return FleetView(
+        version=version,
+        states=tuple(states),
+        rows=overview_rows(states, acknowledged),
+        plan=plan,
+        cars=[[places[id(one)] for one in car] for car in cars],
+        keys={address(state.key): i for i, state in enumerate(states)},
+        limits=limits,
+        acknowledged=acknowledged,
+        is_complete=is_complete,
+        bad_rows=tuple(bad_rows),
+    )
+
+
+def address(key: Key) -> str:
+    """Return the name of a suspension in an address: a part of a hash of vehicle and place."""
+    vehicle, place = key
+    content = json.dumps([vehicle, *astuple(place)])
+    return hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS]
+
+
+def overview_rows(
+    states: Sequence[State], acknowledged: Mapping[Key, Sequence[Acknowledgement]]
+) -> list[dict[str, Any]]:
+    """Return one flat row for each suspension, in the order given.
+
+    Parameters
+    ----------
+    states : sequence of State
+    acknowledged : mapping from vehicle and place to acknowledgements
+    """
+    return [_row(one, acknowledged) for one in states]
+
+
+def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) -> dict[str, Any]:
+    series, shortest = state.series, state.shortest
+    worst = next(iter(state.alarms), None)
+    seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
+    is_found = state.severity > Severity.NONE  # words of the others would cost time for nothing
+    life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
+    low, high, median = life or (np.nan, np.nan, np.nan)
+    return {
+        "vehicle": series.vehicle,
+        "where": str(series.place),
+        **{name: getattr(series.place, name) for name in ROW_PLACE},
+        "severity": str(state.severity),
+        "parameter": state.parameters if is_found else "",
+        "reason": state.reason if is_found else _quiet(state),
+        "since_km": worst.begin_km if worst else np.nan,
+        "n_alarms": len(state.alarms),
+        "acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else "",
+        "life_parameter": shortest[0] if shortest else "",
+        "life_low_km": low,
+        "life_median_km": median,
+        "life_high_km": high,
+        "life_unknown": ", ".join(state.unknown),
+        "life_unknown_why": "; ".join(dict.fromkeys(state.unknown.values())),
+        **{f"{name}_last": state.now(name) for name in series.estimates},
+        "last_mileage_km": state.last_km,
+        "n_trips": len(series.trip),
+        "n_estimated": int(series.done.sum()),
+        "n_flagged": int(series.flagged.sum()),
+    }
+
+
+def _quiet(state: State) -> str:
+    """Return what is to be said of a suspension without a finding."""
+    why = state.watched.changes.why_not
+    return f"alarms of changes not armed yet: {why}" if why else ""
+
+
+def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the worst suspensions of a fleet as a table, below a sentence on all of them."""
+    shown = ("train", "car", "suspension", "bogie", "side", "severity", "parameter", "reason")
+    columns = [key for key in shown if any(row[key] for row in rows)]
+    head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
+    more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""
+    return f"{finding(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
 
 
 def finding(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -2,43 +2,35 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from suspnet.ground.parameters import NAMES
+from suspnet.ground.records import OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
-from suspnet.history import Event
-from suspnet.history.records import OK, TripResult
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
-from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.schedule import count
-from suspnet.report.sides_summary import sides_finding
-from suspnet.report.templates import KILO, SEVERITIES, render, thousands, with_unit
+from suspnet.ground.wording import count, span, thousands, unbroken
+from suspnet.maintenance.alarms import Acknowledgement, newest_of
+from suspnet.maintenance.assessment import joined, overall, worst_first
+from suspnet.maintenance.judge import N_LAST
+from suspnet.maintenance.series import Event
+from suspnet.maintenance.state import State
+from suspnet.report.figures import data_uri
+from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 from suspnet.report.trip_table import trip_table
-from suspnet.trips.commissionings import Commissioning
 
-NAMES = {
-    "k_p": "stiffness of the primary spring",
-    "c_p": "damping of the primary damper",
-    "k_s": "stiffness of the secondary spring",
-    "c_s": "damping of the secondary damper",
-    "M_s": "mass of the car body",
-}
 ROLES = {
     "k_p": ", between axle box and bogie frame.",
     "c_p": ", between axle box and bogie frame.",
     "k_s": ", between bogie frame and car body; often an air spring.",
     "c_s": ", between bogie frame and car body.",
-    "M_s": ": it varies with the pay-load and says nothing about faults.",
+    "M_s": ": it varies with the payload and says nothing about faults.",
 }
 CAPTIONS = {
     "trend": (
@@ -74,59 +66,54 @@ FLAGS_SHOWN = (
     "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
 )
 ANEW = (
-    "Commissioned anew: {}. Severities, medians and changes are of the trips since; each trip's "
+    "Commissioned again: {}. Severities, medians and changes are of the trips since; each trip's "
     "percentages are of its own healthy values, those of the figure of the first ones."
 )
 MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
-SVG_LIMIT = 400_000
-"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
-PNG_DPI = 130
 
 
-def write_report(
-    path: Path,
-    title: str,
-    results: Sequence[TripResult],
-    outputs: Sequence[str],
-    figures: Mapping[str, Figure],
-    assessments: Sequence[Assessment],
-    details: Mapping[str, str],
-    level: float = 0.9,
-    limits: Mapping[str, Limits] | None = None,
-    states: Sequence[Commissioning] = (),
-    events: Sequence[Event] = (),
-    alarms: Sequence[Alarm] = (),
-    seen: Sequence[Acknowledgement] = (),
-) -> Path:
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What the files of one suspension show.
+
+    Attributes
+    ----------
+    results : list of TripResult
+        Ascending mileage.
+    outputs : tuple of str
+        Parameters, the columns of the table of trips.
+    state : State
+        Of these trips.
+    details : mapping of str
+        Model, settings, version, date.
+    level : float
+        Probability of the intervals.
+    commissionings : sequence of Commissioning
+        Several healthy states; the state is of the trips since the last.
+    seen : sequence of Acknowledgement
+        Of the alarms.
+    """
+
+    results: list[TripResult]
+    outputs: tuple[str, ...]
+    state: State
+    details: Mapping[str, str] = field(default_factory=dict)
+    level: float = 0.9
+    commissionings: Sequence[Commissioning] = ()
+    seen: Sequence[Acknowledgement] = ()
+
+
+def write_report(path: Path, title: str, report: Report, figures: Mapping[str, Figure]) -> Path:
     """Write one HTML file that needs no other file and no network.
 
     Parameters
     ----------
     path : Path
     title : str
-    results : sequence of TripResult
-        In any order; the table of trips follows the mileage.
-    outputs : sequence of str
-        Parameters, the columns of that table.
+    report : Report
     figures : mapping of Figure
         "trend", "responses", "signals" and "quality" come first, in this order and with an
         explanation; others follow under their own name.
-    assessments : sequence of Assessment
-        One for each parameter.
-    details : mapping of str
-        Model, settings, version, date.
-    level : float
-        Probability of the intervals.
-    limits : mapping of Limits, optional
-        Of each parameter, for the table.
-    states : sequence of Commissioning
-        Several healthy states; `assessments` are of the trips since the last.
-    events : sequence of Event
-        Maintenance; `assessments` are of the trips since the last.
-    alarms : sequence of Alarm
-        Those that stand and those that ended.
-    seen : sequence of Acknowledgement
-        Of these.
 
     Returns
     -------
@@ -138,11 +125,12 @@ def write_report(
     OSError
         If the folder cannot be written.
     """
-    trips = sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
+    state, assessments = report.state, report.state.assessments
+    trips = by_mileage(report.results)
     severity, finding = overall(assessments)
-    told = joined(worst_first(assessments))
+    found = joined(worst_first(assessments))
     doubts, sides = _doubts(trips), sides_finding(trips)
-    table = trip_table(trips, outputs, level)
+    table = trip_table(trips, report.outputs, report.level)
     shown = {
         "intervals": INTERVALS_SHOWN.format(level=table.level) if table.level else "",
         "flags": FLAGS_SHOWN if doubts else "",
@@ -152,28 +140,50 @@ def write_report(
         "report.html",
         title=title,
         headline=_headline(trips),
-        tone="plain" if tone == "good" and (doubts or told or sides) else tone,
+        tone="plain" if tone == "good" and (doubts or found or sides) else tone,
         finding=finding,
         doubts=doubts,
         sides=sides,
-        told=told,
+        told=found,
         assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
-        limits=limits or {},
+        limits=state.limits,
         alarms=[
-            (one, newest_of(one, seen))
-            for one in sorted(alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
+            (one, newest_of(one, report.seen))
+            for one in sorted(
+                state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km)
+            )
         ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
-        anew=_anew(states, events),
+        anew=_anew(report.commissionings, state.series.events),
         healthy=_healthy(trips),
         level=table.level,
-        healthy_level=f"{100 * level:g}",
+        healthy_level=f"{100 * report.level:g}",
         names=NAMES,
         roles=ROLES,
-        details=details,
+        details=report.details,
     )
     return write_atomically(path, page.encode("utf-8", errors="replace"))
+
+
+def sides_finding(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on the sides for the report, from the last trips; empty without finding.
+
+    Parameters
+    ----------
+    trips : sequence of TripResult
+        In the order of the mileage.
+    """
+    last = [r for r in trips if r.status == OK][-N_LAST:]
+    told = [r for r in last if r.sides]
+    if not told:
+        return ""
+    trips_are = f"{len(told)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
+    return (
+        f"Left and right differ on {trips_are}; on {told[-1].trip}: {told[-1].sides}. An estimate "
+        "is the mean of both sides. Sensors of a pair that differ in place or sensitivity, and a "
+        "track with one rail worse than the other, can look alike: compare several trips."
+    )
 
 
 def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
@@ -187,12 +197,10 @@ def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
 
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
-    """Return what the page is about: label and text."""
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
-    span = "unknown"
+    between = "unknown"
     if mileage:
-        span = " to ".join(dict.fromkeys(thousands(km) for km in (min(mileage), max(mileage))))
-        span += " km"
+        between = unbroken(f"{span(thousands(min(mileage)), thousands(max(mileage)))} km")
     starts = sorted(r.start for r in trips if r.start)
     dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
     done = sum(r.status == OK for r in trips)
@@ -200,7 +208,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     texts = {
         "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
         "Suspension": "; ".join(dict.fromkeys(str(r.place) for r in trips if r.place.suspension)),
-        "Mileage": span,
+        "Mileage": between,
         "Dates": dates,
         "Trips": f"{len(trips)}, of which {done} with an estimate"
         + (f", {flagged} of these flagged" if flagged else ""),
@@ -223,7 +231,6 @@ def _doubts(trips: Sequence[TripResult]) -> str:
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
-    """Return the names of figures, those with a caption first."""
     known = [name for name in CAPTIONS if name in figures]
     return known + [name for name in figures if name not in CAPTIONS]
 
@@ -241,20 +248,7 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
     }
 
 
-def data_uri(figure: Figure) -> str:
-    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
-    stream = io.BytesIO()
-    with mpl.rc_context({"svg.hashsalt": "suspnet"}):  # the same figure gives the same bytes
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    kind = "svg+xml"
-    if stream.tell() > SVG_LIMIT:
-        kind, stream = "png", io.BytesIO()
-        figure.savefig(stream, format="png", dpi=PNG_DPI)
-    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode()}"
-
-
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
-    """Return what 100 % of each parameter is on the last trip that has an estimate."""
     known = [r for r in trips if r.healthy_si]
     if not known:
         return {}

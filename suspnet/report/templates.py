@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-import re
+from collections.abc import Iterable
 from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from suspnet.dynamics.vehicle import UNITS
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import UNITS
+from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
+from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.limits import Severity
-from suspnet.maintenance.watch import ABSURD
 
 SEVERITIES = {
     Severity.ACT: ("act", "Act"),
@@ -23,11 +24,12 @@ SEVERITIES = {
 }
 """Tone and label of each severity; style.css has the colours of each tone."""
 LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
-"""The same by the names that stand in tables."""
+"""The same by the names in tables."""
+MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
+"""Sign of each severity, so that colour is not needed."""
 KILO = 1e3
 KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
 """Unit of a thousand of each SI unit."""
-NO_NUMBER = "\N{EN DASH}"
 PACKAGE = "suspnet.report"
 """Package whose templates those of all others may use."""
 
@@ -50,7 +52,7 @@ def environment(*packages: str) -> Environment:
         loader=FunctionLoader(lambda name: packaged(name, *packages)),
     )
     found.filters |= FILTERS
-    found.globals["labels"] = LABELS
+    found.globals |= GLOBALS
     return found
 
 
@@ -66,14 +68,6 @@ def packaged(name: str, *packages: str) -> str | None:
         if file.is_file():
             return file.read_text(encoding="utf-8")
     return None
-
-
-def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
-    """Return a number with a true minus sign, or a dash if there is none."""
-    if value is None or not math.isfinite(value):
-        return NO_NUMBER
-    text = f"{value * scale:.{digits}f}"
-    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
 
 
 def level(ratio: float | None, digits: int) -> str:
@@ -103,11 +97,8 @@ def with_unit(number: str, name: str) -> str:
     return f"{number}\N{NO-BREAK SPACE}{unit}"
 
 
-def thousands(value: float) -> str:
-    """Return a whole number with no-break spaces between thousands, or a dash."""
-    if not math.isfinite(value):
-        return NO_NUMBER
-    return f"{value:,.0f}".replace(",", "\N{NO-BREAK SPACE}")
+def _thousands(value: float) -> str:
+    return unbroken(thousands(value))
 
 
 def _to_go(life: Life | None, unknown: str = "") -> Markup:
@@ -129,8 +120,8 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
 
 
 def _rounded(km: float) -> str:
-    """Return a mileage in words, with two digits that count."""
-    return thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
+    """Return a mileage with two significant digits."""
+    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 
 def _symbol(name: str) -> Markup:
@@ -144,20 +135,22 @@ def _range(pair: tuple[float, float]) -> str:
     return " to ".join(f"{100 * one:g}" for one in pair)
 
 
-def _unbroken(words: str) -> str:
-    """Return words in which no line ends between a number and its unit, or within a number."""
-    return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)
+def _columns(names: Iterable[str]) -> list[Markup]:
+    """Return the headings of columns of parameters in %."""
+    return [Markup("#{}\n[%]").format(_symbol(name)) for name in names]
 
 
+GLOBALS = {"labels": LABELS, "marks": MARKS}
 FILTERS = {
+    "columns": _columns,
     "level": level,
     "number": number,
     "plus_minus": _plus_minus,
-    "thousands": thousands,
+    "thousands": _thousands,
     "symbol": _symbol,
     "range": _range,
     "si": _si,
-    "unbroken": _unbroken,
+    "unbroken": unbroken,
     "to_go": _to_go,
     "rounded": _rounded,
 }

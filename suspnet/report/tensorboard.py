@@ -17,7 +17,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.storage import write_atomically
 from suspnet.learning.metrics import METRICS
 

@@ -1,13 +1,15 @@
-"""Trips as a table: estimates with half widths, and as many digits as these are worth."""
+"""Trips as a table, and sentences on several of them."""
 
 from __future__ import annotations
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from suspnet.history.records import OK, TripResult
+from suspnet.ground.records import OK, TripResult
+from suspnet.ground.wording import count
 
 
 @dataclass(frozen=True)
@@ -66,3 +68,18 @@ def _digits(half_widths: Sequence[float]) -> int:
         return 1
     further = math.ceil(math.log10(0.095 / statistics.median(known)))
     return 1 + min(max(further, 0), 2)
+
+
+def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
+    """Return how the files of trips were read, as a detail; empty where all was known.
+
+    Trips that were read alike are one remark, with their number if others were not.
+    """
+    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
+    if not counts:
+        return {}
+    remarks = [
+        words if n == len(results) else f"{words} ({count(n, 'trip')})"
+        for words, n in counts.most_common()
+    ]
+    return {"files read as": " · ".join(remarks)}

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,34 +15,33 @@ import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+from tabulate import tabulate
 
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.feature_information import feature_loss
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.plain_files import read_plain
 from suspnet.ground.storage import (
     content_hash,
     dump_arrays,
     read_json,
-    write_atomically,
-    write_json,
+    read_plain,
 )
-from suspnet.report.plots import BOUND_COLOUR, OUR_COLOUR, SYMBOLS
-from suspnet.report.table6 import records_csv
-from suspnet.report.tensorboard import RunLog
-from suspnet.runs.ablation_tables import (
-    BASELINE,
-    Record,
-    ablation_caption,
-    ablation_markdown,
-    ablation_records,
-)
+from suspnet.report.figures import SYMBOLS
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
+from suspnet.runs.study_files import write_study
+from suspnet.runs.table6 import in_digits, mean_known
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256
 """Test vehicles over which the bounds of features are averaged."""
 TICKS, WIDE_TICKS = (1, 1.2, 1.5, 2, 3, 4), (1, 2, 3, 5, 10, 20, 50, 100)
+BASELINE = "baseline"
+"""Name of the ablation that changes nothing."""
+IGNORED = ("ablation_name",)
+PARTS = ("protocol", "data", "model")
+"""Order in which settings are listed, by the first word of their key."""
+Record = dict[str, Any]
 
 
 def write_ablation(folder: Path) -> list[Record]:
@@ -67,12 +67,7 @@ def write_ablation(folder: Path) -> list[Record]:
         for key in dict.fromkeys((r["protocol"], r["group"]) for r in records)
     ]
     text = "\n".join(f"{ablation_caption(part)}\n\n{ablation_markdown(part)}\n" for part in parts)
-    write_json(folder / "ablation.json", records)
-    write_atomically(folder / "ablation.csv", records_csv(records))
-    write_atomically(folder / "ablation.md", text)
-    with RunLog(folder) as run_log:
-        run_log.text("ablation", text)
-        run_log.figure("ablation", figure(records), folder)
+    write_study(folder, "ablation", text, records, records, {"ablation": figure(records)})
     log.info("Ablation: where accuracy is lost\n\n%s\n-> %s/ablation.*", text, folder)
     return records
 
@@ -111,7 +106,6 @@ def figure(records: Sequence[Record]) -> Figure:
 
 
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
-    """Draw the records of one output against the baseline and the bounds."""
     axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
         if record["ablation"] == BASELINE:
@@ -133,10 +127,165 @@ def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) ->
 
 
 def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """Return the metrics of a run with its configuration and what its features lose."""
     metrics: dict[str, Any] = read_json(folder / "metrics.json")
     lost = features_ratio(load_model(folder), known)
     return metrics | {
         "config": yaml.safe_load(read_plain(folder / "config.yaml")),
         "features_ratio": {name: None if math.isnan(v) else v for name, v in lost.items()},
     }
+
+
+def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return a nested mapping as one from dotted keys to values.
+
+    Examples
+    --------
+    >>> flattened({"model": {"C": 1.0, "callback": None}, "seed": 0})
+    {'model.C': 1.0, 'model.callback': None, 'seed': 0}
+    """
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        if isinstance(value, Mapping) and value:
+            flat |= flattened(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def changes(config: Mapping[str, Any], baseline: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a run that are not the baseline's, as a user would override them.
+
+    Parameters
+    ----------
+    config, baseline : mappings
+        The resolved configurations of both.
+    """
+    before, after = flattened(baseline), flattened(config)
+    changed = {
+        key: value
+        for key, value in after.items()
+        if key not in IGNORED and (key not in before or before[key] != value)
+    }
+    return {key: changed[key] for key in sorted(changed, key=_place)}
+
+
+def ablation_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
+    """Return one record for each output of each run.
+
+    Parameters
+    ----------
+    runs : sequence of mappings
+        The metrics.json of each run with two keys more: `config`, its resolved configuration, and
+        `features_ratio`, {output: rms bound of its features over that of its curves}.
+
+    Returns
+    -------
+    list of dict
+        Keys protocol, group, ablation, change, output, rms_ratio (rms error over the bound of the
+        curves), to_baseline (that over the baseline's), features_ratio, mape_percent, bound (the
+        MAPE at the bound), lost_percent (test curves that lack a feature), n_train, snr_db, seed,
+        seconds. The baseline comes first in its group, then settings in a fixed order; without a
+        baseline of the same protocol, group and seed, `change` and `to_baseline` are None.
+    """
+    baselines = {_setting(run): run for run in runs if run["ablation"] == BASELINE}
+    ordered = []
+    for run in runs:
+        baseline = baselines.get(_setting(run))
+        changed = None if baseline is None else changes(run["config"], baseline["config"])
+        ordered.append((_order(run, changed), _records(run, baseline, changed)))
+    ordered.sort(key=lambda pair: pair[0])
+    return [record for _, records in ordered for record in records]
+
+
+def ablation_markdown(records: Sequence[Record]) -> str:
+    """Return the records of one protocol and group as Markdown, averaged over seeds."""
+    outputs = list(dict.fromkeys(r["output"] for r in records))
+    rows = []
+    for name in dict.fromkeys(r["ablation"] for r in records):
+        same = [r for r in records if r["ablation"] == name]
+        row = [name]
+        for output in outputs:
+            chosen = [r for r in same if r["output"] == output]
+            for key in ("rms_ratio", "to_baseline", "features_ratio", "mape_percent"):
+                row.append(in_digits(mean_known(r[key] for r in chosen)))
+        row += [in_digits(mean_known(r[key] for r in same)) for key in ("lost_percent", "seconds")]
+        rows.append([*row, same[0]["change"] or ("" if name == BASELINE else "-")])
+    header = ["ablation"]
+    for output in outputs:
+        header += [output, "x", "features", "MAPE %"]
+    header += ["lost %", "seconds", "change"]
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def ablation_caption(records: Sequence[Record]) -> str:
+    """Return what a table of one protocol and group shows."""
+    first = next((r for r in records if r["ablation"] == BASELINE), records[0])
+    seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
+    return (
+        f"protocol {first['protocol']}, group {first['group']}, {first['n_train']} training "
+        f"curves, {first['snr_db']:g} dB and seed {seeds} unless the change says otherwise.\n"
+        "Below each output: rms error over the Cramer-Rao bound of the curves; x: that over the "
+        "baseline's;\nfeatures: the bound of the features over that of the curves, which no "
+        "unbiased regression on these features\npasses; MAPE. lost: test curves that lack a "
+        "feature; seconds: to fit and predict."
+    )
+
+
+def _records(
+    run: Mapping[str, Any], baseline: Mapping[str, Any] | None, changed: Mapping[str, Any] | None
+) -> list[Record]:
+    change = None
+    if changed is not None:
+        change = " ".join(f"{key}={_shown(value)}" for key, value in changed.items())
+    usual = {} if baseline is None else baseline["rms_ratio"]
+    return [
+        {
+            "protocol": run["protocol"],
+            "group": run["group"],
+            "ablation": run["ablation"],
+            "change": change,
+            "output": output,
+            "rms_ratio": ratio,
+            "to_baseline": _over(ratio, usual.get(output)),
+            "features_ratio": run["features_ratio"].get(output),
+            "mape_percent": run["scores"][output]["mape_percent"],
+            "bound": run["bound"][output]["mape_percent"],
+            "lost_percent": 100 * (1 - run["n_test_complete"] / run["n_test"]),
+            "n_train": run["n_train"],
+            "snr_db": run["snr_db"],
+            "seed": run["seed"],
+            "seconds": run["seconds"],
+        }
+        for output, ratio in run["rms_ratio"].items()
+    ]
+
+
+def _setting(run: Mapping[str, Any]) -> tuple[Any, ...]:
+    return run["protocol"], run["group"], run["seed"]
+
+
+def _order(run: Mapping[str, Any], changed: Mapping[str, Any] | None) -> tuple[Any, ...]:
+    """Return the sorting key of a run: group, the baseline first, then settings and values."""
+    places = [(*_place(key), *_rank(value)) for key, value in (changed or {}).items()]
+    is_other = run["ablation"] != BASELINE
+    return run["protocol"], run["group"], is_other, places, run["ablation"], run["seed"]
+
+
+def _place(key: str) -> tuple[int, str]:
+    first = key.split(".")[0]
+    return (PARTS.index(first) if first in PARTS else len(PARTS), key)
+
+
+def _rank(value: Any) -> tuple[float, str]:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return (float(value) if number else 0.0, str(value))
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _over(value: float | None, other: float | None) -> float | None:
+    return None if value is None or not other else value / other

@@ -8,15 +8,12 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from suspnet.estimation.conformal import Conformal
-from suspnet.estimation.feature_data import FeatureData
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves, identified
-from suspnet.estimation.intervals import Intervals, residuals
+from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import WORN, Residual, Unexplained
-from suspnet.estimation.problem import CALIBRATE, TRAIN, Problem
-from suspnet.ground.types import FloatArray
+from suspnet.estimation.problem import CALIBRATE, TRAIN, FeatureData, Problem
 from suspnet.runs.predict import refine_stream, regress_stream
 from suspnet.spectra.estimates import EstimateObserver
 
@@ -77,7 +74,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
 def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
     """Return a model that knows the cost of what its healthy trips leave unexplained.
 
-    Estimates of noise-free vehicles like the training ones, made anew from curves times
+    Estimates of noise-free vehicles like the training ones, made again from curves times
     exp(+-residual).
 
     Raises
@@ -105,12 +102,8 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
             "no curve keeps its features when it is off by what the healthy trips leave "
             "unexplained: the vehicle file, the sensors' places or the band are wrong"
         )
-    return replace(model, unexplained=Unexplained(residual.misfit, WORN * _rms(known)))
-
-
-def _rms(values: FloatArray) -> FloatArray:
-    """Return the root of the mean square of each column."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+    costs = WORN * np.sqrt(np.mean(known**2, axis=0))
+    return replace(model, unexplained=Unexplained(residual.misfit, costs))
 
 
 def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> bool:
@@ -118,7 +111,7 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
 
     Only estimates from trips are corrected, and only where they are all that is unknown: then they
     are a whole vehicle, with a curve. It does not pay where a regression shrinks what it cannot
-    tell towards the mean.
+    determine towards the mean.
     """
     task = model.task
     if (

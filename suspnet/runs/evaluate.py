@@ -2,33 +2,73 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.fitted import FittedMethod, ModelFileError
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.drawing import draw_predictions
 from suspnet.runs.predict import predict_stream
-from suspnet.runs.scores import Metrics, headline, log_hyperparameters, report, scores
+from suspnet.runs.scores import (
+    Metrics,
+    draw_predictions,
+    headline,
+    log_hyperparameters,
+    report,
+    scores,
+)
+
+
+@dataclass(frozen=True)
+class FreshCurves:
+    """Curves that no model was trained on, to test some on.
+
+    Attributes
+    ----------
+    seed : int
+        Another one than that of the runs.
+    n_test : int or "all"
+    snr_db : float or None
+        None is the run's own.
+    protocol : Protocol or None
+        None is the run's own; else one with the same features that varies the model's outputs.
+    threads : int
+    progress : bool
+    """
+
+    seed: int
+    n_test: int | str
+    snr_db: float | None = None
+    protocol: Protocol | None = None
+    threads: int = 1
+    progress: bool = True
+
+    def problem(self, model: FittedMethod, folder: Path) -> Problem:
+        """Return the problem whose test curves these are, for the model of a run's folder.
+
+        Raises
+        ------
+        ValueError
+            If the protocol does not fit the model, or the seed is the run's own.
+        """
+        if self.seed == model.training["seed"]:
+            raise ValueError(
+                f"seed={self.seed} made the training curves of {folder}; fresh curves need another "
+                "seed"
+            )
+        task = model.task if self.protocol is None else fitting_task(model.task, self.protocol)
+        settings = replace(model.settings, n_test=self.n_test)
+        if self.snr_db is not None:
+            settings = replace(settings, snr_db=self.snr_db)
+        return Problem(model.generator, task, settings, self.seed, self.threads, self.progress)
 
 
 def evaluate(
-    folder: Path,
-    output: Path,
-    *,
-    seed: int,
-    n_test: int | str,
-    snr_db: float | None,
-    protocol: Protocol | None,
-    threads: int,
-    device: str,
-    progress: bool = True,
-    figures: bool = True,
+    folder: Path, output: Path, fresh: FreshCurves, *, device: str = "cpu", figures: bool = True
 ) -> Metrics:
     """Score the model of a run on freshly generated curves and write metrics and figures.
 
@@ -38,35 +78,16 @@ def evaluate(
         The run.
     output : Path
         Where metrics.json and figures go.
-    seed : int
-        Of the fresh curves; another one than the run's.
-    n_test : int or "all"
-    snr_db : float, optional
-        The run's own if None.
-    protocol : Protocol, optional
-        The run's own if None; else one with the same features that varies the model's outputs.
-    threads : int
-    device : str
-    progress, figures : bool
-        Whether to show how far it is, and to draw.
 
     Raises
     ------
     FileNotFoundError, ModelFileError
         If there is no model, or it is damaged.
     ValueError
-        If the protocol does not fit the model, or the seed is the run's own.
+        If the curves do not fit the model: see `FreshCurves.problem`.
     """
     model = load_model(folder, device)
-    if seed == model.training["seed"]:
-        raise ValueError(
-            f"seed={seed} made the training curves of {folder}; fresh curves need another seed"
-        )
-    task = model.task if protocol is None else fitting_task(model.task, protocol)
-    settings = replace(model.settings, n_test=n_test)
-    if snr_db is not None:
-        settings = replace(settings, snr_db=snr_db)
-    problem = Problem(model.generator, task, settings, seed, threads, progress)
+    problem = fresh.problem(model, folder)
     stage(f"test of {folder}")
     outcome = predict_stream(problem, model, TEST, flags=True)
     metrics = {

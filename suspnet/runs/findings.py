@@ -10,11 +10,12 @@ from typing import Any
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS, Vehicle
-from suspnet.estimation.bounds import UNIDENTIFIED, Bound, Direction, best_addition_sentence, listed
-from suspnet.estimation.options import Option
+from suspnet.estimation.identifiability import UNIDENTIFIED, Bound, Direction, Option, listed
 from suspnet.estimation.protocols import Task
+from suspnet.ground.parameters import UNITS
 
-UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+WORTH_HAVING = 0.9
+"""Largest ratio of bounds, after over before, at which an addition counts as helpful."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Findings:
     directions : list of Direction
         Of `now` at the healthy vehicle, weakest first.
     guess_percent : float or None
-        Where stiffness cannot be told from mass, the MAPE of the best guess within the range.
+        Where stiffness cannot be separated from mass, the MAPE of the best guess within the range.
     """
 
     vehicle: Vehicle
@@ -141,7 +142,6 @@ def plain(found: Findings) -> dict[str, Any]:
 
 
 def _bounds_table(found: Findings) -> str:
-    """Return the bounds of what is measured now, as Markdown."""
     rows = []
     for bound in found.bounds_now:
         unit, least = UNITS[bound.parameter], found.bound_at_healthy(bound)
@@ -160,7 +160,6 @@ def _bounds_table(found: Findings) -> str:
 
 
 def _directions_table(found: Sequence[Direction]) -> str:
-    """Return the directions and the changes along them, as Markdown."""
     rows = []
     for direction in found:
         if math.isfinite(direction.deviation_percent):
@@ -173,7 +172,6 @@ def _directions_table(found: Sequence[Direction]) -> str:
 
 
 def _options_table(found: Findings) -> str:
-    """Return the median bounds of every option, as Markdown."""
     rows = []
     for option, part in found.table:
         cells = dict.fromkeys(found.task.varied, "known")
@@ -187,25 +185,44 @@ def _options_table(found: Findings) -> str:
 
 
 def _ratio(found: Findings, bound: Bound) -> float | None:
-    """Return a median bound relative to the baseline's, or None if one of them is infinite."""
     baseline = {now.parameter: now.median_percent for now in found.table[0][1]}
     before, after = baseline.get(bound.parameter, math.inf), bound.median_percent
     return after / before if math.isfinite(before) and math.isfinite(after) else None
 
 
 def _value(value: float, digits: int) -> str:
-    """Return a number with some digits and commas between thousands."""
     rounded = float(f"{value:.{digits}g}")
     return f"{rounded:,.0f}" if rounded >= 100 else f"{rounded:g}"
 
 
 def _percent(value: float) -> str:
-    """Return a percentage with three digits, or the verdict of an infinite one."""
     if math.isinf(value):
         return UNIDENTIFIED
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    """Return a table as Markdown."""
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
+    """Return one sentence that names, for each parameter, the addition that lowers its bound most.
+
+    `table` holds options with their bounds, the baseline first; medians over the range count.
+    """
+    parts = []
+    for now in table[0][1]:
+        additions = [
+            (bound.median_percent, option.title.removeprefix("+ "))
+            for option, found in table
+            for bound in found
+            if option.kind == "more" and bound.parameter == now.parameter
+        ]
+        least, title = min(additions)
+        if least <= WORTH_HAVING * now.median_percent and math.isfinite(least):
+            before = now.median_percent
+            was = f"{before:.2g}" if math.isfinite(before) else "not identified"
+            parts.append(f"{now.parameter}, {title} ({was} to {least:.2g} %)")
+        else:
+            parts.append(f"{now.parameter}, nothing listed")
+    return f"What lowers each bound most: {'; '.join(parts)}."

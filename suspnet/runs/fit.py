@@ -12,8 +12,7 @@ from typing import Any
 import torch
 
 from suspnet.estimation.checkpoint import parameters
-from suspnet.estimation.feature_data import FeatureData
-from suspnet.estimation.problem import TRAIN, Problem
+from suspnet.estimation.problem import TRAIN, FeatureData, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
@@ -50,7 +49,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     title = f"search of settings for {name}"
     with progress_bar(title, n_settings, unit="setting", shown=problem.progress) as bar:
 
-        def told(setting: Mapping[str, Any], rmse: float) -> None:
+        def report(setting: Mapping[str, Any], rmse: float) -> None:
             run_log.scalars("search", {"rmse": rmse}, int(bar.n))
             bar.update()
 
@@ -60,7 +59,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
             inputs.apply(data.inputs),
             outputs.apply(data.outputs),
             outputs,
-            told,
+            report,
         )
 
 
@@ -108,7 +107,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         start = time.perf_counter()
-        with _Told(estimator, name, run_log, problem.progress), _spread(estimator):
+        with _FitProgress(estimator, name, run_log, problem.progress), _distributed(estimator):
             estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
         training["seconds"] = time.perf_counter() - start
         training |= {"n_train": n_made, "n_train_complete": n_kept}
@@ -126,12 +125,11 @@ def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
 
 
 def _count(rows: FloatArray) -> int:
-    """Return the number of rows over all ranks."""
     return int(ranks.all_reduce(torch.tensor([len(rows)])))
 
 
 @contextmanager
-def _spread(estimator: Any) -> Iterator[None]:
+def _distributed(estimator: Any) -> Iterator[None]:
     """Let MSVR take its samples as one rank's where there are several."""
     if not ranks.is_distributed():
         yield
@@ -144,7 +142,6 @@ def _spread(estimator: Any) -> Iterator[None]:
 
 
 def _summary(estimator: Any) -> dict[str, Any]:
-    """Return the scalar fitted attributes of an estimator, and its parameters."""
     fitted = {
         key.removesuffix("_"): value
         for key, value in vars(estimator).items()
@@ -153,7 +150,7 @@ def _summary(estimator: Any) -> dict[str, Any]:
     return {"fitted": fitted, "parameters": parameters(estimator)}
 
 
-class _Told:
+class _FitProgress:
     """A progress bar and a log of the values that a fit passes to its callback."""
 
     def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
@@ -163,15 +160,14 @@ class _Told:
 
     def __enter__(self) -> None:
         if self._active:
-            self._estimator.set_params(callback=self._tell)
+            self._estimator.set_params(callback=self._report)
 
     def __exit__(self, *_: object) -> None:
         if self._active:
             self._estimator.set_params(callback=None)
         self._bar.close()
 
-    def _tell(self, info: Any) -> None:
-        """Advance the progress bar and log what the estimator reports."""
+    def _report(self, info: Any) -> None:
         self._bar.update()
         if self._log is not None and is_dataclass(info) and not isinstance(info, type):
             values = asdict(info)

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import logging
+import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from suspnet.dynamics import ResponseGenerator
-from suspnet.estimation.bounds import VERDICTS, bounds, directions, with_healthy
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
+from suspnet.estimation.identifiability import (
+    UNIDENTIFIED,
+    VERDICTS,
+    Bound,
+    Option,
+    bounds,
+    directions,
+    options,
+    with_healthy,
+)
 from suspnet.estimation.information import scale_ambiguity_bound
-from suspnet.estimation.options import options
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.checks import check_number
-from suspnet.ground.storage import write_atomically, write_json
-from suspnet.report.table6 import records_csv
-from suspnet.report.tensorboard import RunLog
+from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
-from suspnet.runs.identifiability_figure import identifiability_figure
+from suspnet.runs.plots import OUR_COLOUR
+from suspnet.runs.study_files import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 
@@ -39,10 +52,6 @@ def write_identifiability(
 
     Parameters
     ----------
-    generator : ResponseGenerator
-    protocol : Protocol
-    settings : Observation
-    folder : Path
     group : str or None
         One group of the protocol; None is every group.
     n_vehicles : int
@@ -78,15 +87,10 @@ def write_identifiability(
         "verdict_thresholds_percent": {word: threshold for threshold, word in VERDICTS},
         "groups": {part.task.group: plain(part) for part in found},
     }
-    write_json(folder / "identifiability.json", report)
     rows = [record for part in found for record in records(part)]
-    write_atomically(folder / "identifiability.csv", records_csv(rows))
-    write_atomically(folder / "identifiability.md", text)
     figure = identifiability_figure(found)
     figure.suptitle(title, fontsize="medium")
-    with RunLog(folder) as run_log:
-        run_log.text("identifiability", text)
-        run_log.figure("identifiability", figure, folder)
+    write_study(folder, "identifiability", text, report, rows, {"identifiability": figure})
     log.info("%s\n-> %s/identifiability.*", text, folder)
     return report
 
@@ -98,12 +102,8 @@ def identify(
 
     Parameters
     ----------
-    generator : ResponseGenerator
-    task : Task
     settings : Observation
         Bound to the generator's vehicle.
-    n_vehicles : int
-    seed : int
     """
     ratios = with_healthy(task.sample(n_vehicles, seed, TEST))
     choices = options(task, settings.observer(generator), ratios)
@@ -125,7 +125,6 @@ def identify(
 def _setting(
     generator: ResponseGenerator, settings: Observation, task: Task, n_vehicles: int, seed: int
 ) -> str:
-    """Return in words the setting of the bounds and their assumptions."""
     verdicts = ", ".join(f"{word} up to {x:g} %" for x, word in VERDICTS)
     return (
         f"{settings.words()} {generator.assumptions()} {n_vehicles} vehicles, seed {seed}, "
@@ -136,9 +135,67 @@ def _setting(
 
 
 def _range(task: Task) -> str:
-    """Return the ranges of suspension and mass in words."""
     low, high = (f"{100 * end:g}" for end in task.range("k_p"))
     mass_low, mass_high = (f"{100 * end:g}" for end in task.range("M_s"))
     if (low, high) == (mass_low, mass_high):
         return f"{low} to {high} %"
     return f"{low} to {high} %, mass {mass_low} to {mass_high} %"
+
+
+def identifiability_figure(groups: Sequence[Findings]) -> Figure:
+    """Draw how well each parameter is identified, and what measuring less or more would change."""
+    height = 1.6 + 0.36 * max(len(found.table) for found in groups)
+    figure = Figure(figsize=(11.2, height * len(groups)), layout="constrained")
+    axes = figure.subplots(len(groups), 2, squeeze=False, width_ratios=(1, 1.25))
+    for (left, right), found in zip(axes, groups, strict=True):
+        _draw_bounds(left, found.bounds_now)
+        measured = _symbolic(found.now.title)
+        left.set_title(f"group {found.task.group}, {measured}:\n5th to 95th percentile, quartiles")
+        _draw_options(right, found.table)
+        right.set_title("median bound over the range [%],\nblue: less than in the first row")
+    return figure
+
+
+def _draw_bounds(axis: Axes, bounds: Sequence[Bound]) -> None:
+    """Draw 5th to 95th percentile, quartiles and median of each bound over the verdicts."""
+    finite = [p for bound in bounds for p in bound.percentiles if math.isfinite(p)]
+    low, high = min([0.1, *finite]) / 2, max([50.0, *finite]) * 2
+    edge = low
+    for k, (threshold, word) in enumerate([*VERDICTS, (high, UNIDENTIFIED)]):
+        axis.axhspan(edge, threshold, color="black", alpha=0.06 * k, lw=0)
+        axis.annotate(
+            word, (0.99, threshold / 1.05), xycoords=("axes fraction", "data"), ha="right", va="top"
+        )
+        edge = threshold
+    for x, bound in enumerate(bounds):
+        p05, p25, median, p75, p95 = np.minimum(bound.percentiles, high / 1.6)
+        if math.isfinite(bound.median_percent):
+            axis.plot([x, x], [p05, p95], color=OUR_COLOUR, lw=1.5)
+            axis.plot([x, x], [p25, p75], color=OUR_COLOUR, lw=9, alpha=0.6, solid_capstyle="butt")
+            axis.text(x + 0.13, median, f"{median:.2g}", va="center", fontsize="small")
+        axis.plot([x], [median], "o" if median == bound.median_percent else "^", color="black")
+    axis.set(yscale="log", ylim=(low, high), xlim=(-0.6, len(bounds)))
+    axis.set_ylabel("standard deviation at best [%]")
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.set_xticks(range(len(bounds)), [SYMBOLS[bound.parameter] for bound in bounds])
+
+
+def _draw_options(axis: Axes, table: Sequence[tuple[Option, Sequence[Bound]]]) -> None:
+    rows = [{bound.parameter: bound.median_percent for bound in found} for _, found in table]
+    names = [name for name in PARAMETERS if any(name in row for row in rows)]
+    medians = np.array([[row.get(name, np.nan) for name in names] for row in rows])
+    finite = np.where(np.isinf(medians), 1e9, medians)  # far beyond the scale of colours
+    change = np.log2(finite / finite[0])
+    axis.imshow(change, cmap="RdBu_r", vmin=-3, vmax=3, aspect="auto")
+    for (i, j), median in np.ndenumerate(medians):
+        text = "known" if np.isnan(median) else f"{median:.2g}"
+        colour = "white" if abs(change[i, j]) > 2 else "black"
+        axis.text(j, i, text.replace("inf", UNIDENTIFIED), ha="center", va="center", color=colour)
+    axis.set_xticks(range(len(names)), [SYMBOLS[name] for name in names])
+    titles = [_symbolic(option.title) for option, _ in table]
+    axis.set_yticks(range(len(table)), [f"{titles[0]}, as now", *titles[1:]])
+    axis.tick_params(length=0)
+
+
+def _symbolic(words: str) -> str:
+    return words.replace("G_p", "$G_p$").replace("G_s", "$G_s$")

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import io
 import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-
 from suspnet.dynamics import Vehicle
-from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.storage import write_json
 from suspnet.history import History
-from suspnet.maintenance.calendar_figure import plan_calendar
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
+from suspnet.maintenance.fleet_plan import Planner
 from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.planner import Planner
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
-from suspnet.report.fleet_overview import overview_table, write_page
-from suspnet.report.fleet_view import fleet_view
-from suspnet.report.output import write_table
+from suspnet.report.calendar_figure import plan_calendar
+from suspnet.report.output import write_fleet
+from suspnet.report.overview import fleet_view, overview_table
 
 log = logging.getLogger(__name__)
 
@@ -82,22 +78,14 @@ def write_maintenance(
     with History(store) as history:
         fleet = history.series()
         if not fleet:
-            raise ValueError(f"{store}: no trip is kept here yet")
+            raise ValueError(f"{store}: no trip is stored here yet")
         own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
         states = fleet_state(fleet, own, changes, sisters, seed)
         history.keep_all_alarms({state.key: state.watched.alarms for state in states})
         acknowledged = history.all_acknowledgements()
     planned = Planner(plan).plan(states, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
-    write_table(pa.Table.from_pylist(view.rows), folder / "overview")
-    jobs: list[dict[str, Any]] = planned.rows()
-    if jobs:
-        write_table(pa.Table.from_pylist(jobs), folder / "plan")
-    figure = plan_calendar(planned)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=150)
-    write_atomically(folder / "calendar.png", picture.getvalue())
-    write_page(folder / "overview.html", view.rows, view.cars, planned, figure)
+    write_fleet(view, planned, plan_calendar(planned), folder)
     counts = {str(state.severity): 0 for state in states}
     for state in states:
         counts[str(state.severity)] += 1

@@ -10,19 +10,16 @@ from typing import TypeVar
 import numpy as np
 from torch import Tensor
 
-from suspnet.estimation.feature_data import FeatureData
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import (
-    MASS,
     identified,
-    missing_words,
     refine_curves,
     regress,
     residual_scales,
 )
-from suspnet.estimation.ood import Flags
-from suspnet.estimation.parallel import pool_of
-from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, Problem
+from suspnet.estimation.problem import BATCH, BLOCK, STREAM_NAMES, FeatureData, Problem, pool_of
+from suspnet.estimation.protocols import MASS
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
@@ -83,8 +80,7 @@ def predict_stream(
         scales = residual_scales(model, data.inputs, predicted, refined)[data.valid]
     found = None
     if flags and model.ood is not None and refined is not None:
-        missing = missing_words(model.task.extractor, data.reasons)
-        found = model.ood.flags(model.task, missing, model.scaled(data.inputs), refined)
+        found = model.flags(data.inputs, data.reasons, refined)
     return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), scales, found)
 
 

@@ -1,6 +1,6 @@
 """The reliability study: whether intervals hold the truth and what is out of range is flagged.
 
-Everything is measured on curves made anew: intervals on curves like the training curves, over all
+Everything is measured on fresh curves: intervals on curves like the training curves, over all
 and by slices of each parameter; flags on these and on curves that a model was not trained for.
 """
 
@@ -8,35 +8,37 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.stats import norm
+from tabulate import tabulate
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.from_curves import MASS, estimate_curves
-from suspnet.estimation.ood import KINDS
+from suspnet.estimation.estimate import KINDS
+from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import BLOCK, TEST, Problem
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import MASS, Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.metrics import covers, interval_scores
-from suspnet.report.table6 import MODEL_TITLES, records_csv
-from suspnet.report.tensorboard import RunLog
-from suspnet.runs.evaluate import find_runs
+from suspnet.report.figures import SYMBOLS
+from suspnet.runs.evaluate import FreshCurves, find_runs
+from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.predict import Outcome, predict_stream
-from suspnet.runs.reliability_figure import reliability_figure
-from suspnet.runs.reliability_findings import Reliability, markdown, records
 from suspnet.runs.scores import LEVEL, label
+from suspnet.runs.study_files import write_study
+from suspnet.runs.table6 import MODEL_TITLES
 from suspnet.spectra.observation import MOST_CURVES
 
 log = logging.getLogger(__name__)
@@ -44,6 +46,9 @@ N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
 """Ratios to healthy outside the range of every protocol."""
 IN_RANGE = "in range"
+Record = dict[str, Any]
+NOMINAL, TOLERANCE = 90.0, 1.5
+"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
 
 
 def write_reliability(
@@ -66,14 +71,10 @@ def write_reliability(
         Folder of a run, or of a whole multirun.
     others : mapping
         Vehicles of another type than the model's, by name.
-    folder : Path
     n_test, n_odd : int
         Curves like the training curves, and of each set unlike them.
     seed : int
         Of the curves; not a run's own.
-    threads : int or None
-    device : str
-    progress : bool
 
     Raises
     ------
@@ -90,19 +91,14 @@ def write_reliability(
             raise ValueError(
                 f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
             )
-        if seed == model.training["seed"]:
-            raise ValueError(f"seed={seed} made the training curves of {path}; give another seed")
-        settings = replace(model.settings, n_test=n_test, cache_dir=None)
         workers = torch.get_num_threads() if threads is None else threads
-        problem = Problem(model.generator, model.task, settings, seed, workers, progress)
+        fresh = FreshCurves(seed, n_test, threads=workers, progress=progress)
+        problem = fresh.problem(model, path)
         found.append(measure(problem, model, others, n_odd))
     text = "\n".join(markdown(one) for one in found)
-    write_json(folder / "reliability.json", {one.name: vars(one) for one in found})
-    write_atomically(folder / "reliability.csv", records_csv(list(records(found))))
-    write_atomically(folder / "reliability.md", text)
-    with RunLog(folder) as run_log:
-        run_log.text("reliability", text)
-        run_log.figure("reliability", reliability_figure(found), folder)
+    content = {one.name: vars(one) for one in found}
+    figures = {"reliability": reliability_figure(found)}
+    write_study(folder, "reliability", text, content, list(records(found)), figures)
     log.info("%s\n-> %s/reliability.*", text, folder)
     return found
 
@@ -136,7 +132,6 @@ def measure(
 def _intervals(
     problem: Problem, model: TrainedModel, outcome: Outcome
 ) -> dict[str, dict[str, Any]]:
-    """Return coverage, width and slices of conformal intervals, and of a GP's own."""
     intervals, scales = model.intervals, outcome.scales
     assert intervals is not None
     assert scales is not None
@@ -162,7 +157,6 @@ def _intervals(
 def _gp_intervals(
     model: TrainedModel, inputs: FloatArray, level: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return intervals from the standard deviations that a Gaussian process predicts."""
     assert model.output_scaling is not None
     mean, deviation = model.estimator.predict(model.scaled(inputs), return_std=True)
     half = norm.ppf((1 + level) / 2) * deviation
@@ -184,7 +178,6 @@ def _slices(task: Task, ratios: FloatArray, within: BoolArray) -> dict[str, dict
 
 
 def _share(within: BoolArray) -> float:
-    """Return the coverage in %, NaN of no samples."""
     return 100 * float(within.mean()) if len(within) else math.nan
 
 
@@ -218,3 +211,103 @@ def _shares(found: BoolArray) -> dict[str, float]:
     """Return the share of curves with each kind of flag, and with any, in %."""
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Coverage and flags measured of one model.
+
+    Attributes
+    ----------
+    name : str
+        Method, protocol and group.
+    intervals : dict
+        As ``interval_scores`` for each kind of interval, with `slices`: the coverage of each
+        output in each fifth of each parameter, {parameter: {output: [..]}}.
+    flags : dict
+        {set of curves: {kind of flag: share [%]}}, with `any`.
+    """
+
+    name: str
+    intervals: dict[str, dict[str, Any]]
+    flags: dict[str, dict[str, float]]
+
+
+def records(found: list[Reliability]) -> Iterator[Record]:
+    """Yield one record for each number measured: model, what, of, value [%]."""
+    for one in found:
+        for kind, scores in one.intervals.items():
+            for output, values in scores["outputs"].items():
+                for what, value in values.items():
+                    yield _record(one, f"{kind} {what}", output, value)
+            joint = scores["joint_coverage_percent"]
+            yield _record(one, f"{kind} coverage_percent", "all at once", joint)
+            for name, by_output in scores["slices"].items():
+                for output, values in by_output.items():
+                    for k, value in enumerate(values):
+                        of = f"{output}, {name} in fifth {k + 1}"
+                        yield _record(one, f"{kind} coverage_percent", of, value)
+        for name, shares in one.flags.items():
+            for kind, value in shares.items():
+                yield _record(one, f"flagged_percent {kind}", name, value)
+
+
+def _record(one: Reliability, what: str, of: str, value: float) -> Record:
+    return {"model": one.name, "what": what, "of": of, "percent": value}
+
+
+def markdown(one: Reliability) -> str:
+    """Return one model's coverage and flags as Markdown."""
+    rows = []
+    for kind, scores in one.intervals.items():
+        for output, values in scores["outputs"].items():
+            sliced = [v for by in scores["slices"].values() for v in by[output] if math.isfinite(v)]
+            row = [values["half_width_percent"], values["coverage_percent"]]
+            rows.append([kind, output, *row, min(sliced), max(sliced)])
+        rows.append([kind, "all at once", None, scores["joint_coverage_percent"], None, None])
+    title = f"{100 * LEVEL:g} % interval"
+    header = [title, "output", "+- %", "covers %", "least slice %", "largest slice %"]
+    formats = ("", "", ".3g", ".2f", ".1f", ".1f")
+    first = tabulate(rows, header, tablefmt="github", floatfmt=formats, missingval="-")
+    flags = [[name, *shares.values()] for name, shares in one.flags.items()]
+    header = ["curves", "flagged %", "peak missing", "beyond cloud", "out of range", "misfit"]
+    second = tabulate(flags, header, tablefmt="github", floatfmt=".2f")
+    return f"## {one.name}\n\n{first}\n\n{second}\n"
+
+
+def reliability_figure(found: Sequence[Reliability]) -> Figure:
+    """Draw the coverage of each parameter's slices and the share of flagged curves of each set."""
+    height = max(3.2, 0.9 + 0.2 * len(found[0].flags))
+    figure = Figure(figsize=(10.0, height * len(found)), layout="constrained")
+    axes = figure.subplots(len(found), 2, squeeze=False, width_ratios=(1.3, 1))
+    for one, (left, right) in zip(found, axes, strict=True):
+        _draw_slices(left, one)
+        left.set_title(one.name, fontsize="medium")
+        _draw_flags(right, one)
+    return figure
+
+
+def _draw_slices(axis: Axes, one: Reliability) -> None:
+    axis.axhspan(NOMINAL - TOLERANCE, NOMINAL + TOLERANCE, color="0.9")
+    axis.axhline(NOMINAL, color=BOUND_COLOUR, lw=0.8)
+    for style, scores in zip(("o-", "s--"), one.intervals.values(), strict=False):
+        for place, by_output in enumerate(scores["slices"].values()):
+            for j, (output, values) in enumerate(by_output.items()):
+                x = [place + (k - 2) * 0.17 for k in range(len(values))]
+                named = SYMBOLS[output] if place == 0 and style == "o-" else None
+                axis.plot(x, values, style, color=f"C{j}", ms=3, lw=1, label=named)
+    names = list(next(iter(one.intervals.values()))["slices"])
+    axis.set_xticks(range(len(names)), [f"fifths of {SYMBOLS[name]}" for name in names])
+    axis.set_ylabel(f"coverage of {NOMINAL:g} % intervals [%]")
+    axis.margins(y=0.25)
+    axis.legend(ncols=4, fontsize="small", loc="lower center")
+
+
+def _draw_flags(axis: Axes, one: Reliability) -> None:
+    names = list(one.flags)[::-1]
+    values = [one.flags[name]["any"] for name in names]
+    axis.barh(names, values, color=[OUR_COLOUR if v > 1 else "0.6" for v in values])
+    for place, value in enumerate(values):
+        axis.text(min(value, 100) + 1, place, f"{value:.3g}", va="center", fontsize="x-small")
+    axis.tick_params(axis="y", labelsize="x-small")
+    axis.set(xlabel="flagged [%]", xlim=(0, 112))

@@ -1,4 +1,4 @@
-"""The scores of one run beside the Cramer-Rao bound, and the table that reports them."""
+"""The scores of one run next to the Cramer-Rao bound, as a table and as figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.information import (
     best_possible,
@@ -17,14 +19,15 @@ from suspnet.estimation.information import (
     range_limited,
     relative_percent,
 )
-from suspnet.estimation.ood import KINDS
-from suspnet.estimation.problem import Problem
+from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import METRICS, interval_scores, score
-from suspnet.report.table6 import REFINED, scores_table
+from suspnet.learning.search import SearchResult
 from suspnet.report.tensorboard import RunLog
+from suspnet.runs import plots
 from suspnet.runs.predict import Outcome
+from suspnet.runs.table6 import REFINED, scores_table
 
 log = logging.getLogger(__name__)
 Metrics = dict[str, Any]
@@ -148,10 +151,71 @@ def report(metrics: Metrics, folder: Path) -> None:
 
 
 def _trust(metrics: Metrics) -> str:
-    """Return a line on joint coverage and flags, where a model was calibrated."""
     words = []
     if "intervals" in metrics:
         words.append(f"all outputs at once: {metrics['intervals']['joint_coverage_percent']:.1f} %")
     if "flagged_percent" in metrics:
         words.append(f"flagged: {metrics['flagged_percent']['any']:.2f} % of the curves")
     return "".join(f"\n{part}" for part in words)
+
+
+def draw_run(
+    problem: Problem,
+    model: FittedMethod,
+    outcome: Outcome,
+    run_log: RunLog,
+    folder: Path,
+    found: SearchResult | None,
+    draw_vehicle: bool,
+) -> None:
+    """Draw features, search and predictions of a run, and its vehicle if asked."""
+    task = model.task
+    frequencies_hz = problem.observer.frequencies_hz
+    example = problem.curves(outcome.data.ratios[:1], TEST, 0)
+    data = outcome.data
+    figures = {
+        "features": plots.feature_spread(data.inputs, task.inputs, data.outputs, task.outputs)
+    }
+    if draw_vehicle:
+        figures["bode"] = plots.bode(problem.generator, frequencies_hz)
+        figures["degradation"] = plots.degradation(problem.generator, frequencies_hz)
+    if task.extractor.kind == "peaks":
+        table = task.extractor.extract(example, frequencies_hz.to(example.device))
+        features = dict(zip(task.extractor.names, table.values[0].tolist(), strict=True))
+        figures["peaks"] = plots.peak_fits(
+            frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
+        )
+    objectives = getattr(model.estimator, "objectives_", [])
+    if len(objectives) > 2:
+        figures["convergence"] = plots.convergence(objectives)
+    if found is not None:
+        numbers = [
+            {k: v for k, v in setting.items() if isinstance(v, int | float)}
+            for setting in found.settings
+        ]
+        figures["search"] = plots.search_map(numbers, found.rmse)
+    _write_figures(figures, _title(problem, model.name), run_log, folder)
+    draw_predictions(problem, model.name, outcome, run_log, folder)
+
+
+def draw_predictions(
+    problem: Problem, name: str, outcome: Outcome, run_log: RunLog, folder: Path
+) -> None:
+    """Draw estimates against truth, and residuals."""
+    arrays = outcome.data.outputs, outcome.predicted, problem.task.outputs
+    figures = {"parity": plots.parity(*arrays), "residuals": plots.residuals(*arrays)}
+    _write_figures(figures, _title(problem, name), run_log, folder)
+
+
+def _write_figures(
+    figures: Mapping[str, Figure], title: str, run_log: RunLog, folder: Path
+) -> None:
+    for name, figure in figures.items():
+        figure.suptitle(title, fontsize="small")
+        run_log.figure(name, figure, folder)
+
+
+def _title(problem: Problem, name: str) -> str:
+    task = problem.task
+    noise = f"{problem.settings.snr_db:g} dB, seed {problem.seed}"
+    return f"{problem.vehicle.name}, protocol {task.protocol}, group {task.group}, {name}, {noise}"

@@ -13,8 +13,11 @@ from omegaconf import DictConfig
 from tabulate import tabulate
 
 from suspnet.ground.storage import read_json, write_atomically, write_json
-from suspnet.report import plots
-from suspnet.report.table6 import (
+from suspnet.report.tensorboard import RunLog
+from suspnet.runs import plots
+from suspnet.runs.ablation import write_ablation
+from suspnet.runs.study_files import write_study
+from suspnet.runs.table6 import (
     records_csv,
     sensitivity_markdown,
     sensitivity_records,
@@ -22,8 +25,6 @@ from suspnet.report.table6 import (
     table6_markdown,
     table6_records,
 )
-from suspnet.report.tensorboard import RunLog
-from suspnet.runs.ablation import write_ablation
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]
@@ -123,8 +124,8 @@ class Table5(_Summary):
         edges = []
         for run in runs:
             if "search" in run:
-                told = run["search"]["edges"].values()
-                edges += [f"{run['group']}, {run['model']}: {words}" for words in told]
+                warnings = run["search"]["edges"].values()
+                edges += [f"{run['group']}, {run['model']}: {words}" for words in warnings]
                 best = run["search"]["best"].items()
                 numbers = {key: value for key, value in best if isinstance(value, int | float)}
                 tuned.setdefault(run["group"], {})[run["model"]] = numbers
@@ -179,19 +180,16 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
         f"{table6_markdown(part)}\n\n{table6_caption(part)}\n" for part in by_protocol.values()
     )
     text += f"{note}\n" if note else ""
-    write_json(folder / "table6.json", records)
-    write_atomically(folder / "table6.csv", records_csv(records))
-    write_atomically(folder / "table6.md", text)
-    with RunLog(folder) as run_log:
-        run_log.text("table6", text)
-        for name, part in by_protocol.items():
-            figure = "table6" if len(by_protocol) == 1 else f"table6_{name}"
-            run_log.figure(figure, plots.table6(part), folder)
-    log.info("Table VI, published beside measured\n\n%s\n-> %s/table6.*", text, folder)
+    several = len(by_protocol) > 1
+    figures = {
+        f"table6_{name}" if several else "table6": plots.table6(part)
+        for name, part in by_protocol.items()
+    }
+    write_study(folder, "table6", text, records, records, figures)
+    log.info("Table VI, published and measured\n\n%s\n-> %s/table6.*", text, folder)
 
 
 def _search_record(run: Run) -> dict[str, Any]:
-    """Return the outcome of a run's search as one record."""
     search = run["search"]
     keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
     return {key: run[key] for key in keys} | {

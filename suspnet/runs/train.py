@@ -1,44 +1,77 @@
-"""Train: from a problem and a method to a run folder with scores, model, figures and logs."""
+"""Train: from a problem and a method to a run folder with scores, model, figures and logs.
+
+A range of speeds is covered by several models, each in a folder of its own.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
+from tabulate import tabulate
 
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import TEST, Problem
+from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.checks import check_number
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
-from suspnet.learning.search import GridSearch
+from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.calibrate import calibrated, with_unexplained
-from suspnet.runs.drawing import draw_run
 from suspnet.runs.fit import fit, method_name, tune
-from suspnet.runs.predict import predict_stream
+from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import (
     Metrics,
+    draw_run,
     headline,
     log_hyperparameters,
     report,
     rms_percent,
     scores,
 )
+from suspnet.spectra.speeds import SpeedRange
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What a run's records and figures take from the program that starts it.
+
+    Attributes
+    ----------
+    config : mapping
+        The resolved configuration; its `ablation_name` goes into metrics.json.
+    varied : mapping or None
+        What a multirun varies, by its key in the configuration: TensorBoard's first columns.
+    draw_vehicle : bool
+        Whether figures of the vehicle are among the run's; once is enough in a multirun.
+    notes : mapping
+        Further entries of the model's `training`: "commissioned" says which trips are healthy.
+    residual : Residual or None
+        What the healthy trips of a commissioned vehicle leave unexplained.
+    """
+
+    config: Mapping[str, Any] = field(default_factory=dict)
+    varied: Mapping[str, Any] | None = None
+    draw_vehicle: bool = True
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    residual: Residual | None = None
 
 
 def train(
@@ -49,11 +82,7 @@ def train(
     search: GridSearch | None = None,
     refine: bool = False,
     figures: bool = True,
-    config: Mapping[str, Any] | None = None,
-    varied: Mapping[str, Any] | None = None,
-    draw_vehicle: bool = True,
-    notes: Mapping[str, Any] | None = None,
-    residual: Residual | None = None,
+    context: RunContext | None = None,
 ) -> Metrics:
     """Train one method on one problem, test it, and fill a run folder.
 
@@ -62,97 +91,103 @@ def train(
 
     Parameters
     ----------
-    problem : Problem
     estimator : object
         An instance of one of ``suspnet.learning.METHODS``.
-    folder : Path
     search : GridSearch, optional
         Tunes the method first.
     refine : bool
         Refine the estimates by Gauss-Newton steps on the curves.
     figures : bool
         Whether to draw figures of the run.
-    config : mapping, optional
-        The resolved configuration, for the records; its `ablation_name` goes into metrics.json.
-    varied : mapping, optional
-        What a multirun varies, by its key in the configuration: TensorBoard's first columns.
-    draw_vehicle : bool
-        Whether figures of the vehicle are among the run's; once is enough in a multirun.
-    notes : mapping, optional
-        Further entries of the model's `training`: "commissioned" says which trips are healthy.
-    residual : Residual, optional
-        What the healthy trips of a commissioned vehicle leave unexplained.
+    context : RunContext, optional
+        Of a run that a program starts.
 
     Returns
     -------
     dict
         What metrics.json holds; empty where another process (torchrun) writes and tests.
     """
+    context = context or RunContext()
     method_name(estimator)
     if search is not None and ranks.is_distributed():
         raise ValueError("a search cannot be spread over processes: start it with python")
     if not ranks.is_rank_zero():
-        fit(problem, estimator, None)
+        fit(problem, estimator, None)  # its share of the curves; rank 0 does all else
         return {}
     with RunLog(folder, is_new=True) as run_log:
-        run_log.config(config or {})
+        run_log.config(context.config)
         found = None
         if search is not None:
             found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
         model = replace(fit(problem, estimator, run_log), refined=refine)
-        if problem.settings.n_calibrate is not None:
-            stage("calibration of intervals and flags")
-        model = calibrated(problem, model)
-        if residual is not None:
-            model = with_unexplained(problem, model, residual)
-            _tell(model)
+        model = _trusted(problem, model, context.residual)
         stage("test")
-        training = model.training | dict(notes or {})
+        model = replace(model, training=model.training | dict(context.notes))
         outcome = predict_stream(problem, model, TEST)
-        metrics = {
-            **headline(problem, model),
-            **scores(problem, model, outcome),
-            "seconds": training["seconds"] + outcome.seconds,
-            "training": training,
-        }
-        if found is not None:
-            metrics["search"] = asdict(found) | {"best": found.best}
-        if config and config.get("ablation_name"):
-            metrics["ablation"] = config["ablation_name"]
-        metrics["rms_percent"] = rms_percent(problem.task, outcome)
-        if model.unexplained is not None:
-            metrics["unexplained"] = {
-                "misfit": model.unexplained.misfit,
-                "cost_percent": _cost_percent(model),
-            }
+        metrics = _metrics(problem, model, outcome, found, context)
+        # the model's file says how well it does: whoever has only the file can read it
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
-        save_model(folder, replace(model, training=training | accuracy))
-        log_hyperparameters(run_log, metrics, training["parameters"], varied)
+        save_model(folder, replace(model, training=model.training | accuracy))
+        log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
-            draw_run(problem, model, outcome, run_log, folder / "figures", found, draw_vehicle)
+            figures_of = folder / "figures"
+            draw_run(problem, model, outcome, run_log, figures_of, found, context.draw_vehicle)
     write_json(folder / "environment.json", environment())
-    write_json(folder / "metrics.json", metrics)
+    write_json(folder / "metrics.json", metrics)  # last: it says that the run has ended
     report(metrics, folder)
     return metrics
 
 
-def _tell(model: FittedMethod) -> None:
-    """Warn if the healthy trips say that the model lacks physics."""
-    if model.unexplained is None or not model.unexplained.is_incomplete:
-        return
-    costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
-    log.warning(
-        "the physics is incomplete: %s. Every estimate is flagged, and its interval is wider by a "
-        "standard deviation of %s",
-        model.unexplained.words,
-        costs,
-    )
+def _trusted(problem: Problem, model: TrainedModel, residual: Residual | None) -> TrainedModel:
+    """Return a model with intervals, flags and the cost of what healthy trips leave unexplained."""
+    if problem.settings.n_calibrate is not None:
+        stage("calibration of intervals and flags")
+    model = calibrated(problem, model)
+    if residual is None:
+        return model
+    model = with_unexplained(problem, model, residual)
+    assert model.unexplained is not None
+    if model.unexplained.is_incomplete:
+        costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
+        log.warning(
+            "the physics is incomplete: %s. Every estimate is flagged, and its interval is wider "
+            "by a standard deviation of %s",
+            model.unexplained.words,
+            costs,
+        )
+    return model
 
 
-def _cost_percent(model: FittedMethod) -> dict[str, float]:
-    """Return what is unexplained of the healthy trips costs each output, [%]."""
+def _metrics(
+    problem: Problem,
+    model: TrainedModel,
+    outcome: Outcome,
+    found: SearchResult | None,
+    context: RunContext,
+) -> Metrics:
+    """Return what metrics.json holds."""
+    metrics: Metrics = {
+        **headline(problem, model),
+        **scores(problem, model, outcome),
+        "seconds": model.training["seconds"] + outcome.seconds,
+        "training": model.training,
+    }
+    if found is not None:
+        metrics["search"] = asdict(found) | {"best": found.best}
+    if context.config.get("ablation_name"):
+        metrics["ablation"] = context.config["ablation_name"]
+    metrics["rms_percent"] = rms_percent(problem.task, outcome)
+    if model.unexplained is not None:
+        metrics["unexplained"] = {
+            "misfit": model.unexplained.misfit,
+            "cost_percent": _cost_percent(model),
+        }
+    return metrics
+
+
+def _cost_percent(model: TrainedModel) -> dict[str, float]:
     assert model.unexplained is not None
     costs = 100 * model.unexplained.costs
     return dict(zip(model.task.outputs, costs.tolist(), strict=True))
@@ -175,3 +210,74 @@ def environment() -> dict[str, Any]:
         "packages": {name: version(name) for name in PACKAGES},
         "commit": git.stdout.strip() or None,
     }
+
+
+def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
+    """Return the fewest bins that cover a range of speeds, equal in logarithm, edge to edge.
+
+    Parameters
+    ----------
+    speeds : sequence of 2 floats, [m/s]
+        Lowest and highest.
+    half_width : float, [-]
+        Largest half width of a bin relative to its middle.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If these are not two ascending speeds, or the half width is not above 0.
+    """
+    if len(speeds) != 2:
+        raise ValueError(
+            "`speed_m_per_s` must be one speed or the lowest and the highest of a range, "
+            f"[45,80], got {list(speeds)}"
+        )
+    low, high = speeds
+    check_number("speed_m_per_s[0]", low, above=0)
+    check_number("speed_m_per_s[1]", high, above=low)
+    check_number("data.speed_half_width", half_width, above=0, below=1)
+    widest = math.log((1 + half_width) / (1 - half_width))
+    n_bins = math.ceil(math.log(high / low) / widest - 1e-9)
+    edges = [low * (high / low) ** (i / n_bins) for i in range(n_bins)] + [high]
+    return [SpeedRange(*pair) for pair in pairwise(edges)]
+
+
+def train_ranges(
+    ranges: Sequence[SpeedRange], train_one: Callable[[SpeedRange, Path], Metrics], folder: Path
+) -> None:
+    """Train a model for each range of speeds in a folder of its own, and compare them.
+
+    Writes speeds.json: for each range its folder, ends and middle [m/s], and metrics.json's scores.
+
+    Parameters
+    ----------
+    train_one : function
+        Trains the model of a range into a folder and returns what metrics.json holds; empty in a
+        process that neither writes nor tests.
+    """
+    rows: list[dict[str, Any]] = []
+    for one in ranges:
+        metrics = train_one(one, folder / one.name)
+        if metrics:
+            rows.append(_row(one, metrics))
+    if rows:
+        write_json(folder / "speeds.json", rows)
+        log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
+
+
+def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    keys = ("scores", "rms_percent", "intervals", "seconds")
+    return {
+        "folder": one.name,
+        "low_m_per_s": one.low_m_per_s,
+        "high_m_per_s": one.high_m_per_s,
+        "trained_m_per_s": one.trained_m_per_s,
+    } | {key: metrics[key] for key in keys if key in metrics}
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    body = [
+        [f"{row['low_m_per_s']:.1f} to {row['high_m_per_s']:.1f} m/s", *row["rms_percent"].values()]
+        for row in rows
+    ]
+    return tabulate(body, ["speed", *rows[0]["rms_percent"]], tablefmt="github", floatfmt=".2g")

@@ -17,12 +17,12 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
 from suspnet.estimation.speed_groups import groups_to_read, readable_words
 from suspnet.estimation.trained import TrainedModel
-from suspnet.history.records import ERROR, OK
+from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
 from suspnet.recordings.manifest_files import parse_manifest, read_content
 from suspnet.recordings.recording import Recording, load_recording
-from suspnet.report.check_figures import trip_figure, write_picture
+from suspnet.report.check_page import trip_figure, write_picture
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
@@ -34,8 +34,7 @@ from suspnet.spectra.segments import (
 )
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.trips.checked_manifests import Opened, check_columns
-from suspnet.trips.commissionings import models_at
-from suspnet.trips.models import models_of
+from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)

@@ -1,6 +1,6 @@
-"""Several commissionings of one suspension: which a trip is read with, and how they compare.
+"""Commissionings: which models read a trip of a suspension, and relative to what it is healthy.
 
-After maintenance a vehicle is commissioned anew. Its trips from the first new healthy one on are
+After maintenance a vehicle is commissioned again. Its trips from the first new healthy one on are
 read with the models of the new commissioning, and their estimates are relative to the new healthy
 values. Values in SI units compare across: the figure of the trend shows all trips relative to the
 healthy values of the first commissioning, while limits and tests are about the trips since the last
@@ -11,44 +11,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+import numpy as np
 
 from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.speed_groups import speed_range
 from suspnet.estimation.trained import TrainedModel
-from suspnet.history.records import TripResult, relative_truth
-from suspnet.maintenance.trend import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.records import OK, Commissioning, Place, TripResult
+from suspnet.spectra.speeds import range_words
 
-
-@dataclass(frozen=True)
-class Commissioning:
-    """One healthy state of a suspension.
-
-    Attributes
-    ----------
-    since_km : float, [km]
-        Mileage of its first healthy trip.
-    healthy_si : dict of float, [N/m, N s/m, kg]
-    relative : dict of float, [-]
-        Its healthy values over those of the first commissioning.
-    trips : tuple of str
-        Names of its healthy trips.
-    """
-
-    since_km: float
-    healthy_si: dict[str, float]
-    relative: dict[str, float]
-    trips: tuple[str, ...]
-
-    @property
-    def words(self) -> str:
-        """What healthy is now, in % of the first commissioning."""
-        told = ", ".join(
-            f"{name} {100 * ratio:.3g} %"
-            for name, ratio in self.relative.items()
-            if name != PAYLOAD
-        )
-        km = f"{self.since_km:,.0f}".replace(",", " ")
-        return f"from {km} km on healthy is {told} of the first commissioning"
+NAMED = 6
+"""Number of suspensions that an error names."""
 
 
 def since_km(model: TrainedModel) -> float:
@@ -80,7 +56,7 @@ def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
 
 
 def models_at(models: Sequence[TrainedModel], mileage_km: float) -> list[TrainedModel]:
-    """Return the models of the latest commissioning that begins at or before a trip.
+    """Return the models of the latest commissioning that starts at or before a trip.
 
     A trip before all of them is read with the first, one without a mileage with the last.
     """
@@ -109,13 +85,6 @@ def commissionings(
     ]
 
 
-def of_last_era(results: Sequence[TripResult], found: Sequence[Commissioning]) -> list[TripResult]:
-    """Return the trips since the last commissioning; all, if there is none."""
-    if not found:
-        return list(results)
-    return [r for r in results if r.healthy_since_km == found[-1].since_km]
-
-
 def with_truth_of_each(
     results: Sequence[TripResult], found: Sequence[Commissioning]
 ) -> list[TripResult]:
@@ -129,23 +98,6 @@ def with_truth_of_each(
     return done
 
 
-def relative_to_first_healthy(
-    results: Sequence[TripResult], found: Sequence[Commissioning]
-) -> list[TripResult]:
-    """Return results relative to the healthy values of the first commissioning."""
-    factors = {one.since_km: one.relative for one in found}
-    return [_times(r, factors.get(r.healthy_since_km, {})) for r in results]
-
-
-def _times(result: TripResult, factors: dict[str, float]) -> TripResult:
-    """Return a result with estimates and truth multiplied by factors, 1 where there is none."""
-    estimates, truth = (
-        {name: value * factors.get(name, 1.0) for name, value in part.items()}
-        for part in (result.estimates, result.truth)
-    )
-    return replace(result, estimates=estimates, truth=truth)
-
-
 def check_one_reference(models: Sequence[TrainedModel]) -> None:
     """Raise ValueError if there are several commissionings: first trips are healthy of one only."""
     if len(eras(models)) > 1:
@@ -153,3 +105,153 @@ def check_one_reference(models: Sequence[TrainedModel]) -> None:
             "monitor.reference=first_trips is for one healthy state, and run= names several "
             "commissionings: leave it out, or give one run"
         )
+
+
+def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
+    """Return results whose k and c are relative to the median of the vehicle's first trips.
+
+    So is the truth, where it is known. The interval widens by the uncertainty of the median, whose
+    variance is pi / 2 times that of a mean of `n_first` trips. That is right for noise; systematic
+    errors (of a regression without refinement) cancel only as long as the vehicle does not change.
+    The car-body mass stays relative to nominal: payload varies from the first trip on. Where fewer
+    trips have an estimate, those are taken.
+    """
+    done = first_trips(results, n_first)
+    if not done:
+        return results
+    names = [name for name in done[0].raw if name != PAYLOAD]
+    estimated = _medians([r.raw for r in done], names)
+    true = _medians([r.truth for r in done if set(names) <= set(r.truth)], names)
+    reference = {
+        name: np.sqrt(np.pi / 2 / len(done)) * np.median([r.half_widths[name] for r in done])
+        for name in names
+        if all(name in r.half_widths for r in done)
+    }
+    return [
+        replace(
+            r,
+            estimates=_divided(r.raw, estimated),
+            truth=_divided(r.truth, true),
+            half_widths={
+                k: float(np.hypot(h, reference.get(k, 0.0))) for k, h in r.half_widths.items()
+            },
+        )
+        for r in results
+    ]
+
+
+def relative_truth(result: TripResult, healthy: Sequence[TripResult]) -> TripResult:
+    """Return a result whose true k and c are relative to the median of healthy trips', if known."""
+    known = [r.truth for r in healthy if r.truth]
+    names = [name for name in result.truth if name != PAYLOAD and all(name in t for t in known)]
+    return replace(result, truth=_divided(result.truth, _medians(known, names)))
+
+
+def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:
+    """Return the `n_first` trips of least mileage that have an estimate, or as many as there are.
+
+    Flagged ones are among them: a vehicle that is unlike the model's is so from the first trip on.
+    """
+    return sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
+
+
+def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, float]:
+    if not values:
+        return {}
+    return {name: float(np.median([v[name] for v in values])) for name in names}
+
+
+def _divided(values: dict[str, float], by: dict[str, float]) -> dict[str, float]:
+    """Return values over those of another mapping, 1 where it has none."""
+    return {name: value / by.get(name, 1.0) for name, value in values.items()}
+
+
+def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
+    """Return the outputs of models that can read trips together.
+
+    Raises
+    ------
+    ModelFileError
+        If one was not trained on estimates from trips, needs a measured mass, or if they differ
+        in vehicle or outputs or share a speed.
+    """
+    for model in models:
+        trip_settings(model)
+        if model.task.mass_known:
+            raise ModelFileError("models with protocol.mass_known=true cannot read trips")
+    first = models[0]
+    for model in models[1:]:
+        if (model.vehicle, model.task.outputs) != (first.vehicle, first.task.outputs):
+            raise ModelFileError(
+                "the models of `run` must share vehicle and outputs; give runs of one vehicle"
+            )
+    for era in eras(models):
+        _check_together(era)
+    return first.task.outputs
+
+
+def _check_together(models: Sequence[TrainedModel]) -> None:
+    if len({model.generator.bogie for model in models} - {None}) > 1:
+        raise ModelFileError(
+            "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
+            "manifests, or give the folder of one run"
+        )
+    speeds = [model.generator.speed_m_per_s for model in models]
+    if len(set(speeds)) < len(speeds):
+        words = ", ".join(dict.fromkeys(map(speed_words, models)))
+        raise ModelFileError(
+            f"two models are for the same speed ({words}); give the folder of one run, or of a "
+            "multirun over speed_m_per_s alone"
+        )
+
+
+def speed_words(model: TrainedModel) -> str:
+    """Return the speeds that a model reads, in words."""
+    found = speed_range(model)
+    return "any" if found is None else range_words([found])
+
+
+def place_of(model: TrainedModel) -> Place | None:
+    """Return the suspension that a model was commissioned on; None if its file does not say it."""
+    noted = model.training.get("commissioned", {}).get("place")
+    return Place(**noted) if noted else None
+
+
+def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
+    """Return the models that read a suspension's trips.
+
+    Of models that were commissioned on several suspensions, those of this one; of others, those of
+    its bogie, if it is named.
+
+    Parameters
+    ----------
+    models : sequence of TrainedModel
+        Of one suspension or vehicle, or of each suspension of a fleet.
+    place : Place
+
+    Raises
+    ------
+    ModelFileError
+        If there is none, or if the models cannot read trips together.
+    """
+    known = sorted({one for one in map(place_of, models) if one is not None})
+    if len(known) > 1:
+        models = [model for model in models if place_of(model) == place]
+        if not models:
+            raise ModelFileError(
+                f"none of the models is commissioned on {place}, but on {_named(known)}: "
+                "commission it too, with healthy=DIR of its own trips"
+            )
+    fitting = [m for m in models if not place.bogie or m.generator.bogie in (None, place.bogie)]
+    if not fitting:
+        raise ModelFileError(
+            f"the trips are of the {place.bogie} bogie, the models of the other one: train one "
+            f"with generator.bogie={place.bogie}"
+        )
+    check_models(fitting)
+    return fitting
+
+
+def _named(places: Sequence[Place]) -> str:
+    words = "; ".join(map(str, places[:NAMED]))
+    return words if len(places) <= NAMED else f"{words} and {len(places) - NAMED} others"

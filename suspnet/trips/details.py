@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -10,15 +9,16 @@ from pathlib import Path
 from suspnet._version import __version__
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.parameters import limits_words
+from suspnet.ground.limits import Limits, limits_words
+from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
-from suspnet.history.records import TripResult, first_trips
-from suspnet.maintenance.limits import Limits
-from suspnet.maintenance.schedule import count
-from suspnet.trips.commissionings import eras
-from suspnet.trips.models import speed_words
+from suspnet.ground.wording import count, kilometres
+from suspnet.report.trip_table import files_read_as
+from suspnet.trips.commissionings import eras, first_trips, speed_words
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
+ALONE = "by this suspension alone, as no other of its vehicle shows how fast its kind wears"
+NO_STORE = "; with those of a history (store=) the plan of a fleet may give other ones"
 
 
 def report_details(
@@ -72,21 +72,6 @@ def report_details(
     } | files_read_as(results)
 
 
-def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
-    """Return how the files of trips were read, as a detail; empty where all was known.
-
-    Trips that were read alike are one remark, with their number if others were not.
-    """
-    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
-    if not counts:
-        return {}
-    remarks = [
-        words if n == len(results) else f"{words} ({count(n, 'trip')})"
-        for words, n in counts.most_common()
-    ]
-    return {"files read as": " · ".join(remarks)}
-
-
 def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
     """Return in words what the first trips lack to say what is healthy; empty if nothing."""
     if n_reference is None:
@@ -107,8 +92,8 @@ def healthy_words(model: TrainedModel) -> str:
     found = model.training.get("commissioned")
     if not found:
         return "the vehicle file's drawing"
-    first, last = (f"{km:,.0f}".replace(",", " ") for km in found["mileage_km"])
-    span = f"at {first} km" if first == last else f"from {first} to {last} km"
+    first, last = map(kilometres, found["mileage_km"])
+    span = f"at {first}" if first == last else f"from {first.removesuffix(' km')} to {last}"
     return f"what {count(found['n_trips'], 'trip')} {span} showed"
 
 
@@ -120,3 +105,12 @@ def _interval_words(model: TrainedModel, level: float) -> str:
         f"{100 * level:g} %, calibrated on {len(model.intervals.conformal.scores)} simulated "
         "curves that the model was not trained on, then adapted to the noise of each trip"
     )
+
+
+def wear_words(n_learnt: int, is_history: bool) -> str:
+    """Return with whose rates of wear lives are predicted; 0 suspensions: with its own alone."""
+    words = ALONE
+    if n_learnt:
+        where = "the history" if is_history else "this folder"
+        words = f"with the rates of wear of {n_learnt} suspensions of {where}"
+    return words if is_history else words + NO_STORE

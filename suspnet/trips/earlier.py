@@ -1,29 +1,111 @@
-"""Trips of earlier evaluations, from the store, beside those that were just read."""
+"""Trips that were read before: by an interrupted evaluation, or by earlier ones, in the store."""
 
 from __future__ import annotations
 
 import logging
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from suspnet.estimation.checkpoint import fingerprint
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.history import Event, History
-from suspnet.history.records import ERROR, OK, TripResult
-from suspnet.history.rows import trip_key, undated_key
-from suspnet.recordings.manifest import Place
+from suspnet.ground.cache import Cache, code_hash
+from suspnet.ground.limits import Limits
+from suspnet.ground.records import (
+    ERROR,
+    OK,
+    Place,
+    TripCurves,
+    TripResult,
+    from_row,
+    to_arrays,
+    to_responses,
+    to_row,
+)
+from suspnet.ground.storage import read_plain
+from suspnet.history import History
+from suspnet.history.schema import trip_key, undated_key
+from suspnet.maintenance.alarms import OWN_CAUSES, Alarm
+from suspnet.maintenance.change import ChangeSettings
+from suspnet.maintenance.series import Event, series_of
+from suspnet.maintenance.state import watched
+from suspnet.recordings.manifest import TripManifest
 from suspnet.trips.commissionings import since_km
 
 log = logging.getLogger(__name__)
+FOLDER = "finished_trips"
+"""Name of the folder, in that of an evaluation, that holds its trips' results."""
+
+
+class FinishedTrips:
+    """Results of trips that were read, each for its files, the models and the settings.
+
+    A result is given back if its manifest holds the same bytes, its data files have the same sizes
+    and times of change, and models, settings and code are the same.
+
+    Parameters
+    ----------
+    folder : Path
+        Where an evaluation writes.
+    models : sequence of TrainedModel
+    settings : TripSettings
+    """
+
+    def __init__(
+        self, folder: Path, models: Sequence[TrainedModel], settings: TripSettings
+    ) -> None:
+        self._cache = Cache(folder / FOLDER, "trip")
+        self._common = {
+            "models": [fingerprint(model) for model in models],
+            "settings": asdict(settings),
+            "code": code_hash(),
+        }
+
+    def made_from(self, manifest: TripManifest) -> dict[str, Any]:
+        """Return all that a trip's result depends on, as JSON-able values.
+
+        Raises
+        ------
+        OSError
+            If one of its files has just gone.
+        """
+        sources = [*manifest.sensors().values(), manifest.speed]
+        files = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
+        states = {str(file): file.stat() for file in files}
+        return self._common | {
+            "manifest": [str(manifest.path), read_plain(manifest.path).hex()],
+            "files": {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()},
+        }
+
+    def read(self, made_from: Any) -> TripResult | None:
+        """Return the result of a trip, None if it was not read yet."""
+        found = self._cache.read(made_from)
+        if found is None:
+            return None
+        arrays, row = found
+        if not arrays:
+            return from_row(row)
+        responses = to_responses(arrays.pop("real"), arrays.pop("imaginary"))
+        return replace(from_row(row), curves=TripCurves(responses=responses, **arrays))
+
+    def write(self, made_from: Any, result: TripResult) -> None:
+        """Store a trip's result, unless it is an error: that may be gone when it is read again."""
+        if result.status != ERROR:
+            arrays = to_arrays(result.curves) if result.curves is not None else {}
+            self._cache.write(made_from, arrays, to_row(result))
 
 
 def with_earlier(
     results: Sequence[TripResult], place: Place, models: Sequence[TrainedModel], store: History
 ) -> list[TripResult]:
-    """Keep a suspension's trips in the store, and return them with those that it held before.
+    """Store a suspension's trips, and return them with those that it held before.
 
-    A trip that could not be read at all is not kept: its fault may be gone when it is read again.
+    A trip that could not be read at all is not stored: its fault may be gone when it is read again.
     A trip that was read relative to another healthy vehicle than that of any model is left out.
 
     Raises
@@ -81,3 +163,25 @@ def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list
         place = len(ends) if unknown else bisect_right(ends, result.mileage_km)
         found[place].append(result)
     return found
+
+
+def keep_trips(
+    results: Sequence[TripResult],
+    place: Place,
+    models: Sequence[TrainedModel],
+    limits: Mapping[str, Limits],
+    settings: ChangeSettings,
+    store: History,
+) -> list[Alarm]:
+    """Store trips of a suspension, and the alarms that its whole history raises; return these.
+
+    Raises
+    ------
+    HistoryError
+        If the store cannot be used.
+    """
+    vehicle = models[0].vehicle.name
+    every = with_earlier(results, place, models, store)
+    found = watched(series_of(every, store.events(vehicle, place)), limits, settings).watched
+    store.keep_alarms(vehicle, place, found.alarms, OWN_CAUSES)
+    return found.alarms

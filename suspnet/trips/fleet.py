@@ -7,54 +7,48 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
-
-import numpy as np
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.parameters import PARAMETERS, TIGHTEST
+from suspnet.ground.limits import TIGHTEST, Limits, read_limits
+from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
+from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
 from suspnet.ground.workers import LostWorkerError, each
-from suspnet.history import Event, History, Series
-from suspnet.history.records import ERROR, TripResult, relative_to_first
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement
-from suspnet.maintenance.assessment import Assessment, assess, last_trips, spoken
+from suspnet.history import History
+from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
+from suspnet.maintenance.assessment import spoken
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.fleet_lives import (
-    Wear,
-    learn_wear,
-    lives_of,
-    present,
-    series_of,
-    unknown_lives,
-)
-from suspnet.maintenance.limits import Limits, Severity, read_limits
-from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
-from suspnet.maintenance.watch import Watched, detector_words
-from suspnet.maintenance.watching import watch_trips
+from suspnet.maintenance.fleet import Fleet
+from suspnet.maintenance.series import Event, Series, series_of
+from suspnet.maintenance.sisters import SisterSettings
+from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import partial_words, read_manifest
-from suspnet.report.output import summary, write_pages, write_tables
-from suspnet.report.overview import Evaluated, write_overview
+from suspnet.report.output import summary, write_overview, write_pages, write_tables
+from suspnet.report.overview import Evaluated
+from suspnet.report.report import Report
 from suspnet.trips.commissionings import (
-    Commissioning,
     check_one_reference,
     commissionings,
     eras,
-    of_last_era,
+    models_of,
+    relative_to_first,
     with_truth_of_each,
 )
-from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details
-from suspnet.trips.earlier import between, with_earlier
+from suspnet.trips.details import (
+    UNKNOWN_HEALTHY,
+    missing_reference,
+    report_details,
+    wear_words,
+)
+from suspnet.trips.earlier import FinishedTrips, between, with_earlier
 from suspnet.trips.grouping import Group, find_groups
-from suspnet.trips.models import models_of
-from suspnet.trips.result_cache import FinishedTrips
 from suspnet.trips.trip import evaluate_trip, lost_trip
 
 try:
@@ -67,6 +61,8 @@ else:
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
+SISTERS = SisterSettings()
+"""How the suspensions of a car are compared."""
 OVERRIDDEN = "set for this evaluation"
 """Reason of limits that are given as a setting without one."""
 
@@ -152,7 +148,7 @@ def evaluate_fleet(
     If the folder holds the trips of one suspension, its files lie in `output`. If it holds those
     of several, or subfolders with trips, each suspension has a subfolder of `output`, and
     overview.html, .csv and .parquet there name the worst first. A suspension that cannot be read is
-    told in the log and in the overview.
+    named in the log and in the overview.
 
     Parameters
     ----------
@@ -187,13 +183,12 @@ def evaluate_fleet(
     """
     settings.limits_of(models)
     groups = find_groups(folder)
-    if len(groups) == 1 and groups[0].folder == folder:
-        one = _read_group(groups[0], models, output, settings, progress, store)
-        return [_report(one, settings, store, _wear([one], store), seed, figures)]
-    for model in models:
-        trip_settings(model)
-    if partial := partial_words(folder):
-        log.warning("%s is %s; the same simulation again writes the others", folder, partial)
+    is_alone = len(groups) == 1 and groups[0].folder == folder
+    if not is_alone:
+        for model in models:
+            trip_settings(model)
+        if partial := partial_words(folder):
+            log.warning("%s is %s; the same simulation again writes the others", folder, partial)
     done: list[Evaluated] = []
 
     def lose(group: Group, error: str) -> None:
@@ -206,16 +201,25 @@ def evaluate_fleet(
             lose(group, group.error)
             continue
         try:
-            where = output / group.name
+            where = output if is_alone else output / group.name
             read.append(_read_group(group, models, where, settings, progress, store))
         except (ValueError, ArithmeticError) as error:
+            if is_alone:
+                raise
             lose(group, str(error))
-    wear = _wear(read, store)  # of all of them, so after the last is read
+    fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
+    if store is not None:  # their rates of wear count, and they are sisters
+        fleet.add(one for one in store.series() if one.vehicle in fleet.limits)
+    fleet.add(one.series for one in read)
     for one in read:
         try:
-            done.append(_report(one, settings, store, wear, seed, figures))
+            done.append(_report(one, fleet, settings, store, figures))
         except (ValueError, ArithmeticError) as error:
+            if is_alone:
+                raise
             lose(one.group, str(error))
+    if is_alone:
+        return done
     if all(one.error for one in done):
         reasons = "; ".join(f"{one.name}: {one.error}" for one in done)
         raise ValueError(f"{folder}: none of its {len(done)} suspensions can be read ({reasons})")
@@ -233,33 +237,12 @@ class _Read:
     output: Path
     limits: Mapping[str, Limits]
     results: list[TripResult]
-    states: list[Commissioning]
-    events: list[Event]
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """The parameters that the models estimate."""
-        return self.models[0].task.outputs
+    commissionings: list[Commissioning]
+    series: Series
 
     @property
     def vehicle(self) -> str:
-        """Name of the vehicle."""
         return self.models[0].vehicle.name
-
-    @cached_property
-    def series(self) -> Series:
-        """The same trips as arrays."""
-        return series_of(self.results, self.events)
-
-
-def _wear(read: Sequence[_Read], store: History | None) -> Wear:
-    """Return how the fleet of a store wears, or without one the suspensions that were just read."""
-    if not read:
-        return Wear()
-    found = [one.series for one in read]
-    if store is not None:
-        found = [one for one in store.series() if one.vehicle == read[0].vehicle]
-    return learn_wear(found, read[0].limits, is_history=store is not None)
 
 
 def _read_group(
@@ -270,9 +253,8 @@ def _read_group(
     progress: bool,
     store: History | None,
 ) -> _Read:
-    """Evaluate one suspension's trips, and keep them in the store."""
     fitting = models_of(models, group.place)
-    limits = settings.limits_of(fitting)
+    vehicle, limits = fitting[0].vehicle.name, settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
     title = f"trips of {group.place}"
@@ -283,68 +265,50 @@ def _read_group(
     events: list[Event] = []
     if store is not None:
         results = with_earlier(results, group.place, fitting, store)
-        events = store.events(fitting[0].vehicle.name, group.place)
-    results.sort(key=lambda r: (np.isnan(r.mileage_km), r.mileage_km, r.trip))
+        events = store.events(vehicle, group.place)
+    results = by_mileage(results)
     if settings.reference == "first_trips":
         parts = between(events, results)
         results = [r for part in parts for r in relative_to_first(part, settings.n_reference)]
-    states = commissionings(fitting, results)
-    results = with_truth_of_each(results, states)
-    return _Read(group, fitting, output, limits, results, states, events)
+    found = commissionings(fitting, results)
+    results = with_truth_of_each(results, found)
+    series = replace(series_of(results, events), vehicle=vehicle)
+    return _Read(group, fitting, output, limits, results, found, series)
 
 
 def _report(
-    read: _Read,
-    settings: FleetSettings,
-    store: History | None,
-    wear: Wear,
-    seed: int,
-    figures: bool,
+    read: _Read, fleet: Fleet, settings: FleetSettings, store: History | None, figures: bool
 ) -> Evaluated:
-    """Write tables, figures and report of one suspension."""
     stage(f"trend and report of {read.group.place}")
-    group, results, states, events = read.group, read.results, read.states, read.events
-    outputs, limits, output, fitting = read.outputs, read.limits, read.output, read.models
-    write_tables(results, outputs, output)
-    era = of_last_era(results, states)
-    recent = between(events, era)[-1]
-    least = _least_percent(outputs, fitting)
-    watched = watch_trips(era, events, outputs, limits, settings.changes)
-    seen: list[Acknowledgement] = []
-    if store is not None and any(r.status != ERROR for r in results):
-        store.keep_alarms(read.vehicle, group.place, watched.alarms, OWN_CAUSES)
-        seen = store.acknowledgements(read.vehicle, group.place)
-    lives = lives_of(read.series, limits, watched.passed, wear.priors, seed)
-    unknown = unknown_lives(read.series, [n for n in limits if n not in watched.passed])
-    found = [
-        replace(
-            one,
-            now=present(read.series, one.parameter),
-            life=lives.get(one.parameter),
-            unknown_life=unknown.get(one.parameter, ""),
-        )
-        for one in _assessments(recent, outputs, least, limits, watched)
-    ]
-    missing = missing_reference(recent, settings.n_first)
+    group, results, models = read.group, read.results, read.models
+    outputs, level = models[0].task.outputs, settings.trips.level
+    write_tables(results, outputs, read.output)
+    missing = missing_reference(between(read.series.events, results)[-1], settings.n_first)
     if missing:
         log.warning("%s: %s", group.folder, missing)
-        found = [_without_reference(one) for one in found]
-    details = report_details(
-        group.folder, fitting, results, limits, settings.trips.level, settings.n_first
+    state = replace(
+        fleet.state_of(read.series),
+        least_percent=least_percent(outputs, models),
+        doubt=UNKNOWN_HEALTHY if missing else "",
     )
-    details["remaining lives"] = wear.words
-    details["alarms of changes"] = armed = detector_words(watched.changes, settings.changes)
-    partial = partial_words(group.folder)
-    if partial:
+    seen: list[Acknowledgement] = []
+    if store is not None and any(r.status != ERROR for r in results):
+        own = [one for one in state.watched.alarms if one.cause in OWN_CAUSES]
+        store.keep_alarms(read.vehicle, group.place, own, OWN_CAUSES)
+        seen = store.acknowledgements(read.vehicle, group.place)
+    details = report_details(group.folder, models, results, read.limits, level, settings.n_first)
+    details["remaining lives"] = wear_words(fleet.n_learnt(read.vehicle), store is not None)
+    details["alarms of changes"] = armed = detector_words(state.watched.changes, settings.changes)
+    if partial := partial_words(group.folder):
         log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
         details["trips"] += f" ({partial})"
     if store is not None:
         details["history"] = printable(str(store))
-    options = settings.trips.level, limits, states, events, watched.alarms, seen
-    write_pages(results, outputs, found, output, details, *options, draw=figures)
-    words = f"{spoken(found)}\nAlarms of changes: {armed}."
-    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, output)
-    return Evaluated(group.name, group.place, results, found)
+    report = Report(results, outputs, state, details, level, read.commissionings, seen)
+    write_pages(report, read.output, draw=figures)
+    words = f"{spoken(state.assessments)}\nAlarms of changes: {armed}."
+    log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, read.output)
+    return Evaluated(group.name, group.place, results, state)
 
 
 def _evaluated(
@@ -355,7 +319,6 @@ def _evaluated(
     progress: bool,
     title: str,
 ) -> list[TripResult]:
-    """Return the result of every trip: kept by an earlier evaluation, or read in parallel now."""
     finished = FinishedTrips(output, models, settings.trips)
     results, made_from = [], {}
     bar = progress_bar(title, len(paths), unit="trip", shown=progress)
@@ -404,38 +367,10 @@ def _read_by_workers(
                 yield trips[future], LostWorkerError(str(error))
 
 
-def _least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
+def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
     """Return the smallest change of each parameter, in %, that the models can resolve."""
     rms = {
         name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
         for name in outputs
     }
     return {name: max(LEAST_PERCENT, RESOLVED * one) for name, one in rms.items()}
-
-
-def _assessments(
-    results: Sequence[TripResult],
-    outputs: tuple[str, ...],
-    least_percent: Mapping[str, float],
-    limits: Mapping[str, Limits],
-    watched: Watched,
-) -> list[Assessment]:
-    """Return each parameter's assessment; a change that the models cannot resolve is none."""
-    mileage = np.array([r.mileage_km for r in results])
-    flagged = np.array([bool(r.flags) for r in results])
-    estimates = {name: [r.estimates.get(name, np.nan) for r in results] for name in outputs}
-    found = []
-    for name in outputs:
-        values = np.array(estimates[name])
-        trend = flagged_trend(name, mileage, values, flagged, least_percent=least_percent[name])
-        last = last_trips(mileage, values, [r.interval(name) for r in results], flagged)
-        found.append(assess(trend, last, limits.get(name), watched.standing(name)))
-    return found
-
-
-def _without_reference(one: Assessment) -> Assessment:
-    """Return an assessment where healthy is not known: the parameter cannot be judged, at least."""
-    if not one.limited:
-        return one
-    severity = max(one.severity, Severity.UNKNOWN)
-    return replace(one, severity=severity, words=f"{UNKNOWN_HEALTHY}; {one.words}")

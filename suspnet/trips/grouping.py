@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from suspnet.ground.ledger import LEDGER
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place
 from suspnet.recordings.manifest_files import find_manifests, read_place
 
 log = logging.getLogger(__name__)
@@ -79,12 +79,10 @@ def find_groups(folder: Path) -> list[Group]:
 
 
 def _holds_manifests(folder: Path) -> bool:
-    """Return whether a folder has a manifest directly in it."""
     return any(path.is_file() for path in folder.glob("*.yaml"))
 
 
 def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
-    """Return the manifests of one folder by suspension."""
     places = {path: read_place(path) for path in manifests}
     known = sorted({place for place in places.values() if place is not None})
     rest = known[0] if len(known) == 1 else Place()
@@ -95,7 +93,6 @@ def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
 
 
 def _tell_of_unread(folder: Path) -> None:
-    """Warn of manifests in the subfolders of a folder that has some of its own."""
     unread = sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p))
     if unread:
         log.warning(
@@ -106,7 +103,6 @@ def _tell_of_unread(folder: Path) -> None:
 
 
 def _named(groups: list[Group], names: list[str]) -> list[Group]:
-    """Return groups with names that are fit for folders, and different in small letters."""
     taken, named = set(TAKEN), []
     for group, wanted in zip(groups, names, strict=True):
         base = re.sub(r"[^\w.-]+", "_", wanted).strip("._")[:100] or "unknown"
@@ -120,5 +116,4 @@ def _named(groups: list[Group], names: list[str]) -> list[Group]:
 
 
 def _words(error: OSError) -> str:
-    """Return an error of the file system in words."""
     return f"{error.filename}: {error.strerror}" if error.filename else str(error)

@@ -16,12 +16,12 @@ from torch import Tensor
 
 from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.sides import with_sides
 from suspnet.estimation.speed_bin import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_flags import with_sides
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK, Place, Quality, TripCurves, TripResult
 from suspnet.ground.storage import printable
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK, Quality, TripCurves, TripResult
-from suspnet.recordings.manifest import Place, TripError, TripManifest
+from suspnet.recordings.manifest import TripError, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import overview
 from suspnet.recordings.recording import Recording, load_recording
@@ -84,7 +84,6 @@ def evaluate_recording(
 
 
 def _failed(result: TripResult, error: Exception) -> TripResult:
-    """Return a result whose reason is an error."""
     words = str(error).removeprefix(f"{result.manifest}: ")
     if not isinstance(error, TripError):
         log.debug("trip %s failed", result.manifest, exc_info=error)
@@ -98,7 +97,6 @@ def lost_trip(path: Path, reason: str) -> TripResult:
 
 
 def _printable(result: TripResult) -> TripResult:
-    """Return a result whose words every file can hold, whatever the names of its files."""
     place = Place(*map(printable, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
     changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
@@ -106,7 +104,6 @@ def _printable(result: TripResult) -> TripResult:
 
 
 def _described(result: TripResult, manifest: TripManifest) -> TripResult:
-    """Return a result with what the manifest says of the trip."""
     return replace(
         result,
         vehicle=manifest.vehicle,
@@ -125,7 +122,6 @@ def _estimated(
     models: Sequence[TrainedModel],
     settings: TripSettings,
 ) -> TripResult:
-    """Return a result with the estimate from the trip's recording."""
     for name in sorted({model.vehicle.name for model in models}):
         if name != manifest.vehicle:
             raise TripError(
@@ -149,7 +145,7 @@ def _estimated(
     pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
         bins, reasons = _bins(recording, pairs, settings)
-    except TripError as error:  # told here: the quality is known by now
+    except TripError as error:  # reported here: the quality is known by now
         return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
@@ -221,7 +217,6 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
 
 
 def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
-    """Return how many segments of each length at least one bin was made from."""
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch
@@ -230,7 +225,6 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
 
 
 def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
-    """Return the curves and the overview of signals behind an estimate."""
     method = trip_settings(best.method).method
     seen = overview(recording)
     return TripCurves(

@@ -1,32 +1,49 @@
-"""The application: pages, files, headers, and errors in plain words."""
+"""The application: pages, the files that they load, and pages for errors."""
 
 from __future__ import annotations
 
+import functools
+import gzip
+import hashlib
 from collections.abc import Sequence
+from importlib import resources
+from importlib.metadata import version
 from typing import Any
 
-from flask import Flask, current_app, render_template, request
+from flask import Blueprint, Flask, Response, abort, current_app, render_template, request
 from flask_wtf.csrf import CSRFError
 from jinja2 import FunctionLoader, StrictUndefined
 from werkzeug.exceptions import HTTPException, SecurityError
 
 from suspnet import __version__
 from suspnet.history import HistoryError
-from suspnet.report.templates import FILTERS, LABELS, packaged
-from suspnet.web.assets import assets, file_digest
-from suspnet.web.fleet_page import MARKS
+from suspnet.report.templates import FILTERS, GLOBALS, packaged
 from suspnet.web.pages import REFRESHER, pages
 from suspnet.web.refresher import Refresher, clock
-from suspnet.web.security import protect
+from suspnet.web.server import protect
 
 PACKAGES = ("suspnet.web",)
-"""Packages whose templates the pages use, besides those of the trips."""
-IN_WORDS = {
+"""Packages whose templates the pages use, besides those of reports."""
+MESSAGES = {
     400: "The form or the address could not be understood.",
     404: "There is no such page.",
     405: "This page cannot be asked for in this way.",
     413: "What was sent is too long.",
 }
+
+FILES = {
+    "style.css": ("text/css", ("suspnet.report:style.css", "suspnet.web:page.css")),
+    "live.js": ("text/javascript", ("suspnet.web:live.js",)),
+    "plots.js": ("text/javascript", ("suspnet.web:plots.js",)),
+    "icon.svg": ("image/svg+xml", ("suspnet.web:icon.svg",)),
+    "plotly.js": ("text/javascript", ("plotly:package_data/plotly.min.js",)),
+}
+"""Type and parts of each file."""
+FOR_EVER = "public, max-age=31536000, immutable"
+"""For files whose address changes with what they hold."""
+
+
+assets = Blueprint("assets", __name__, url_prefix="/files")
 
 
 def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: float = 3.0) -> Flask:
@@ -37,17 +54,15 @@ def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: flo
     refresher : Refresher
         Holds the state of the fleet; started by the caller.
     hosts : sequence of str
-        Names of the host that are answered to, besides those of this computer itself.
+        Names of the host that are answered, besides those of this computer itself.
     ask_every_s : float, [s]
-        Time after which an open page asks whether there is anything new.
+        Time between two requests of an open page for news.
     """
     app = Flask("suspnet.web", static_folder=None)
     app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
     app.jinja_options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
     app.jinja_env.filters |= FILTERS | {"clock": clock}
-    app.jinja_env.globals |= {
-        "labels": LABELS,
-        "marks": MARKS,
+    app.jinja_env.globals |= GLOBALS | {
         "file_digest": file_digest,
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",
@@ -56,14 +71,13 @@ def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: flo
     app.extensions[REFRESHER] = refresher
     app.register_blueprint(pages)
     app.register_blueprint(assets)
-    app.register_error_handler(CSRFError, _too_old)
-    app.register_error_handler(HistoryError, _away)
-    app.register_error_handler(HTTPException, _told)
+    app.register_error_handler(CSRFError, _form_error)
+    app.register_error_handler(HistoryError, _store_error)
+    app.register_error_handler(HTTPException, _http_error)
     return app
 
 
-def _too_old(error: CSRFError) -> Any:
-    """Say that a form does not come from a page of this program, or from one of before."""
+def _form_error(error: CSRFError) -> Any:
     words = (
         "This form was not accepted: it is older than the start of the program, or cookies are "
         "off. Go back, reload the page and send it again."
@@ -71,24 +85,56 @@ def _too_old(error: CSRFError) -> Any:
     return _message("Not accepted", words), 400
 
 
-def _away(error: HistoryError) -> Any:
-    """Say that the store cannot be used; what was to be saved is not saved."""
-    lost = "Nothing was kept: " if request.method == "POST" else ""
+def _store_error(error: HistoryError) -> Any:
+    lost = "Nothing was saved: " if request.method == "POST" else ""
     return _message("The store cannot be used", f"{lost}{error}."), 503
 
 
-def _told(error: HTTPException) -> Any:
-    """Return an error in words."""
-    if isinstance(error, SecurityError):  # no page for whoever asks by a foreign name
+def _http_error(error: HTTPException) -> Any:
+    if isinstance(error, SecurityError):  # a foreign name gets no page
         return "This name of the host is not answered to; see `hosts` of suspnet-serve.\n", 400
     code = error.code or 500
     own = error.description if code == 404 and request.path.startswith("/suspension/") else None
-    words = own or IN_WORDS.get(code) or "Something went wrong; the program's terminal says what."
+    words = own or MESSAGES.get(code) or "Something went wrong; the program's terminal says what."
     return _message(error.name, words), code
 
 
 def _message(title: str, words: str) -> str:
-    """Return a page that says one thing."""
     refresher = current_app.extensions[REFRESHER]
     where = {"version": "", "of": "", "view": refresher.board.view, "refresher": refresher}
     return render_template("message_page.html", title=title, words=words, **where)
+
+
+@assets.get("/<digest>/<name>")
+def file(digest: str, name: str) -> Response:
+    """Return a file, packed if the browser takes that."""
+    if name not in FILES or digest != file_digest(name):
+        abort(404)
+    packed = request.accept_encodings.quality("gzip") > 0
+    found = Response(_packed(name) if packed else _content(name), mimetype=FILES[name][0])
+    found.headers["Cache-Control"] = FOR_EVER
+    found.headers["Vary"] = "Accept-Encoding"
+    if packed:
+        found.headers["Content-Encoding"] = "gzip"
+    return found
+
+
+@functools.cache
+def file_digest(name: str) -> str:
+    """Return the part of a file's address that changes with its content."""
+    if name == "plotly.js":  # five megabytes, which need not be read for each start
+        return version("plotly")
+    return hashlib.sha256(_content(name)).hexdigest()[:12]
+
+
+@functools.cache
+def _content(name: str) -> bytes:
+    parts = (part.split(":") for part in FILES[name][1])
+    return b"\n".join(
+        resources.files(package).joinpath(path).read_bytes() for package, path in parts
+    )
+
+
+@functools.cache
+def _packed(name: str) -> bytes:
+    return gzip.compress(_content(name), 6, mtime=0)

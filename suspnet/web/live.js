@@ -55,7 +55,7 @@ async function look() {
     }
   } catch (error) {
     since = since || new Date().toLocaleTimeString();
-    lost.textContent = `The server does not answer since ${since}: what you see may be old.`;
+    lost.textContent = `No answer from the server since ${since}: what you see may be old.`;
     lost.hidden = false;
   }
   if (main().dataset.state) setTimeout(look, 1000 * Number(main().dataset.every));

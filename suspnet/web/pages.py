@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import threading
 from typing import Any
 
 import numpy as np
@@ -19,22 +21,26 @@ from flask import (
     url_for,
 )
 from flask.typing import ResponseReturnValue
+from flask_wtf import FlaskForm
+from wtforms import HiddenField, StringField
+from wtforms.validators import DataRequired, Length
 
-from suspnet.dynamics import PARAMETERS
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD
 from suspnet.history import History, HistoryError
-from suspnet.history.acknowledging import acknowledge_alarms
+from suspnet.history.store import acknowledge_alarms
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
-from suspnet.maintenance.trend import PAYLOAD
-from suspnet.report.fleet_view import FleetView
-from suspnet.report.overview import finding
-from suspnet.web import assets, fleet_page
-from suspnet.web.fleet_page import Choice
+from suspnet.report.overview import FleetView, finding
+from suspnet.report.responses import response
+from suspnet.report.templates import MARKS
+from suspnet.report.trend import trend_of_state
+from suspnet.web import page_values
+from suspnet.web.figures import response_figure, trend_figure
+from suspnet.web.page_values import Choice, suspension_values
 from suspnet.web.refresher import Refresher
-from suspnet.web.response_figure import response_figure
-from suspnet.web.security import WITH_PLOTS
-from suspnet.web.seen_form import Seen
-from suspnet.web.suspension_page import suspension_values
-from suspnet.web.trend_figure import trend_figure
+from suspnet.web.server import WITH_PLOTS
 
 MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are asked for."""
@@ -47,6 +53,7 @@ REFRESHER = "suspnet_refresher"
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
+_drawing = threading.Lock()
 
 
 @pages.get("/")
@@ -54,7 +61,7 @@ def fleet() -> ResponseReturnValue:
     """Return the page of the fleet."""
     view, choice = _view(), _choice()
     places = [i for i, state in enumerate(view.states) if choice.holds(state)]
-    alarms, jobs = fleet_page.raised(view, choice), fleet_page.jobs_of(view, choice, _address)
+    alarms, jobs = page_values.raised(view, choice), page_values.jobs_of(view, choice, _address)
     all_rows = request.args.get("rows") == "all"
     most = None if all_rows else MOST_ROWS
     page = _page(
@@ -62,12 +69,12 @@ def fleet() -> ResponseReturnValue:
         _fleet_version(view),
         finding=finding([view.rows[i] for i in places]),
         choice=choice,
-        train_names=fleet_page.train_names(view),
-        counts=fleet_page.counts(view, choice.train),
-        trains=fleet_page.trains_of_view(view, choice),
+        train_names=page_values.train_names(view),
+        counts=page_values.counts(view, choice.train),
+        trains=page_values.trains_of_view(view, choice),
         alarms=alarms[:most],
         n_alarms=len(alarms),
-        rows=fleet_page.rows_of(view, places[:most], _address),
+        rows=page_values.rows_of(view, places[:most], _address),
         n_rows=len(places),
         parameters=OUTPUTS,
         plan=view.plan,
@@ -86,8 +93,8 @@ def plan() -> ResponseReturnValue:
         _fleet_version(view),
         plan=view.plan,
         choice=choice,
-        train_names=fleet_page.train_names(view),
-        jobs=fleet_page.jobs_of(view, choice, _address),
+        train_names=page_values.train_names(view),
+        jobs=page_values.jobs_of(view, choice, _address),
     )
 
 
@@ -97,7 +104,7 @@ def calendar() -> ResponseReturnValue:
     found = _view().plan
     if found is None:
         abort(404)
-    return Response(assets.calendar(found), mimetype="image/svg+xml")
+    return Response(_calendar(found), mimetype="image/svg+xml")
 
 
 @pages.get("/suspension/<name>")
@@ -131,42 +138,52 @@ def acknowledge(name: str) -> ResponseReturnValue:
 def trend(name: str) -> ResponseReturnValue:
     """Return the figure of the parameters along the mileage."""
     state = _state(name)
-    return trend_figure(state, _view().limits.get(state.series.vehicle, {}))
+    return trend_figure(trend_of_state(state), name)
 
 
 @pages.get("/suspension/<name>/responses.json")
 def responses(name: str) -> ResponseReturnValue:
     """Return the figure of the frequency responses."""
     with _opened() as store:
-        kept = store.responses(*_state(name).key)
-    if not kept:
+        stored = store.responses(*_state(name).key)
+    if not stored:
         abort(404)
-    return response_figure(kept, name)
+    return response_figure([response(one.trip, one.mileage_km, one) for one in stored], name)
 
 
 @pages.get("/state")
 def state() -> ResponseReturnValue:
-    """Return what stands for the state of a page, and how new it is; light, for asking often."""
+    """Return the version of a page's state and when it was read; light, as pages ask often."""
     view, name = _view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
     return {"version": version, "words": _refresher().words}
+
+
+@functools.lru_cache(maxsize=2)
+def _calendar(plan: Plan) -> bytes:
+    """Return the calendar of a plan as SVG."""
+    from suspnet.report.calendar_figure import plan_calendar  # matplotlib, for this picture alone
+    from suspnet.report.figures import as_svg
+
+    with _drawing:
+        return as_svg(plan_calendar(plan))
 
 
 def _suspension_page(name: str, form: Seen) -> str:
     """Return the page of a suspension with a form as it was filled in."""
     view, state = _view(), _state(name)
     request.environ[WITH_PLOTS] = True
-    results, kept, trouble = [], [], ""
+    results, stored, trouble = [], [], ""
     seen, bad = view.acknowledged.get(state.key, ()), []
     try:
         with _opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
-            kept = store.responses(*state.key)  # last: curves may be damaged alone
+            stored = store.responses(*state.key)  # last: curves may be damaged alone
     except HistoryError as error:
         trouble = str(error)
     known = [one for one in view.bad_rows if one.key == state.key]
-    shown = suspension_values(view, view.keys[name], results, kept, seen)
+    shown = suspension_values(view, view.keys[name], results, stored, seen)
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
         "suspension_page.html",
@@ -177,13 +194,13 @@ def _suspension_page(name: str, form: Seen) -> str:
         trouble=trouble,
         bad_rows=list(dict.fromkeys([*known, *bad])),
         parameters=OUTPUTS,
-        sisters=[fleet_page.rows_of(view, car, _address)] if car else [],
+        sisters=[page_values.rows_of(view, car, _address)] if car else [],
         **shown,
     )
 
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
-    """Return a page; `version` stands for all that it shows, empty: it stays as it is."""
+    """Return a page; it is replaced when `version` changes, and never if that is empty."""
     refresher = _refresher()
     where = {"version": version, "of": of, "view": refresher.board.view, "refresher": refresher}
     return render_template(template, **where, **values)
@@ -210,7 +227,7 @@ def _state(name: str) -> State:
 def _choice() -> Choice:
     """Return which suspensions the address asks for; what it does not know chooses all."""
     severity = request.args.get("severity", "")
-    known = severity in fleet_page.MARKS
+    known = severity in MARKS
     return Choice(request.args.get("train", ""), severity if known else "")
 
 
@@ -230,12 +247,12 @@ def _opened(wait_s: float = READ_S) -> History:
 
 
 def _fleet_version(view: FleetView) -> str:
-    """Return what stands for the state of the fleet as the pages show it."""
+    """Return a digest that changes with what the pages show of the fleet."""
     return _digest(view.at, view.version, _refresher().fault)
 
 
 def _suspension_version(view: FleetView, name: str) -> str:
-    """Return what stands for the state of a suspension as its page shows it."""
+    """Return a digest that changes with what the page of a suspension shows."""
     if name not in view.keys:
         return _digest("gone", _refresher().fault)
     state = view.states[view.keys[name]]
@@ -248,3 +265,17 @@ def _suspension_version(view: FleetView, name: str) -> str:
 
 def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+class Seen(FlaskForm):  # type: ignore[misc]
+    """Name and words of a person, and the alarm as the page showed it."""
+
+    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
+    words = StringField("What is done about it", [Length(max=500)])
+    parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
+
+    def means(self, alarm: Alarm) -> bool:
+        """Return whether an alarm is the one of this form, and no worse than it was shown."""
+        same = (alarm.parameter, str(alarm.cause)) == (self.parameter.data, self.cause.data)
+        names = {str(one): one for one in Severity}
+        return same and alarm.severity <= names.get(self.severity.data or "", -1)

@@ -1,4 +1,4 @@
-"""A thread that keeps the state of a fleet up to date, and says so when it does not."""
+"""A thread that keeps the state of a fleet up to date, and reports when it cannot."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ log = logging.getLogger(__name__)
 
 
 class Refresher:
-    """Works out the state of a fleet every few seconds, in a thread of its own.
+    """Computes the state of a fleet every few seconds, in its own thread.
 
     Parameters
     ----------
     board : Board
     every_s : float, [s]
-        Time between the end of one look at the store and the begin of the next.
+        Pause between two looks at the store.
     """
 
     def __init__(self, board: Board, every_s: float) -> None:
         self.board = board
         self.every_s = every_s
         self._error = ""
-        self._begun: datetime | None = None
+        self._started_at: datetime | None = None
         self._looked: datetime | None = None
         self._read: datetime | None = None
         self._wake, self._end = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="refresher", daemon=True)
 
     def start(self) -> None:
-        """Begin to look at the store."""
+        """Start to look at the store."""
         self._thread.start()
 
     def soon(self) -> None:
@@ -49,13 +49,13 @@ class Refresher:
 
     @property
     def fault(self) -> str:
-        """Why what is shown may be old, in words; empty if it is not."""
+        """Why the pages may be out of date; empty if they are not."""
         if not self._thread.is_alive():
             why = f" ({self._error})" if self._error else ""
             return f"The history is not read any more{why}: start suspnet-serve again."
         view = self.board.view
         if self._error:
-            return f"The state of the fleet could not be worked out: {self._error}."
+            return f"The state of the fleet could not be computed: {self._error}."
         return f"The store cannot be read: {view.trouble}." if view.trouble else ""
 
     @property
@@ -65,14 +65,14 @@ class Refresher:
 
     @property
     def words(self) -> str:
-        """When the store was last read, in words."""
-        if self._begun:
-            since = f", since {clock(self._begun)}"
-            return f"reading and working out what is new{since}"
+        """When the store was last read, as a text."""
+        if self._started_at:
+            since = f", since {clock(self._started_at)}"
+            return f"reading what is new{since}"
         return f"last looked at {clock(self._looked)}" if self._looked else "not read yet"
 
     def _run(self) -> None:
-        """Look again and again until the end; an error is told, and it is tried again."""
+        """Look until stopped; after an error, look again."""
         try:
             while not self._end.is_set():
                 self._wake.clear()
@@ -83,20 +83,19 @@ class Refresher:
             raise
 
     def _look(self, refresh: Callable[[], bool]) -> None:
-        """Work out the state once."""
-        begun = self._begun = datetime.now(UTC)
+        started = self._started_at = datetime.now(UTC)
         try:
             refresh()
             self._error = ""
             self._looked = datetime.now(UTC)
             if not self.board.view.trouble:
-                self._read = begun
+                self._read = started
         except Exception as error:
             if not self._error:
-                log.exception("the state of the fleet could not be worked out")
+                log.exception("the state of the fleet could not be computed")
             self._error = f"{type(error).__name__}: {error}"
         finally:
-            self._begun = None
+            self._started_at = None
 
 
 def clock(time: datetime) -> str:

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from history import size, timed, trips
 
+from suspnet.ground.records import TripResult
 from suspnet.history import History
-from suspnet.history.records import TripResult
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings

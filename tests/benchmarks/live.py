@@ -236,7 +236,7 @@ def main() -> None:
         source, before_mib = Repeated(frames, given.hours), _memory_mib()
         with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
             results = Results(store, settings, source.publish)
-            monitor = Timed(several, source, journal, results.tell)
+            monitor = Timed(several, source, journal, results.report)
             monitor.source, source.is_busy = source, monitor.is_busy
             monitor.took_ms, monitor.delays_ms = array("d"), array("d")  # eight bytes each
             wall, start = time.perf_counter(), time.process_time()

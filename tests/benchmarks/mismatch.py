@@ -36,7 +36,6 @@ from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
 from suspnet.dynamics.quantities import PARTS, LogNormal  # noqa: E402
 from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
-from suspnet.estimation.commissioning_run import commission_folder  # noqa: E402
 from suspnet.estimation.estimate import Estimate  # noqa: E402
 from suspnet.estimation.from_recording import NoEstimateError, TripSettings  # noqa: E402
 from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
@@ -44,6 +43,7 @@ from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
 from suspnet.estimation.trained import TrainedModel  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
 from suspnet.runs.calibrate import calibrated, with_unexplained  # noqa: E402
+from suspnet.runs.commissioning import commission_folder  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402

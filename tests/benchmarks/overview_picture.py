@@ -23,7 +23,7 @@ from PIL import Image
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings import load_recording, read_manifest
 from suspnet.report.figures import CHANNEL_TITLES
-from suspnet.report.health_figure import LIMIT_COLOURS
+from suspnet.report.trend import LIMIT_COLOURS
 
 PICTURE = Path(__file__).parents[2] / "docs" / "overview.png"
 SHOWN_S = 6.0

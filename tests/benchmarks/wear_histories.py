@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspnet.ground.limits import DEFAULT_LIMITS
 from suspnet.ground.types import FloatArray
-from suspnet.maintenance.limits import DEFAULT_LIMITS
 
 KINDS = ("linear", "exponential", "wiener")
 PER_TRAIN = 10

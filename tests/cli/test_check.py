@@ -28,7 +28,7 @@ from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.overview import WINDOWS
 from suspnet.recordings.reader_process import LIMIT, apart
 from suspnet.recordings.recording import load_recording
-from suspnet.report.check_figures import trip_figure
+from suspnet.report.check_page import trip_figure
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip

@@ -11,14 +11,14 @@ from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import commission_fleet, folders, train
-from suspnet.estimation import commissioning_run as run
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger
+from suspnet.ground.records import Place
 from suspnet.ground.storage import read_json, write_json
-from suspnet.recordings.manifest import Place
 from suspnet.report.commissioning_page import as_json
+from suspnet.runs import commissioning as run
 from suspnet.runs.evaluate import find_runs
-from suspnet.trips.models import models_of, place_of
+from suspnet.trips.commissionings import models_of, place_of
 
 pytestmark = pytest.mark.usefixtures("blank")
 TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]

@@ -12,9 +12,9 @@ from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import train
-from suspnet.estimation import commissioning_run as run
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.storage import write_json
+from suspnet.runs import commissioning as run
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.speeds import SpeedRange, range_words
 
@@ -71,9 +71,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     with caplog.at_level(logging.WARNING):
         assert run_program(train, tmp_path / "run", *TRIPS, f"healthy={folder}") == 0
     assert trained[0]["commissioned"]["n_trips"] == 3
-    said = [
-        r.getMessage() for r in caplog.records if r.name == "suspnet.estimation.commissioning_run"
-    ]
+    said = [r.getMessage() for r in caplog.records if r.name == "suspnet.runs.commissioning"]
     assert "did not converge" in said[0]
     assert "no other one found this vehicle" in said[1]
     assert 'class="result notice"' in (tmp_path / "run" / "commissioning.html").read_text()

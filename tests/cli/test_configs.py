@@ -64,6 +64,7 @@ def composed(*overrides, name="train"):
         return compose(name, overrides=list(overrides))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("name", NAMES["model"])
 @pytest.mark.parametrize("protocol", NAMES["protocol"])
 def test_every_model_instantiates_under_every_protocol(name, protocol):

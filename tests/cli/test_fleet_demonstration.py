@@ -10,7 +10,7 @@ from suspnet.cli import evaluate, simulate, train
 from suspnet.estimation.checkpoint import load_model
 from suspnet.history import History
 from suspnet.runs.evaluate import find_runs
-from suspnet.trips.models import place_of
+from suspnet.trips.commissionings import place_of
 
 RATES = [f"fleet.sensors.{name}.rate_hz=500" for name in ("axle_box", "bogie", "body")]
 CHEAP = [

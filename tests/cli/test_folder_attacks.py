@@ -332,6 +332,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("resume", [True, False])
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_what_the_user_put_into_a_run_since_stays(trained, tmp_path, change, resume):

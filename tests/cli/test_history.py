@@ -7,10 +7,10 @@ from trip_records import fleet, trip
 from suspnet.cli import program
 from suspnet.cli.history import history
 from suspnet.cli.options import history_parser
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Cause
-from suspnet.maintenance.limits import Severity
-from suspnet.recordings.manifest import Place
 
 PLACE = Place("bogie 1, left")
 OTHER = Place("x", "leading", train="4", car="7")
@@ -115,7 +115,7 @@ def test_export_writes_all_that_is_kept(alarmed, tmp_path, capsys):
 
 
 def test_maintenance_of_an_unknown_suspension_is_refused(path):
-    with pytest.raises(HistoryError, match="no trip of am96: y is kept here; known: AM96 217"):
+    with pytest.raises(HistoryError, match="no trip of am96: y is stored here; known: AM96 217"):
         run(path, "event", "--vehicle", "am96", "--suspension", "y", "--at-km", "1")
 
 

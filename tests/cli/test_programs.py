@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, program, train
-from suspnet.estimation.ood import KINDS
+from suspnet.estimation.estimate import KINDS
 
 RECORD = "protocol group output metric model published measured bound n_train snr_db seed seconds"
 

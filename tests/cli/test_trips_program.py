@@ -24,15 +24,15 @@ from suspnet.cli import evaluate, simulate, train
 from suspnet.cli.kinds import build, named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
-from suspnet.maintenance.limits import Severity
+from suspnet.ground.limits import Severity
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog
 from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.trips import fleet
 
-QUICK = ("manchester", "truck")
-"""One of each generator; am96 is that of every other test, the rest are tested on request only."""
+QUICK = ("truck",)
+"""The generator of am96 is that of every other test; the rest are tested on request only."""
 VEHICLES = [
     pytest.param(path.stem, marks=[] if path.stem in QUICK else [pytest.mark.slow])
     for path in sorted((ROOT / "configs" / "vehicle").glob("*.yaml"))

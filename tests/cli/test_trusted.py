@@ -473,6 +473,7 @@ def test_numbers_and_words_of_a_launcher_may_be_changed(changed, message, monkey
 LAUGHS = "\n".join(["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))])
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize(
     ("place", "option"),
     [

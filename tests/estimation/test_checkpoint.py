@@ -13,14 +13,13 @@ from vehicles import AM96
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.checkpoint import load_model, save_model
-from suspnet.estimation.conformal import Conformal
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.intervals import Intervals, ResidualScale
+from suspnet.estimation.intervals import Conformal, Intervals, ResidualScale
 from suspnet.estimation.ood import OODDetector
 from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.parameters import DEFAULT_LIMITS
+from suspnet.ground.limits import DEFAULT_LIMITS
 from suspnet.ground.storage import content_hash, dump_arrays, read_arrays
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.spectra.curves import CurveSettings
@@ -299,8 +298,9 @@ def test_healthy_curves_have_relative_features_of_one(saved):
     model = load_model(str(saved))
     frequencies_hz = np.arange(5, 1001) * 0.02
     generator = QuarterCar(model.vehicle)
-    curves = generator.magnitudes(torch.ones(1, 5), torch.as_tensor(frequencies_hz)).numpy()
-    features = model.relative_features(curves, frequencies_hz)
-    table = model.task.extractor.extract(torch.as_tensor(curves), torch.as_tensor(frequencies_hz))
+    bins = torch.as_tensor(frequencies_hz)
+    curves = generator.magnitudes(torch.ones(1, 5), bins)
+    features, _ = model.features(curves, bins)
+    table = model.task.extractor.extract(curves, bins)
     np.testing.assert_allclose(features * model.healthy_features, table.values.numpy())
     assert model.predict(features.tolist()).shape == (1, 2)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from sklearn.base import BaseEstimator, RegressorMixin
 
-from suspnet.estimation.conformal import Conformal
+from suspnet.estimation.intervals import Conformal
 
 LEVELS = ("0.28", "0.5", "0.7", "0.8", "0.9", "0.95", "0.99")
 TABLES = hnp.arrays(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.delays import EXPLAINED, find_delays
+from suspnet.estimation.trip_flags import EXPLAINED, find_delays
 
 HERTZ = torch.arange(0.6, 20.0, 0.05, dtype=torch.float64)
 HEALTHY = torch.ones(1, 5, dtype=torch.float64)

@@ -12,11 +12,10 @@ from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation import from_spectra as trust
-from suspnet.estimation.conformal import Conformal
 from suspnet.estimation.from_curves import corrected, estimate_curves
-from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_spectra
+from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_with_noise
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.intervals import Conformal, Intervals
 from suspnet.spectra import estimates as estimate_observer
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 
@@ -66,8 +65,8 @@ def row(spectra, i=0):
 
 def inputs_of(model, spectra):
     observer = model.settings.observer(model.generator)
-    responses = observer.for_features(spectra.responses(model.settings.method)[None]).numpy()
-    return model.relative_features(responses, model.settings.frequencies_hz().numpy())
+    responses = observer.for_features(spectra.responses(model.settings.method)[None])
+    return model.features(responses, model.settings.frequencies_hz())[0]
 
 
 def regression(model, inputs):
@@ -85,7 +84,7 @@ def noise_part(model, spectra):
 
 def read(model, spectra, level=LEVEL):
     """Return values and half widths (n_outputs,) and the flags in words."""
-    found = estimate_spectra(model, spectra, level)
+    found = estimate_with_noise(model, spectra, level)[0]
     return SimpleNamespace(
         values=found.values[0], half_widths=found.half_widths[0], flags=found.flags.reasons[0]
     )
@@ -152,8 +151,8 @@ def test_noise_is_the_spread_of_estimates_from_other_draws(model):
         mean.auto.expand(2000, -1, -1), mean.cross.expand(2000, -1, -1), mean.n_averages
     )
     observer = model.settings.observer(model.generator)
-    responses = observer.for_features(drawn(many, model, seed=5).responses("IV")).numpy()
-    inputs = model.relative_features(responses, model.settings.frequencies_hz().numpy())
+    responses = observer.for_features(drawn(many, model, seed=5).responses("IV"))
+    inputs = model.features(responses, model.settings.frequencies_hz())[0]
     estimates = np.log(regression(model, inputs))
     found = trust._noise(model, observer, row(mean))
     low, high = np.quantile(estimates, stats.norm.cdf([-1, 1]), axis=0)
@@ -294,7 +293,9 @@ def test_g_s_beyond_its_band_does_not_matter_to_a_trip(model, kind):
         np.testing.assert_allclose(after.half_widths, before.half_widths, **close)
 
 
-@pytest.mark.parametrize(("kind", "share"), [("as predicted", 4.0), ("refined", 0.4)])
+@pytest.mark.parametrize(
+    ("kind", "share"), [("as predicted", 4.0), pytest.param("refined", 0.4, marks=pytest.mark.slow)]
+)
 def test_intervals_hold_the_truth_at_other_averages(model, kind, share):
     """20 trips: 90 % +- 6.7 % if outputs err together, and +- 3 % of the calibration."""
     one = refined(model) if kind == "refined" else model
@@ -378,7 +379,7 @@ def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):
     )
     moved = replace(model.generator)
     object.__setattr__(moved, "device", "cuda")
-    estimate_spectra(replace(model, generator=moved), spectra, LEVEL)
+    estimate_with_noise(replace(model, generator=moved), spectra, LEVEL)
     assert [generator.device for generator in seen] == ["cpu"]
 
 
@@ -402,12 +403,13 @@ def test_draws_without_features_make_the_interval_infinite(model, monkeypatch):
     inputs = inputs_of(model, spectra)
     missing = np.full((trust.N_DRAWS, inputs.shape[1]), np.nan)
     missing[: trust.N_DRAWS // 2 - 1] = inputs
-    original = type(model).relative_features
+    original = type(model).features
 
     def of_draws(one, curves, bins):
-        return missing if len(curves) == trust.N_DRAWS else original(one, curves, bins)
+        found = original(one, curves, bins)
+        return (missing, found[1]) if len(curves) == trust.N_DRAWS else found
 
-    monkeypatch.setattr(type(model), "relative_features", of_draws)
+    monkeypatch.setattr(type(model), "features", of_draws)
     assert (read(model, spectra).half_widths == np.inf).all()
 
 

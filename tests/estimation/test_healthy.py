@@ -8,9 +8,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.healthy import HealthyValues
-from suspnet.estimation.ood import Flags
+from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 
 POSTERIOR = LogNormal(
     ("healthy_c_p", "body_gyration", "healthy_k_s"),

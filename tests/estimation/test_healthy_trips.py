@@ -14,13 +14,13 @@ from trip_fixtures import RATES_HZ, SPEED, changed, signal, small_fleet
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.commissioning_run import _prior
+from suspnet.estimation.commissioning_summary import unplaced
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.recordings import TripError, load_recording, read_manifest
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.reader_process import apart
-from suspnet.report.commissioning_summary import unplaced
+from suspnet.runs.commissioning import _prior
 from suspnet.spectra.estimates import EstimateSettings
 
 SETTINGS = EstimateSettings(rates_hz=RATES_HZ, cache_dir=None).bound(AM96)

@@ -20,23 +20,25 @@ from vehicles import AM96
 
 from suspnet.cli import evaluate
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.estimation.bounds import (
+from suspnet.estimation.identifiability import (
+    ONE_SIDE,
+    PAIR,
+    SECOND_SET,
     Bound,
     Direction,
-    best_addition_sentence,
+    Option,
     bounds,
     directions,
     listed,
+    options,
     with_healthy,
 )
 from suspnet.estimation.information import cramer_rao, fisher_information, scale_ambiguity_bound
-from suspnet.estimation.options import ONE_SIDE, PAIR, SECOND_SET, Option, options
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import RESPONSES
 from suspnet.estimation.sensor_information import recording_information
-from suspnet.runs.findings import group_markdown
-from suspnet.runs.identifiability import identify
-from suspnet.runs.identifiability_figure import identifiability_figure
+from suspnet.runs.findings import best_addition_sentence, group_markdown
+from suspnet.runs.identifiability import identifiability_figure, identify
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
 

@@ -8,14 +8,13 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.estimation.estimate import KINDS, Flags
 from suspnet.estimation.ood import (
     EDGE_DEVIATIONS,
     FALSE_ALARMS,
-    KINDS,
     MISFIT_DEVIATIONS,
     N_NEIGHBOURS,
     N_REFERENCE,
-    Flags,
     OODDetector,
 )
 from suspnet.estimation.problem import TEST

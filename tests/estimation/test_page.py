@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 
+from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
 from suspnet.report import commissioning_figures as figures
-from suspnet.report import commissioning_summary as words
 from suspnet.report.commissioning_page import training_notes, write_outcome
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
@@ -117,7 +117,7 @@ def test_page_says_what_was_found(commissioned, written):
     assert "Healthy from now on is what these trips showed: 100 % is k_p = 1." in text
     assert "12 345 to 37 035 km" in text
     assert "trip_9: no stretch at one speed" in text
-    assert "The trips tell little or nothing of 1 of 6 numbers" in text
+    assert "The trips say little or nothing about 1 of 6 numbers" in text
     assert "density of half the cross level over the mean's" in text
     assert "1725 kg for a bogie's side" in text
     for title in ("Springs, dampers, lengths and inertias", "Bushings of the dampers"):

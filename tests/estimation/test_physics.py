@@ -7,10 +7,9 @@ import pytest
 import torch
 from trip_fixtures import OUTPUTS, model_at
 
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import KINDS, Estimate, Flags
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
-from suspnet.estimation.ood import KINDS, Flags
 from suspnet.estimation.physics import COSTLY, INCOMPLETE, Residual, Unexplained
 from suspnet.estimation.problem import Problem
 from suspnet.ground.types import FloatArray

@@ -15,8 +15,8 @@ from suspnet.estimation.information import cramer_rao, fisher_information
 from suspnet.estimation.sensor_information import (
     ROWS,
     place_channels,
-    places,
     recording_information,
+    sensor_places,
 )
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -167,7 +167,7 @@ def test_information_of_six_sensors_equals_naive_matrices():
         assert_alike(matrix, expected, 1e-6)
 
 
-@pytest.mark.parametrize("body_high_hz", [1.4, 1.7, 2.0])
+@pytest.mark.parametrize("body_high_hz", [pytest.param(1.4, marks=pytest.mark.slow), 1.7, 2.0])
 def test_sensors_on_the_body_tell_nothing_beyond_its_band(body_high_hz):
     source = observer(PITCHING, body_high_hz=body_high_hz)
     noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
@@ -231,7 +231,12 @@ def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
 
 @pytest.mark.parametrize(
     ("used", "body_high_hz"),
-    [([0, 1, 2], None), ([0, 2], None), ([1, 2], None), ([0, 1, 2], 1.7), ([0, 2], 1.7)],
+    [
+        ([0, 1, 2], None),
+        *(pytest.param(used, None, marks=pytest.mark.slow) for used in ([0, 2], [1, 2])),
+        ([0, 2], 1.7),
+        pytest.param([0, 1, 2], 1.7, marks=pytest.mark.slow),
+    ],
     ids=str,
 )
 def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrices(
@@ -305,7 +310,7 @@ def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
 def test_recordings_hold_at_least_what_their_iv_estimate_tells(generator, snr_db):
     source = EstimateSettings(snr_db=snr_db, cache_dir=None).bound(AM96).observer(generator)
     ratios = np.random.default_rng(1).uniform(0.6, 1.6, (6, 5))
-    count = np.arange(len(places(generator))) < 3
+    count = np.arange(len(sensor_places(generator))) < 3
     recordings = recording_information(source, ratios, PARAMETERS, [count])[0]
     estimates = fisher_information(source, ratios, PARAMETERS)
     for whole, part in zip(recordings, estimates, strict=True):
@@ -326,7 +331,7 @@ def test_without_leakage_the_iv_estimate_loses_nothing(generator, snr_db, high_h
     source = EstimateSettings(minutes=60.0, snr_db=snr_db, high_hz=high_hz, cache_dir=None, **welch)
     source = source.bound(AM96).observer(generator)
     assert bool(source.beyond.any()) == (high_hz is None)
-    count = np.arange(len(places(generator))) < 3
+    count = np.arange(len(sensor_places(generator))) < 3
     recordings = cramer_rao(recording_information(source, DEGRADED[None], PARAMETERS, [count])[0])
     estimates = cramer_rao(fisher_information(source, DEGRADED[None], PARAMETERS))
     assert (recordings > 1e-6).all()
@@ -437,7 +442,7 @@ def test_information_of_many_vehicles_equals_one_by_one():
 )
 def test_further_places_are_those_a_vehicle_does_not_have(changes, further):
     own = VerticalVehicle(AM96, **changes)
-    assert places(own) == ("axle box", "bogie", "body", *further)
+    assert sensor_places(own) == ("axle box", "bogie", "body", *further)
     elsewhere = replace(
         own,
         frame_sensor="axle" if own.frame_sensor == "centre" else "centre",
@@ -459,7 +464,7 @@ def test_second_axle_box_leads_where_the_trailing_one_is_measured():
 
 
 def test_quarter_car_has_three_places():
-    assert places(QUARTER_CAR) == ("axle box", "bogie", "body")
+    assert sensor_places(QUARTER_CAR) == ("axle box", "bogie", "body")
     responses = place_channels(QUARTER_CAR, torch.ones(2, 5), SETTINGS.frequencies_hz())
     assert responses.shape == (2, 1, 3, len(SETTINGS.frequencies_hz()))
 

@@ -11,14 +11,14 @@ from trip_fixtures import OUTPUTS, model_at
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_curves import corrected
-from suspnet.estimation.from_spectra import estimate_spectra
-from suspnet.estimation.ood import Flags
+from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.speed_bin import combined
 from suspnet.estimation.speed_groups import same_speed
 from suspnet.spectra.cross_spectra import CrossSpectra, sample_spectra
-from suspnet.spectra.estimates import SPEED, EstimateSettings
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.expected_spectra import SPEED
 from suspnet.spectra.speeds import Speeds
 
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
@@ -91,8 +91,8 @@ def test_speed_of_the_rows_multiplies_that_of_the_trip():
 def test_noise_free_estimates_are_corrected_to_the_truth(model):
     truth = worn(20)
     observer = model.settings.observer(model.generator).at(Speeds.of(66.0, 0.3))
-    curves = observer.for_features(observer.noise_free(truth)).numpy()
-    first = model.predict(model.relative_features(curves, observer.frequencies_hz.numpy()))
+    curves = observer.for_features(observer.noise_free(truth))
+    first = model.predict(model.features(curves, observer.frequencies_hz)[0])
     known = truth.numpy()[:, ORDER]
     errors = [
         np.abs(np.log(corrected(replace(model, corrected=True), observer, first, n) / known))
@@ -165,7 +165,7 @@ def test_healthy_trips_of_the_own_vehicle_are_not_flagged_at_any_of_its_speeds()
         spectra = sample_spectra(mean, observer._correlating, source)
         for auto, cross in zip(spectra.auto, spectra.cross, strict=True):
             trip = CrossSpectra(auto, cross, spectra.n_averages)
-            found = estimate_spectra(model, trip, 0.999, speeds)
+            found = estimate_with_noise(model, trip, 0.999, speeds)[0]
             assert not found.flags.flagged.any()
             assert ((found.low < 1) & (found.high > 1)).mean() >= 0.6
 

@@ -139,7 +139,7 @@ def test_no_folder_keeps_nothing():
 
 
 def test_hash_of_the_code_is_that_of_its_files(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
+    monkeypatch.setattr(cache, "__file__", str(tmp_path / "ground" / "cache.py"))
     found = []
     for text in ("a = 1", "a = 2"):
         cache.code_hash.cache_clear()
@@ -147,3 +147,9 @@ def test_hash_of_the_code_is_that_of_its_files(tmp_path, monkeypatch):
         found.append((cache.code_hash(), cache.code_hash("cache.py")))
     cache.code_hash.cache_clear()
     assert found[0][0] == found[0][1] != found[1][0]
+
+
+def test_hash_is_that_of_this_package_and_of_code_that_is_there():
+    assert cache.code_hash() != cache.code_hash("dynamics") != cache.code_hash("ground/cache.py")
+    with pytest.raises(FileNotFoundError, match="no such code"):
+        cache.code_hash("dynamic")

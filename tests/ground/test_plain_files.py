@@ -13,10 +13,18 @@ import pytest
 
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.ground import plain_files
+from suspnet.ground import storage
 from suspnet.ground.cache import Cache
-from suspnet.ground.plain_files import NotPlainError, open_plain, read_plain, stored_bytes
-from suspnet.ground.storage import DamagedFileError, content_hash, read_arrays, read_json
+from suspnet.ground.storage import (
+    DamagedFileError,
+    NotPlainError,
+    content_hash,
+    open_plain,
+    read_arrays,
+    read_json,
+    read_plain,
+    stored_bytes,
+)
 from suspnet.recordings.core_yaml import parse_yaml
 from suspnet.recordings.manifest import TripError
 from suspnet.recordings.manifest_files import read_manifest
@@ -93,8 +101,8 @@ def test_model_whose_arrays_are_no_plain_file_is_refused_at_once(tmp_path, make)
 
 def test_pipe_that_takes_the_place_of_a_checked_file_is_refused(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "file")
-    check, looks = plain_files._check, iter([None])
-    monkeypatch.setattr(plain_files, "_check", lambda *it: next(looks, it) and check(*it))
+    check, looks = storage._check, iter([None])
+    monkeypatch.setattr(storage, "_check", lambda *it: next(looks, it) and check(*it))
     with pytest.raises(NotPlainError, match="a named pipe"):
         open_plain(tmp_path / "file")
 

@@ -54,7 +54,7 @@ def test_what_is_done_and_what_remains(lines, monkeypatch):
     bar = progress.bar("fit msvr", unit="step")
     bar.start_t -= 31
     bar.update(3)
-    assert bar.words() == "fit msvr: step 3, 31 s"
+    assert bar.text() == "fit msvr: step 3, 31 s"
     bar.close()
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from trip_records import curves, trip
 
+from suspnet.ground.records import Place
 from suspnet.ground.storage import dump_arrays
 from suspnet.history import History, HistoryError
 from suspnet.history.curves import N_NEWEST
 from suspnet.history.schema import curves as table
-from suspnet.recordings.manifest import Place
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"

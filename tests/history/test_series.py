@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
+from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.history import series as module
-from suspnet.recordings.manifest import Place
 
 
 @pytest.fixture

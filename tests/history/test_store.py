@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Place, TripResult
 from suspnet.history import Event, History, HistoryError
-from suspnet.history.records import TripResult
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
-from suspnet.maintenance.limits import Severity
-from suspnet.recordings.manifest import Place
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"
@@ -213,9 +212,9 @@ def test_an_event_of_an_unknown_suspension_names_the_known_ones(store):
 
 
 def test_alarms_of_an_unknown_suspension_are_refused(store):
-    with pytest.raises(HistoryError, match="no trip of am96: x is kept here; known: none"):
+    with pytest.raises(HistoryError, match="no trip of am96: x is stored here; known: none"):
         store.keep_alarms("am96", Place("x"), ALARMS)
-    with pytest.raises(HistoryError, match="no trip of am96: x is kept here"):
+    with pytest.raises(HistoryError, match="no trip of am96: x is stored here"):
         store.acknowledge("am96", Place("x"), [SEEN])
 
 
@@ -228,7 +227,7 @@ def test_alarms_of_other_causes_than_those_kept_are_refused(store):
 
 def test_all_or_none_of_the_alarms_of_many_are_kept(store):
     store.write([trip(0, with_curves=False)])
-    with pytest.raises(HistoryError, match="no trip of am96: x is kept here"):
+    with pytest.raises(HistoryError, match="no trip of am96: x is stored here"):
         store.keep_all_alarms({(VEHICLE, PLACE): ALARMS, ("am96", Place("x")): ALARMS})
     assert store.all_alarms() == {}
 

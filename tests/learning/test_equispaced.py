@@ -431,6 +431,7 @@ def fitted(feature_map, n_inputs, epsilon, n_outputs, fit_intercept=True, **sett
     return model.fit(X, Y).predict(X[:50] * 1.1)
 
 
+@pytest.mark.every_value
 @needs_finufft
 @intercepts
 @pytest.mark.parametrize(("n_inputs", "epsilon", "n_outputs"), CASES)

@@ -15,7 +15,7 @@ from suspnet.live.broker import Broker
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.mqtt import Mqtt
-from suspnet.live.recorded import trip_clock, trip_frames
+from suspnet.live.replay import trip_clock, trip_frames
 from suspnet.live.results import Results
 from suspnet.live.sinks import MqttSink
 from suspnet.live.suspension import LiveSettings, LiveSuspension
@@ -43,8 +43,7 @@ def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
 ):
     path = small_fleet(tmp_path_factory)[0]
     manifest = read_manifest(path)
-    clock = trip_clock(manifest)
-    frames = list(trip_frames(manifest, clock.zero_ns, clock.offsets_s, Counter()))
+    frames = list(trip_frames(manifest, *trip_clock(manifest), Counter()))
     broker = Mosquitto(tmp_path).start()
     settings = Broker(port=broker.port)
     source, sink = Ending(settings, in_flight=300), MqttSink(settings)
@@ -67,7 +66,7 @@ def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
         with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
             suspension = LiveSuspension(manifest, [model_at()], SETTINGS.trips, LIVE)
             results = Results(store, SETTINGS, source.publish)
-            monitor = Monitor([suspension], source, journal, results.tell)
+            monitor = Monitor([suspension], source, journal, results.report)
             thread.start()
             monitor.run()
             results.close()

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_frames import encoded, frame
 
-from suspnet.live.framing import Splitter
+from suspnet.live.source import Splitter
 from suspnet.recordings.frames import MOST_BYTES, MOST_SAMPLES, encode
 
 FRAMES = [

@@ -14,17 +14,17 @@ from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, small_fleet
 
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
 from suspnet.live.sections import MOST_OPEN
-from suspnet.live.suspension import Job, LiveSettings, LiveSuspension
-from suspnet.live.suspensions import read_suspensions
+from suspnet.live.suspension import Job, LiveSettings, LiveSuspension, read_suspensions
 from suspnet.recordings import read_manifest
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, decode, encode
-from suspnet.recordings.manifest import Place, TripError
+from suspnet.recordings.manifest import TripError
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.trip import evaluate_trip
 
@@ -48,7 +48,7 @@ def monitored(folder, fleet, source, live=LIVE, **options):
     """Run a monitor until its source ends; return what the store has then."""
     with History(folder / "fleet.db") as store, Journal(folder / "journal") as journal:
         results = Results(store, SETTINGS, source.publish)
-        monitor = Monitor(suspensions(fleet, live), source, journal, results.tell, **options)
+        monitor = Monitor(suspensions(fleet, live), source, journal, results.report, **options)
         monitor.resume()
         monitor.run()
         results.close()
@@ -157,7 +157,7 @@ def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_sile
     live = replace(LIVE, section_s=200)
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
         results, (one,) = Results(store, SETTINGS, source.publish), suspensions(fleet, live)
-        Monitor([one], source, journal, results.tell, 1500.0, lambda: now_s[0], AtOnce()).run()
+        Monitor([one], source, journal, results.report, 1500.0, lambda: now_s[0], AtOnce()).run()
     told = [row for kind, _, row in source.published if kind == "estimates"]
     assert [row["trip"] for row in told] == [told[0]["trip"]] * 2
     assert told[0]["estimates"] == told[1]["estimates"]
@@ -552,7 +552,7 @@ def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, a
     source.receive = receive
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
         results, (one,) = Results(store, SETTINGS, source.publish), suspensions(fleet)
-        Monitor([one], source, journal, results.tell, 1500.0, lambda: now_s[0], AtOnce()).run()
+        Monitor([one], source, journal, results.report, 1500.0, lambda: now_s[0], AtOnce()).run()
     n_told = sum(kind == "estimates" for kind, *_ in source.published)
     assert n_told == (3 if at < len(frames) else 2)  # silent, perhaps again, and at the end
     (found,) = kept(tmp_path, fleet)
@@ -573,11 +573,13 @@ def test_a_silent_section_that_is_over_before_its_estimate_is_made_is_one_trip(f
             made = job.make()
     silent, over = found
     assert silent.section is over.section
-    told = [one.finish(job, made)]
+    one.finish(job, made)
+    reported = [made]
     for due in (over, *one.end()):
         job = one.job(due)
-        told.append(one.finish(job, job.make()))
-    first, again, following = (what.result for what in told)
+        reported.append(job.make())
+        one.finish(job, reported[-1])
+    first, again, following = (what.result for what in reported)
     assert again.mileage_km == first.mileage_km
     assert following.mileage_km == pytest.approx(again.mileage_km + 21.0, abs=0.5)
 

@@ -14,8 +14,7 @@ from live_frames import frame
 from trip_fixtures import changed, signal, write_trips
 
 from suspnet.live import replay as replay_module
-from suspnet.live.recorded import trip_clock, trip_frames
-from suspnet.live.replay import Pace, Replay
+from suspnet.live.replay import Pace, Replay, trip_clock, trip_frames
 from suspnet.recordings import load_recording, read_manifest
 from suspnet.recordings.frames import end_ns
 from suspnet.recordings.running import Running
@@ -39,8 +38,7 @@ def by_sensor(frames):
 
 def frames_of(path, **options):
     manifest = read_manifest(path)
-    clock = trip_clock(manifest)
-    return list(trip_frames(manifest, clock.zero_ns, clock.offsets_s, Counter(), **options))
+    return list(trip_frames(manifest, *trip_clock(manifest), Counter(), **options))
 
 
 def test_frames_hold_the_samples_of_the_files_at_their_times(trips):
@@ -74,7 +72,7 @@ def test_mileage_and_temperature_come_once_at_the_begin_of_a_trip(trips, tmp_pat
 
 def test_stream_of_a_replay_is_the_batch(trips):
     manifest = read_manifest(trips[0])
-    zero_ns = trip_clock(manifest).zero_ns
+    zero_ns, _ = trip_clock(manifest)
     running = Running(manifest, zero_ns)
     for one in Replay(trips[0].parent, frame_s=0.73).frames():
         if one.sensor != "mileage" and 0 <= one.time_ns - zero_ns < 3600 * 10**9:
@@ -155,7 +153,7 @@ def test_times_of_files_are_those_of_frames_and_missing_rows_are_gaps(tmp_path):
     kept = np.r_[0:450, 700:1000]
     path = write_csv(tmp_path, [stamps[k] for k in kept], values[kept])
     (group,) = Replay(tmp_path, zone="+01:00")._trips
-    assert trip_clock(group[0]).zero_ns == round(BEGIN.timestamp() + 3600) * 10**9
+    assert trip_clock(group[0])[0] == round(BEGIN.timestamp() + 3600) * 10**9
     found = by_sensor(Replay(tmp_path, zone="+01:00").frames())
     assert set(found) == {*SENSORS, "mileage"}  # the speed is a number of the manifest
     begin_ns = round(BEGIN.timestamp()) * 10**9
@@ -165,7 +163,7 @@ def test_times_of_files_are_those_of_frames_and_missing_rows_are_gaps(tmp_path):
         assert one.samples.dtype == np.float64
     assert sum(len(one.samples) for one in found["body"]) == len(kept)
     zoned = write_csv(tmp_path, stamps, values, zone="+01:00")
-    assert trip_clock(read_manifest(zoned)).zero_ns == begin_ns
+    assert trip_clock(read_manifest(zoned))[0] == begin_ns
     assert path == zoned
 
 
@@ -232,14 +230,14 @@ def test_trips_that_overlap_are_told(trips, tmp_path):
     for _ in replay.frames():
         pass
     (problem,) = replay.problems
-    assert problem.endswith("trip_002.yaml: begins before the trip before it has ended")
+    assert problem.endswith("trip_002.yaml: starts before the end of the trip before it")
 
 
 def test_suspensions_of_one_name_are_a_mistake(trips, tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         changed(trips[0], tmp_path / name)
-    with pytest.raises(ValueError, match="tell them apart by `train` and `car`"):
+    with pytest.raises(ValueError, match="distinguish them by `train` and `car`"):
         Replay(tmp_path)
 
 

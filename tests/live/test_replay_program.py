@@ -1,21 +1,25 @@
 """suspnet-replay from the command line, into standard output, a folder and a broker."""
 
 import io
+import multiprocessing
+import os
+import signal
 import subprocess
 import sys
 
 import pytest
 from cli_runner import ROOT, typed
+from forked import into_pipe, run_apart
 from live_frames import Mosquitto, frame
 from trip_fixtures import changed, write_trips
 
 from suspnet.cli import replay
 from suspnet.live.broker import Broker
 from suspnet.live.drop_folder import DropFolder
-from suspnet.live.framing import Splitter
 from suspnet.live.mqtt import Mqtt
 from suspnet.live.replay import Replay
 from suspnet.live.sinks import Folder, StandardOutput
+from suspnet.live.source import Splitter
 from suspnet.recordings.frames import decode, encode
 
 
@@ -49,17 +53,15 @@ def test_standard_output_holds_frames_and_nothing_else(trip, expected, tmp_path)
 
 
 def test_reader_that_ends_ends_the_replay(trip, tmp_path):
-    command = f"'{sys.executable}' -m suspnet.replay trips={trip.parent} progress=false"
-    done = subprocess.run(
-        ["bash", "-c", f"set -o pipefail; {command} | head -c 1000 | wc -c"],
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert (done.returncode, done.stdout.strip(), done.stderr) == (141, "1000", "")
+    reader, writer = multiprocessing.Pipe(duplex=False)
+    arguments = [f"trips={trip.parent}", "progress=false"]
+    with run_apart(into_pipe, writer, "replay", arguments, tmp_path) as (process, out, words):
+        writer.close()
+        assert os.read(reader.fileno(), 1000)
+        reader.close()
+        process.join(60)
+        assert process.exitcode in (141, -signal.SIGPIPE)
+        assert (out.read_bytes(), words.read_text()) == (b"", "")
 
 
 def test_folder_is_read_by_the_source(trip, expected, tmp_path):

@@ -185,7 +185,7 @@ def _short(monkeypatch):
 
     monkeypatch.setattr(Mqtt, "receive", received)
     monkeypatch.setattr("suspnet.live.sinks.ANSWER_S", 1.0)
-    monkeypatch.setattr("suspnet.live.mqtt.LAST_WORDS_S", 0.1)
+    monkeypatch.setattr("suspnet.live.mqtt.CLOSING_S", 0.1)
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
     monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "right")
 

@@ -10,8 +10,7 @@ import time
 import pytest
 from live_frames import encoded, frame, until
 
-from suspnet.live.inbox import Inbox
-from suspnet.live.pipe import Pipe
+from suspnet.live.pipe import Inbox, Pipe
 from suspnet.recordings.frames import encode
 
 FRAMES = encoded(50)

@@ -17,8 +17,7 @@ from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
-from suspnet.live.suspension import LiveSettings
-from suspnet.live.suspensions import read_suspensions
+from suspnet.live.suspension import LiveSettings, read_suspensions
 from suspnet.recordings.frames import encode
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.recordings.manifest_files import read_manifest
@@ -78,7 +77,7 @@ def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fl
     source = ListSource([encode(frame) for frame in frames])
     with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
         results = Results(store, SETTINGS, source.publish)
-        monitor = Monitor([one], source, journal, results.tell)
+        monitor = Monitor([one], source, journal, results.report)
         monitor.run()
         (found,) = store.read(manifest.vehicle, manifest.place)
     assert monitor.counts == {"taken": len(frames)}

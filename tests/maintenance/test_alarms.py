@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from suspnet.ground.limits import Severity
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
-from suspnet.maintenance.limits import Severity
 
 AT = "2026-11-22T13:00:00+00:00"
 

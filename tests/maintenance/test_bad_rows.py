@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from depot_trips import place, trips
 
+from suspnet.ground.limits import Severity
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
-from suspnet.maintenance.limits import Severity
 from suspnet.report.board import Board, BoardSettings
 
 SETTINGS = BoardSettings(today="2026-03-01")
@@ -130,6 +130,7 @@ def test_text_that_is_no_utf8_is_shown_with_a_sign_in_its_place(path):
         assert store.bad_rows == []
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("value", ["1e300", "-1e300", "1e-300", "0", "-5"])
 @pytest.mark.parametrize("column", ["k_p", "c_s_half_width", "healthy_since_km", "temperature_c"])
 def test_absurd_numbers_of_one_suspension_leave_the_others(path, column, value):

@@ -9,17 +9,17 @@ import pytest
 from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
+from suspnet.ground.limits import Severity
+from suspnet.ground.records import Place
 from suspnet.history import Event, History, HistoryError
 from suspnet.maintenance import fleet as fleet_module
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.limits import Severity
+from suspnet.maintenance.fleet_plan import parts_of, trains_of
 from suspnet.maintenance.plan import make_plan
-from suspnet.maintenance.plan_parts import parts_of, trains_of
-from suspnet.recordings.manifest import Place
 from suspnet.report import board as module
 from suspnet.report.board import Board, BoardSettings
-from suspnet.report.fleet_view import address
+from suspnet.report.overview import address
 
 TODAY = "2026-03-01"
 SETTINGS = BoardSettings(today=TODAY)
@@ -147,7 +147,7 @@ def test_a_new_trip_is_worked_out_for_its_car_alone(store, board, monkeypatch):
     )
     planned = []
     monkeypatch.setattr(
-        "suspnet.maintenance.planner.make_plan",
+        "suspnet.maintenance.fleet_plan.make_plan",
         lambda parts, *args: (planned.append(len(parts)), make_plan(parts, *args))[1],
     )
     write(store, FLEET[place("left", "4")][30])
@@ -220,7 +220,7 @@ def test_acknowledgements_are_shown_without_working_anything_out(store, board, m
     write(store, *FLEET[place("right")])
     board.refresh()
     monkeypatch.setattr(fleet_module, "watched", lambda *_: pytest.fail("watched again"))
-    monkeypatch.setattr(fleet_module, "lives_of", lambda *_: pytest.fail("predicted again"))
+    monkeypatch.setattr(fleet_module, "remaining_lives", lambda *_: pytest.fail("predicted again"))
     before = board.view
     assert before.rows[0]["acknowledged"] == ""
     seen = Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 8e4, "Kim", f"{TODAY}T08:00:00+00:00")
@@ -384,17 +384,25 @@ def failing(*_, **__):
     raise HistoryError("the store went away")
 
 
+LAST_FLAGGED = "all of the last 5 trips are flagged"
+
+
 @pytest.mark.parametrize(
-    ("flagged", "severity", "words"),
+    ("flagged", "severity", "words", "reason"),
     [
-        ([""] * 10, Severity.NONE, ""),
-        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, ""),
-        (["misfit"] * 10, Severity.UNKNOWN, "all of the last 5 trips are flagged"),
-        ([""] * 5 + ["misfit"] * 5, Severity.UNKNOWN, "all of the last 5 trips are flagged"),
+        ([""] * 10, Severity.NONE, "", ""),
+        (["misfit"] * 4 + [""] + ["misfit"] * 4, Severity.NONE, "", ""),
+        (["misfit"] * 10, Severity.UNKNOWN, LAST_FLAGGED, "not judged, as all trips are flagged"),
+        (
+            [""] * 5 + ["misfit"] * 5,
+            Severity.UNKNOWN,
+            LAST_FLAGGED,
+            f"not judged, as {LAST_FLAGGED}",
+        ),
     ],
 )
 def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
-    tmp_path, flagged, severity, words
+    tmp_path, flagged, severity, words, reason
 ):
     where = place("left")
     made = trips(where, 0, n_trips=len(flagged))
@@ -404,4 +412,4 @@ def test_suspension_whose_last_trips_are_all_flagged_is_not_judged(
     board.refresh()
     (state,) = board.view.states
     assert (state.severity, state.unjudged) == (severity, words)
-    assert words in board.view.rows[0]["reason"]
+    assert reason in board.view.rows[0]["reason"]

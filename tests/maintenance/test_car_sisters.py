@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trip_records import HALF_WIDTHS, trip
 
+from suspnet.ground.records import Place
 from suspnet.history import Event, History
-from suspnet.maintenance.car_sisters import alarms_of_sisters, of_same_car
-from suspnet.maintenance.sisters import SisterSettings
-from suspnet.recordings.manifest import Place
+from suspnet.maintenance.series import of_same_car
+from suspnet.maintenance.sisters import SisterSettings, alarms_of_sisters
 
 CORNERS = [
     Place("x", bogie, side) for bogie in ("leading", "trailing") for side in ("left", "right")

@@ -9,17 +9,10 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import limits_words
-from suspnet.maintenance.assessment import assess, last_trips, overall
-from suspnet.maintenance.limits import (
-    DEFAULT_LIMITS,
-    N_CONFIRMING,
-    N_LAST,
-    Limits,
-    Severity,
-    judge,
-    read_limits,
-)
+from suspnet.ground.limits import DEFAULT_LIMITS, Limits, Severity, limits_words, read_limits
+from suspnet.maintenance.assessment import assess, overall
+from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge, last_trips
+from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import trend
 from suspnet.simulation.fleet import Scenario
 
@@ -110,8 +103,8 @@ def test_sentence_and_reason_name_what_lies_beyond_at_the_end(name, n_trips):
         found = []
         for i, parameter in enumerate(JUDGED):
             one = case[:, i]
-            ends = np.stack([one * np.exp(-half_widths[i]), one * np.exp(half_widths[i])], axis=1)
-            last = last_trips(km, one, ends, np.zeros(n_trips))
+            widths = np.broadcast_to(half_widths[i], n_trips)
+            last = last_trips(make_series(km, {parameter: one}, {parameter: widths}), parameter)
             found.append(assess(trend(parameter, km, one), last, DEFAULT_LIMITS[parameter]))
         severity, sentence = overall(found)
         assert severity == max(one.severity for one in found)
@@ -130,8 +123,8 @@ def test_failed_air_spring_of_the_issue_is_an_alarm():
     km, truth = series("failed_air_spring", 12)
     values, half_widths = measured(truth[0], np.random.default_rng(0))
     spring = values[:, 2]
-    ends = np.stack([spring * np.exp(-half_widths[2]), spring * np.exp(half_widths[2])], axis=1)
-    last = last_trips(km, spring, ends, np.zeros(12))
+    widths = np.broadcast_to(half_widths[2], 12)
+    last = last_trips(make_series(km, {"k_s": spring}, {"k_s": widths}), "k_s")
     found = assess(trend("k_s", km, spring), last, DEFAULT_LIMITS["k_s"])
     assert found.severity == Severity.ACT
     assert found.words.startswith("the last 2 trips are at 150 % of healthy, above the act limit")

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from suspnet.maintenance.calendar_figure import MOST_TRAINS, plan_calendar
-from suspnet.maintenance.limits import Severity
+from suspnet.ground.limits import Severity
 from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train, km_per_day
 from suspnet.maintenance.visit_costs import INSPECT, REPLACE, Costs, choose_dates, part_costs
+from suspnet.report.calendar_figure import MOST_TRAINS, plan_calendar
 
 TODAY = date(2026, 11, 22)
 TRAIN = Train("T1", 100_000.0, TODAY, 500.0)
@@ -395,18 +395,21 @@ def test_any_lives_give_a_whole_plan_that_the_order_does_not_change(lives, level
     assert len(plan_calendar(found).axes) == 1
 
 
-def test_fleet_of_1000_suspensions_is_planned_in_time():
+@pytest.mark.parametrize("n_trains", [25, pytest.param(100, marks=pytest.mark.slow)])
+def test_fleet_of_1000_suspensions_is_planned_in_time(n_trains):
     """4,000 parts of 100 trains with 500 samples each: 1 s, and 10 s are allowed."""
     rng = np.random.default_rng(0)
-    trains = [Train(f"T{i}", 100_000.0, TODAY, float(rng.uniform(300, 1000))) for i in range(100)]
+    trains = [
+        Train(f"T{i}", 100_000.0, TODAY, float(rng.uniform(300, 1000))) for i in range(n_trains)
+    ]
     parts = [
-        part(spread_life(rng.lognormal(13.5, 0.8), 0.3, i, 500), f"{i}", train=f"T{i % 100}")
-        for i in range(4000)
+        part(spread_life(rng.lognormal(13.5, 0.8), 0.3, i, 500), f"{i}", train=f"T{i % n_trains}")
+        for i in range(40 * n_trains)
     ]
     begin = time.process_time()
     found = planned(*parts, trains=trains)
-    assert time.process_time() - begin < 10
-    assert len(found.visits) > 100
+    assert time.process_time() - begin < n_trains / 10
+    assert len(found.visits) > n_trains
 
 
 def rows_like(rows, others):
@@ -479,19 +482,20 @@ def test_plans_of_trains_are_joined_to_that_of_all():
 
 
 def test_pace_is_that_of_the_newest_trips():
-    starts = ["2020-01-01", "", "2026-05-01T10:00:00+02:00", "2026-06-30T23:00:00", "2026-08-09"]
+    def pace(starts, km, default):
+        return km_per_day(np.array(starts, dtype="datetime64[s]"), np.array(km, float), default)
+
+    starts = ["2020-01-01", "NaT", "2026-05-01T10:00", "2026-06-30T23:00", "2026-08-09"]
     km = [0.0, 5.0, 100_000.0, 130_000.0, 150_000.0]
-    assert km_per_day(starts, km, 1.0) == 500.0
-    times = ["2020-01-01", "NaT", "2026-05-01T10:00", "2026-06-30T23:00", "2026-08-09T00:00"]
-    assert km_per_day(np.array(times, dtype="datetime64[s]"), km, 1.0) == 500.0
-    assert km_per_day(np.array(["NaT"] * 5, dtype="datetime64[s]"), km, 7.0) == 7.0
-    assert km_per_day(starts[::-1], km[::-1], 1.0) == 500.0
-    assert km_per_day(starts[:1], km[:1], 7.0) == 7.0
-    assert km_per_day(["2026-08-01", "2026-08-09"], [0.0, 4_000.0], 7.0) == 7.0  # too short
-    assert km_per_day(starts[2:], [3e5, 2e5, 1e5], 7.0) == 7.0  # mileage falls
-    assert km_per_day([], [], 7.0) == 7.0
-    assert km_per_day(["", ""], [1.0, 2.0], 7.0) == 7.0
-    assert km_per_day(["2026-05-01", "2026-07-01"], [1.0, np.nan], 7.0) == 7.0
+    assert pace(starts, km, 1.0) == 500.0
+    assert pace(["NaT"] * 5, km, 7.0) == 7.0
+    assert pace(starts[::-1], km[::-1], 1.0) == 500.0
+    assert pace(starts[:1], km[:1], 7.0) == 7.0
+    assert pace(["2026-08-01", "2026-08-09"], [0.0, 4_000.0], 7.0) == 7.0  # too short
+    assert pace(starts[2:], [3e5, 2e5, 1e5], 7.0) == 7.0  # mileage falls
+    assert pace([], [], 7.0) == 7.0
+    assert pace(["NaT", "NaT"], [1.0, 2.0], 7.0) == 7.0
+    assert pace(["2026-05-01", "2026-07-01"], [1.0, np.nan], 7.0) == 7.0
 
 
 # failure
@@ -542,10 +546,8 @@ def test_parts_and_trains_must_fit():
 
 
 def test_pace_of_unreadable_trips_is_refused():
-    with pytest.raises(ValueError, match="`starts` must be ISO 8601 or empty, got 'yesterday'"):
-        km_per_day(["yesterday"], [1.0], 1.0)
     with pytest.raises(ValueError, match=r"`mileages_km` must be one for each of 1 starts"):
-        km_per_day(["2026-01-01"], [1.0, 2.0], 1.0)
+        km_per_day(np.array(["2026-01-01"], dtype="datetime64[s]"), np.ones(2), 1.0)
 
 
 def test_parts_without_any_allowed_date_are_refused():

@@ -9,9 +9,11 @@ import pytest
 from depot_trips import trips
 from trip_fixtures import model_at
 
+from suspnet.cli.evaluate import ALARMS, exit_code
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.records import Place
 from suspnet.history import History
-from suspnet.recordings.manifest import Place
+from suspnet.maintenance.alarms import Cause
 from suspnet.report import report
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tensorboard import RunLog
@@ -20,6 +22,7 @@ from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
 K_AND_C = ("k_p", "c_p", "k_s", "c_s")
 SEED = 3
+NAMES = ("worn", "failed", "flagged", "few", "left", "right", "unsure")
 
 
 def made_up(where, vehicle):
@@ -37,6 +40,16 @@ def made_up(where, vehicle):
             replace(one, flags="odd") for one in trips(where, 2, {"k_s": worn}, n_trips=12)
         ],
         "few": trips(where, 4, {"k_p": 1 - 0.02 * np.arange(7)}, n_trips=7),
+        "left": trips(where, 5, n_trips=12),
+        "right": trips(where, 6, {"k_p": np.full(12, 0.94)}, n_trips=12),  # within its limits
+        "unsure": [  # the newest trip is beyond a limit, but its interval reaches back
+            replace(one, half_widths=one.half_widths | {"k_p": 0.2} if is_last else one.half_widths)
+            for one, is_last in zip(
+                trips(where, 7, {"k_p": np.where(last[-12:], 0.89, 1)[::1]}, n_trips=12),
+                last[-12:],
+                strict=True,
+            )
+        ],
     }
     return [replace(one, vehicle=vehicle) for one in given[where.suspension]]
 
@@ -48,12 +61,12 @@ def outcomes(tmp_path_factory):
     model = model_at()
     settings = FleetSettings(TripSettings())
     of_place = {}
-    for name in ("worn", "failed", "flagged", "few"):
-        where = Place(name, train="12", car=name)
+    for name in NAMES:
+        where = Place(name, train="12", car="pair" if name in ("left", "right") else name)
         (folder / "trips" / name).mkdir(parents=True)
         for one in made_up(where, model.vehicle.name):
             path = folder / "trips" / name / f"{name}_{one.trip}.yaml"
-            path.write_text(f"suspension: {name}\ntrain: '12'\ncar: {name}\n")
+            path.write_text(f"suspension: {name}\ntrain: '12'\ncar: {where.car}\n")
             of_place[path.name] = one
 
     def read(path, *_, **__):
@@ -67,11 +80,11 @@ def outcomes(tmp_path_factory):
         patch.setattr(report, "data_uri", lambda _: "")
         with History(store) as history:
             given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
-            evaluate_fleet(*given)
+            done = evaluate_fleet(*given)
     vehicles = {model.vehicle.name: model.vehicle}
     board = Board(str(store), BoardSettings(vehicles, today="2026-03-01", seed=SEED))
     board.refresh()
-    return folder, board.view
+    return folder, board.view, done
 
 
 def healthy(model):
@@ -93,7 +106,7 @@ def rows_of(path):
 
 
 def test_report_overview_and_fleet_page_give_the_same_present_values(outcomes):
-    folder, view = outcomes
+    folder, view, _ = outcomes
     reports = reported(folder)
     table = rows_of(folder / "out" / "overview.csv")
     for row in view.rows:
@@ -105,7 +118,7 @@ def test_report_overview_and_fleet_page_give_the_same_present_values(outcomes):
 
 
 def test_report_and_fleet_page_give_the_same_remaining_lives(outcomes):
-    folder, view = outcomes
+    folder, view, _ = outcomes
     reports = reported(folder)
     known = 0
     for state in view.states:
@@ -120,18 +133,58 @@ def test_report_and_fleet_page_give_the_same_remaining_lives(outcomes):
             assert one["life"]["median_km"] == (median if np.isfinite(median) else None)
     assert known > 10
     text = (folder / "out" / "worn" / "report.html").read_text()
-    assert "predicted with the rates of wear of 4 suspensions of the history" in text
+    assert "predicted with the rates of wear of 7 suspensions of the history" in text
     assert reports["flagged", "k_s"]["unknown_life"] == "all of the last 5 trips are flagged"
 
 
 def test_unknown_lives_are_the_same_in_the_plan(outcomes):
-    folder, view = outcomes
+    folder, view, _ = outcomes
     reports = reported(folder)
     assert view.plan is not None
     told = {(row["suspension"], row["parameter"]): row["unknown"] for row in view.plan.rows()}
     for key, one in reports.items():
         if one["unknown_life"]:
             assert told[key] == one["unknown_life"]
+
+
+def test_report_overview_plan_and_fleet_page_give_the_same_severities_and_reasons(outcomes):
+    folder, view, done = outcomes
+    severities = {
+        path.parent.name: json.loads(path.read_text())["severity"]
+        for path in (folder / "out").glob("*/metrics.json")
+    }
+    table = rows_of(folder / "out" / "overview.csv")
+    assert severities == {row["suspension"]: row["severity"] for row in view.rows}
+    assert severities == {name: row["severity"] for name, row in table.items()}
+    assert severities == {one.name: str(one.severity) for one in done}
+    assert severities["right"] == "notice"  # differs from its sister, within its own limits
+    assert severities["unsure"] == "unknown"
+    assert severities["failed"] == "act"
+    for row in view.rows:
+        if row["severity"] != "none":
+            one = table[row["suspension"]]
+            assert (row["parameter"], row["reason"]) == (one["parameter"], one["reason"])
+    of_each = {key: one["severity"] for key, one in reported(folder).items()}
+    for row in view.plan.rows():
+        assert row["severity"] == of_each[row["suspension"], row["parameter"]]
+    assert exit_code(done) == max(ALARMS.get(state.severity, 0) for state in view.states)
+
+
+def test_alarms_of_a_sister_are_in_report_and_on_the_fleet_page(outcomes):
+    folder, view, _ = outcomes
+    metrics = json.loads((folder / "out" / "right" / "metrics.json").read_text())
+    (told,) = [one["words"] for one in metrics["alarms"] if one["cause"] == "sister"]
+    (state,) = [one for one in view.states if one.series.place.suspension == "right"]
+    assert [one.words for one in state.alarms if one.cause == Cause.SISTER] == [told]
+
+
+def test_series_of_results_is_that_of_the_store(outcomes):
+    folder, _, done = outcomes
+    with History(folder / "fleet.db") as history:
+        stored = {one.place: one for one in history.series()}
+    assert len(stored) == len(NAMES)
+    for one in done:
+        assert one.state.series.equals(stored[one.place])
 
 
 def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from suspnet.ground.limits import Severity
 from suspnet.maintenance.alarms import Cause
-from suspnet.maintenance.limits import Severity
 from suspnet.maintenance.sisters import (
     CORRELATION,
     N_LAST,
@@ -56,6 +56,7 @@ def test_variance_of_a_mean_is_that_of_simulated_trips():
     assert _of_mean() == pytest.approx(found.var(), rel=0.05)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("n_sisters", [2, 3, 4])
 @pytest.mark.parametrize("intervals", [True, False])
 def test_false_alarms_are_at_most_those_stated(n_sisters, intervals):

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
 
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement, Cause
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.fleet_plan import parts_of, train_of, trains_of
 from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.plan_parts import parts_of, train_of, trains_of
 from suspnet.maintenance.sisters import SisterSettings
-from suspnet.recordings.manifest import Place
-from suspnet.report.fleet_overview import overview_rows, overview_table
+from suspnet.report.overview import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.maintenance import write_maintenance
 
@@ -61,7 +61,10 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
     seen = {key: [Acknowledgement("k_s", Cause.LIMIT, Severity.ACT, 80_000.0, "Kim", SEEN)]}
     rows = overview_rows(states, seen)
     assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
-    assert rows[0]["reason"] == "the last trip is at 150 % of healthy, above the act limit of 125 %"
+    assert rows[0]["reason"] == (
+        "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; the change began "
+        "at about 75 000 km"
+    )
     assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
     assert rows[2]["reason"] == rows[2]["parameter"] == ""
     text = overview_table(rows)
@@ -155,7 +158,7 @@ def test_mistakes_are_told(tmp_path):
     with pytest.raises(ValueError, match="which history"):
         run_study("", tmp_path)
     History(tmp_path / "empty.db").close()
-    with pytest.raises(ValueError, match="no trip is kept here yet"):
+    with pytest.raises(ValueError, match="no trip is stored here yet"):
         run_study(tmp_path / "empty.db", tmp_path)
     with pytest.raises(ValueError, match="must be a day like"):
         run_study(tmp_path / "empty.db", tmp_path, today="tomorrow")

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from suspnet.maintenance.alarms import Cause
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.alarms import Cause, alarm_table, detector_words, watch
 from suspnet.maintenance.change import Changes, ChangeSettings
 from suspnet.maintenance.cusum import autoregressive
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
-from suspnet.maintenance.watch import alarm_table, beside, detector_words, watch
+from suspnet.maintenance.judge import level_words
+from suspnet.maintenance.series import Event, make_series
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s")
 SPREAD = np.array([0.0005, 0.003, 0.0006, 0.001])
@@ -26,16 +27,15 @@ def watched(estimates, *, flagged=(), order=slice(None), maintenance_km=(), sett
     """Return what the trips raise."""
     marks = np.isin(np.arange(len(estimates)), flagged)
     widths = np.tile(3 * SPREAD, (len(estimates), 1))
-    return watch(
+    series = make_series(
         KM[: len(estimates)][order],
         dict(zip(PARAMETERS, estimates[order].T, strict=True)),
         dict(zip(PARAMETERS, widths.T, strict=True)),
         marks[order],
-        {"speed": 70 + np.random.default_rng(1).standard_normal(len(estimates))[order]},
-        DEFAULT_LIMITS,
-        settings,
-        maintenance_km,
+        map(Event, maintenance_km),
+        speed_m_per_s=70 + np.random.default_rng(1).standard_normal(len(estimates))[order],
     )
+    return watch(series, DEFAULT_LIMITS, settings)
 
 
 def test_healthy_trips_raise_nothing():
@@ -104,18 +104,7 @@ def test_order_of_the_trips_does_not_matter():
     estimates = made_up()
     estimates[60:, 0] *= 0.99
     order = np.random.default_rng(0).permutation(N_TRIPS)
-    there, again = watched(estimates).alarms, None
-    widths = np.tile(3 * SPREAD, (N_TRIPS, 1))
-    again = watch(
-        KM[order],
-        dict(zip(PARAMETERS, estimates[order].T, strict=True)),
-        dict(zip(PARAMETERS, widths.T, strict=True)),
-        np.zeros(N_TRIPS, bool),
-        {"speed": 70 + np.random.default_rng(1).standard_normal(N_TRIPS)[order]},
-        DEFAULT_LIMITS,
-        SETTINGS,
-    ).alarms
-    assert again == there
+    assert watched(estimates, order=order).alarms == watched(estimates).alarms != []
 
 
 def test_too_few_trips_are_told():
@@ -153,7 +142,7 @@ def test_trips_without_mileage_or_estimate_count_for_nothing():
     estimates = made_up()
     estimates[[3, 50]] = np.nan
     assert watched(estimates).alarms == []
-    empty = watch([], {}, {}, [], {}, DEFAULT_LIMITS, SETTINGS)
+    empty = watch(make_series([], {}), DEFAULT_LIMITS, SETTINGS)
     assert empty.alarms == []
     nothing = watched(np.full((30, 4), np.nan))
     assert nothing.alarms == []
@@ -174,7 +163,7 @@ def test_table_of_alarms():
     [(0.6, 0.7, "at 60 %"), (0.6996, 0.7, "at 69.96 %"), (0.7, 0.7, "at 70.000 %")],
 )
 def test_level_is_told_from_its_limit(value, limit, words):
-    assert beside(value, limit) == words
+    assert level_words(value, limit) == words
 
 
 def test_detector_says_what_it_takes_into_account():
@@ -199,14 +188,13 @@ def test_detector_says_what_it_takes_into_account():
 def test_words_of_an_alarm_of_a_limit_give_the_present_value(last, words):
     values = np.array([1.0] * 10 + last)
     km, widths = 1e4 * np.arange(1, len(values) + 1), np.full(len(values), 0.01)
-    plain = np.zeros(len(values), dtype=bool)
     limits = {"c_s": DEFAULT_LIMITS["c_s"]}
-    found = watch(km, {"c_s": values}, {"c_s": widths}, plain, {}, limits, SETTINGS)
+    found = watch(make_series(km, {"c_s": values}, {"c_s": widths}), limits, SETTINGS)
     (alarm,) = [one for one in found.alarms if one.cause == Cause.LIMIT]
     assert alarm.is_open
     assert alarm.words.startswith(words)
 
 
 def test_a_level_that_no_suspension_has_is_no_number():
-    assert beside(1.52e6, 1.25) == "at over 1000 %"
-    assert beside(3.65, 1.25) == "at 365 %"
+    assert level_words(1.52e6, 1.25) == "at over 1000 %"
+    assert level_words(3.65, 1.25) == "at 365 %"

@@ -9,11 +9,11 @@ from trip_fixtures import RATES_HZ, changed, signal, write_trips
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.commissioning_run import FAMILY
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
+from suspnet.runs.commissioning import FAMILY
 from suspnet.simulation.fleet import Fleet, Scenario
 from suspnet.simulation.writing import Simulation, write_fleet
 

@@ -9,13 +9,13 @@ import yaml
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from suspnet.ground.records import Place
 from suspnet.recordings.manifest import (
     CHANNELS,
     DELIMITERS,
     SIDES,
     Channel,
     CsvDialect,
-    Place,
     SpeedSource,
     TripError,
     TripManifest,

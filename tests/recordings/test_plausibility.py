@@ -75,6 +75,7 @@ def test_noise_is_not_called_swapped_channels():
     )
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("state", RATIOS)
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_right_channels_pass(vehicle, state):

@@ -20,7 +20,7 @@ from stream_signals import (
     with_gaps,
 )
 
-from suspnet.live.stream_state import StateError, dump_state, load_state
+from suspnet.live.journal import StateError, dump_state, load_state
 from suspnet.recordings import TripError, cleaning
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
@@ -29,7 +29,7 @@ from suspnet.spectra.segments import recording_segments
 from suspnet.spectra.welch import Welch
 
 ORDER = OrderSettings(window=WINDOW)
-FAST, SLOW = range(12), range(12, 230)
+FAST, SLOW = range(6), range(6, 230)
 
 
 @pytest.fixture(autouse=True)

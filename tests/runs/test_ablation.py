@@ -17,9 +17,8 @@ from omegaconf import OmegaConf
 
 from suspnet.cli import train
 from suspnet.estimation.feature_information import feature_loss
-from suspnet.report.table6 import records_csv
 from suspnet.runs import ablation as study
-from suspnet.runs.ablation_tables import (
+from suspnet.runs.ablation import (
     BASELINE,
     ablation_caption,
     ablation_markdown,
@@ -27,6 +26,7 @@ from suspnet.runs.ablation_tables import (
     changes,
 )
 from suspnet.runs.sweeps import Ablation
+from suspnet.runs.table6 import records_csv
 
 CONFIGS = ROOT / "configs"
 NAMES = list(OmegaConf.load(CONFIGS / "ablations.yaml"))

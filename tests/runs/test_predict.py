@@ -11,9 +11,9 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.estimation.checkpoint import load_model, save_model
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.ood import KINDS
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.estimation.refine import refine
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
@@ -58,6 +58,7 @@ def assert_same(first, second):
 # reference
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("name", ["msvr", "linear", "mvgpr"])
 @pytest.mark.parametrize("refined", [False, True])
 def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
@@ -264,9 +265,9 @@ def test_trips_have_intervals_and_flags_too():
 def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
     problem = problem_of("secondary", "paper")
     model = replace(fit(problem, LinearRegression(), None), refined=True)
-    with pytest.raises(ValueError, match="refine=true needs curves that tell k_s"):
+    with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         calibrated(problem, model)
-    with pytest.raises(ValueError, match="refine=true needs curves that tell k_s"):
+    with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         predict_stream(problem, model, TEST)
 
 

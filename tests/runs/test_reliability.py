@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle, VerticalVehicle
 from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.ood import KINDS
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR, MVGPR
 from suspnet.runs.calibrate import calibrated
@@ -25,11 +25,12 @@ from suspnet.runs.reliability import (
     _gp_intervals,
     _odd_sets,
     _slices,
+    markdown,
     measure,
+    records,
+    reliability_figure,
     write_reliability,
 )
-from suspnet.runs.reliability_figure import reliability_figure
-from suspnet.runs.reliability_findings import markdown, records
 from suspnet.spectra.curves import CurveSettings
 from tests.vehicles import AM96
 

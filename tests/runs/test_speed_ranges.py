@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from suspnet.runs.speeds import speed_ranges, train_ranges
+from suspnet.runs.train import speed_ranges, train_ranges
 
 
 def test_bins_cover_the_range_edge_to_edge_with_equal_ratios():

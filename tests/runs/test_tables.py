@@ -7,7 +7,7 @@ import math
 import pytest
 
 from suspnet.learning import METHODS
-from suspnet.report.table6 import (
+from suspnet.runs.table6 import (
     MODEL_TITLES,
     PUBLISHED,
     records_csv,

@@ -168,8 +168,10 @@ def test_vertical_vehicle_is_taken_at_the_bogie_of_its_suspension(tmp_path, monk
     assert bogies == {"train_1_car_1_leading": "leading", "train_1_car_1_trailing": "trailing"}
 
 
-def test_another_car_and_other_workers_change_no_file_of_the_others(fleet, tmp_path):
-    simulate(tmp_path / "more", Trains(1, 2, 0), n_jobs=2)
+# that two workers change nothing is tested by default in test_folders.py
+@pytest.mark.parametrize("n_jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_another_car_and_other_workers_change_no_file_of_the_others(fleet, tmp_path, n_jobs):
+    simulate(tmp_path / "more", Trains(1, 2, 0), n_jobs=n_jobs)
     simulate(tmp_path / "same", Trains(1, 1, 0))
     for name in ("train_1_car_1_leading", "train_1_car_1_trailing"):
         assert contents(tmp_path / "more" / name) == contents(tmp_path / "same" / name)

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
-from suspnet.estimation.feature_data import FeatureData
-from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
+from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, FeatureData, Problem
 from suspnet.ground.storage import dump_arrays, read_arrays
 from suspnet.spectra.components import FLOOR
 from suspnet.spectra.curves import CurveSettings, add_noise, noise_rms

@@ -132,6 +132,7 @@ def test_secondary_group_has_every_feature_unless_the_body_is_strongly_damped(ta
     assert torch.equal(table.values.isnan(), (~found).repeat_interleave(3, dim=1))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
 @pytest.mark.parametrize("size", [1, 7, 128])
 def test_features_do_not_depend_on_how_curves_are_batched(task, quarter_car, shape, size):

@@ -9,7 +9,7 @@ from roll_reference import sided_responses, track_amplitudes
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.estimation.sides import bounce_of
+from suspnet.estimation.trip_flags import bounce_of
 from suspnet.spectra.side_difference import SIDE_PARAMETERS, _responses, _without, side_difference
 
 FREQUENCIES_HZ = np.arange(0.5, 10.0, 0.05)
@@ -164,6 +164,7 @@ def test_worn_vehicle_with_anti_roll_bar_and_other_places_is_read():
 # limit
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("speed", [30.0, 70.0])
 @pytest.mark.parametrize("cross", [0.0, 1.0, 3.0])
 def test_symmetric_vehicle_shows_nothing(speed, cross):

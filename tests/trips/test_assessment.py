@@ -6,16 +6,16 @@ from itertools import product
 import numpy as np
 import pytest
 
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
-    LastTrips,
     assess,
-    last_trips,
     overall,
     spoken,
     worst_first,
 )
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.judge import LastTrips, last_trips
+from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 
 LIMITS = DEFAULT_LIMITS["k_s"]
@@ -83,16 +83,17 @@ def test_no_combination_contradicts_itself(shape):
         if found.severity == Severity.ACT:
             assert " act limit of " in words, case
         if found.severity == Severity.UNKNOWN:
-            assert "too uncertain to tell" in words or flags == "all", case
-        assert found.is_told == (found.severity > Severity.NONE or found.trend.changed), case
+            assert "too uncertain to judge" in words or flags == "all", case
+        assert found.is_named == (found.severity > Severity.NONE or found.trend.changed), case
 
 
 def read(values, half=0.01, flagged=(), parameter="k_s"):
     """Return the assessment of a series that is said to scatter by 0.1 %."""
     values = np.array(values) * (1 + 2e-4 * np.random.default_rng(1).normal(size=len(values)))
     km, flags = KM[: len(values)], np.isin(np.arange(len(values)), flagged)
-    ends = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
-    last = last_trips(km, values, ends, flags)
+    last = last_trips(
+        make_series(km, {parameter: values}, {parameter: half + 0 * values}, flags), parameter
+    )
     found = replace(flagged_trend(parameter, km, values, flags), spread_percent=0.1)
     return assess(found, last, DEFAULT_LIMITS.get(parameter))
 
@@ -135,7 +136,7 @@ def ends_with(*last, n=N_TRIPS):
             read([1.5]),
             "act",
             "the last trip is at 150 % of healthy, above the act limit of 125 %; "
-            "too few trips (1 of 10) to tell of a change",
+            "too few trips (1 of 10) to find a change",
         ),
         (
             read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
@@ -172,7 +173,7 @@ def ends_with(*last, n=N_TRIPS):
             "none",
             "at 88 % of healthy, within its limits; no change beyond the spread of 0.1 %",
         ),
-        (read(ONES[:4]), "none", "within its limits; too few trips (4 of 10) to tell of a change"),
+        (read(ONES[:4]), "none", "within its limits; too few trips (4 of 10) to find a change"),
         (
             read(ends_with(3.0), flagged=[29]),
             "notice",
@@ -189,7 +190,7 @@ def ends_with(*last, n=N_TRIPS):
             read(ends_with(1.3), half=0.4),
             "unknown",
             "the last trip is at 130 % of healthy, above the notice limit of 110 %, but its "
-            "interval reaches back within it: too uncertain to tell",
+            "interval reaches back within it: too uncertain to judge",
         ),
         (
             read(ONES, flagged=range(N_TRIPS)),
@@ -223,7 +224,7 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(np.where(KM < 155_000, 1, 1.2), parameter="M_s"),
             "none",
-            "rises to 120 % of healthy (median of the last 5 trips) at about 160 000 km (pay-load: "
+            "rises to 120 % of healthy (median of the last 5 trips) at about 160 000 km (payload: "
             "varies by nature, no fault)",
         ),
         (read([np.nan, np.nan]), "unknown", "no trip with an estimate"),
@@ -275,8 +276,8 @@ def one(parameter, severity=Severity.NONE, shape=Shape.NONE):
     [
         ("0000", "0000", "Nothing stands out. No parameter is beyond its limits, and none changed"),
         ("0000", "0100", "No parameter is beyond its limits; 1 of 4 parameters changed:"),
-        ("0000", "2000", "limits; some parameters have too few trips to tell of a change."),
-        ("0000", "2222", "limits; there are too few trips to tell of a change."),
+        ("0000", "2000", "limits; some parameters have too few trips to find a change."),
+        ("0000", "2222", "limits; there are too few trips to find a change."),
         ("0100", "1000", "No alarm, but 1 of 4 parameters cannot be judged:"),
         ("0120", "0000", "Notice: 1 of 4 parameters is to be looked at:"),
         ("2020", "0000", "Notice: 2 of 4 parameters are to be looked at:"),
@@ -318,7 +319,7 @@ def test_nothing_known_is_no_good_news():
     missing = replace(read([np.nan]), severity=Severity.UNKNOWN)
     assert overall([missing]) == (
         Severity.UNKNOWN,
-        "No trip has an estimate, so that nothing can be told.",
+        "No trip has an estimate, so that nothing is known.",
     )
     assert overall([])[0] == Severity.UNKNOWN
 
@@ -326,11 +327,14 @@ def test_nothing_known_is_no_good_news():
 def test_last_trips_are_those_of_largest_mileage_with_an_estimate():
     km = np.array([5.0, 1.0, 3.0, np.nan, 2.0, 6.0, 4.0, 7.0])
     values = np.array([0.5, 0.1, 0.3, 9.0, 0.2, 0.6, 0.4, np.nan])
-    ends = np.stack([values - 0.01, values + 0.01], axis=1)
-    last = last_trips(km, values, ends, km == 3.0)
+
+    def last_of(values, flagged):
+        return last_trips(make_series(km, {"k_s": values}, {"k_s": 0.01 + 0 * km}, flagged), "k_s")
+
+    last = last_of(values, km == 3.0)
     np.testing.assert_array_equal(last.values, [0.2, 0.3, 0.4, 0.5, 0.6])
-    np.testing.assert_allclose(last.high - last.low, 0.02)
+    np.testing.assert_allclose(np.log(last.high / last.low), 0.02)
     np.testing.assert_array_equal(last.flagged, [False, True, False, False, False])
     assert not last.all_flagged
-    assert last_trips(km, values, ends, np.ones(8)).all_flagged
-    assert not last_trips(km, np.nan * values, ends, np.ones(8)).all_flagged
+    assert last_of(values, np.ones(8)).all_flagged
+    assert not last_of(np.nan * values, np.ones(8)).all_flagged

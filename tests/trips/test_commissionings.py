@@ -9,27 +9,28 @@ import pyarrow.parquet as pq
 import pytest
 from trip_fixtures import OUTPUTS, changed, model_at
 from trip_records import fleet as made_up
+from trip_records import trend_of
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS
-from suspnet.report.health_figure import ANEW, health_trend
+from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.records import Commissioning, relative_to_first_healthy
+from suspnet.maintenance.series import series_of
+from suspnet.report.trend import AGAIN_OF_FIRST
+from suspnet.report.trend_figure import health_trend
 from suspnet.trips.commissionings import (
-    Commissioning,
+    check_models,
     commissionings,
     eras,
     models_at,
-    of_last_era,
-    relative_to_first_healthy,
     since_km,
     with_truth_of_each,
 )
 from suspnet.trips.details import healthy_words
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 
 ANEW_KM = 195_000.0
@@ -89,8 +90,10 @@ def test_trips_of_two_commissionings_compare_in_si_units(both):
 
 def test_limits_and_tests_are_about_the_trips_since_the_last(both):
     results = read_with(both)
-    last = of_last_era(results, commissionings(both, results))
-    assert [r.trip for r in last] == [r.trip for r in results if r.mileage_km >= ANEW_KM]
+    whole = series_of(results)
+    assert whole.trip[whole.one_healthy].tolist() == [
+        r.trip for r in results if r.mileage_km >= ANEW_KM
+    ]
 
 
 def test_truth_is_relative_to_the_healthy_trips_of_each():
@@ -122,7 +125,7 @@ def test_trips_name_their_healthy_state_in_tables(both, manifests, tmp_path):
         assert half == pytest.approx(expected, rel=1e-6)
         assert row["k_p_n_per_m_high"] == pytest.approx(row["k_p_high"] * AM96.healthy_values()[0])
     page = (out / "report.html").read_text()
-    assert "Commissioned anew: from" in page
+    assert "Commissioned again: from" in page
     assert "c_s 125\N{NO-BREAK SPACE}%" in page
     metrics = json.loads((out / "metrics.json").read_text())
     assert [one["since_km"] for one in metrics["commissionings"]] == [1e4, ANEW_KM]
@@ -138,9 +141,9 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
     found = commissionings(both, results)
     compared = relative_to_first_healthy(results, found)
     limits = {"c_s": DEFAULT_LIMITS["c_s"]}
-    axis = health_trend(compared, ("c_s",), limits=limits, states=found).axes[0]
+    axis = health_trend(trend_of(compared, ("c_s",), limits=limits, commissionings=found)).axes[0]
     lines = {line.get_label(): line for line in axis.get_lines()}
-    assert lines[ANEW].get_xdata()[0] == ANEW_KM / 1000
+    assert lines[AGAIN_OF_FIRST].get_xdata()[0] == ANEW_KM / 1000
     low, high = axis.get_ylim()
     expected = [100 * NEW_DAMPER * one for one in limits["c_s"].act + limits["c_s"].notice]
     drawn = [line.get_ydata()[0] for label, line in lines.items() if label.endswith(" limit")]
@@ -155,7 +158,7 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
 def test_one_commissioning_is_as_none(both):
     results = read_with(both[:1])
     assert commissionings(both[:1], results) == []
-    assert of_last_era(results, []) == results
+    assert series_of(results).one_healthy.all()
     assert [r.estimates for r in relative_to_first_healthy(results, [])] == [
         r.estimates for r in results
     ]

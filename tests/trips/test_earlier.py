@@ -9,8 +9,8 @@ from test_fleet import SETTINGS, no_figures  # noqa: F401
 from trip_fixtures import changed
 from trip_records import fleet, trip
 
+from suspnet.ground.records import ERROR
 from suspnet.history import Event, History
-from suspnet.history.records import ERROR
 from suspnet.maintenance import Acknowledgement, Cause, Severity
 from suspnet.trips import fleet as fleet_module
 from suspnet.trips.earlier import between, with_earlier

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from trip_records import OUTPUTS, curves, fleet, trip
+from trip_records import OUTPUTS, curves, fleet, trend_of, trip
 
-from suspnet.report import figures, health_figure
+from suspnet.report import figures, trend
+from suspnet.report.trend_figure import health_trend
 
 
 def draw(figure):
@@ -24,16 +25,16 @@ def labelled(axis, label):
 
 def test_running_median_agrees_with_a_loop():
     values = np.random.default_rng(0).normal(size=9)
-    median = health_figure.running_median(values)
+    median = trend.running_median(values)
     assert median[4] == np.median(values[2:7])
     assert median[0] == np.median(values[:3])
     assert median[-1] == np.median(values[-3:])
-    np.testing.assert_array_equal(health_figure.running_median(values, 1), values)
+    np.testing.assert_array_equal(trend.running_median(values, 1), values)
 
 
 def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
     trips = fleet(8, missing=(3,))
-    figure = health_figure.health_trend(trips[::-1], OUTPUTS)
+    figure = health_trend(trend_of(trips[::-1], OUTPUTS))
     draw(figure)
     assert len(figure.axes) == len(OUTPUTS)
     known = [r for r in trips if r.status == "ok"]
@@ -43,13 +44,13 @@ def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
         np.testing.assert_allclose(y, [100 * r.estimates[name] for r in known])
         np.testing.assert_allclose(labelled(axis, "trip without an estimate")[0], [40.0])
         low, high = axis.get_ylim()
-        assert high - low >= health_figure.LEAST_SPAN_PERCENT
+        assert high - low >= trend.LEAST_SPAN_PERCENT
     assert figure.axes[-1].get_xlabel() == "mileage [1000 km]"
 
 
 def test_health_trend_shows_the_truth_only_where_it_is_known():
     trips = [replace(r, truth={"k_p": 0.9} if i < 4 else {}) for i, r in enumerate(fleet(6, ()))]
-    figure = health_figure.health_trend(trips, ("k_p", "c_p"))
+    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
     draw(figure)
     x, y = labelled(figure.axes[0], "truth (simulated)")
     np.testing.assert_allclose(x, [10, 20, 30, 40])
@@ -60,7 +61,7 @@ def test_health_trend_shows_the_truth_only_where_it_is_known():
 def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
     trips = fleet(5, ())
     trips[2] = replace(trips[2], estimates=trips[2].estimates | {"c_p": np.nan})
-    figure = health_figure.health_trend(trips, ("k_p", "c_p"))
+    figure = health_trend(trend_of(trips, ("k_p", "c_p")))
     draw(figure)
     assert "trip without an estimate" not in [line.get_label() for line in figure.axes[0].lines]
     np.testing.assert_allclose(labelled(figure.axes[1], "trip without an estimate")[0], [30.0])
@@ -116,7 +117,7 @@ def test_quality_marks_trips_without_an_estimate():
 def whole(results):
     """Return all four figures."""
     return (
-        health_figure.health_trend(results, OUTPUTS),
+        health_trend(trend_of(results, OUTPUTS)),
         figures.trip_responses(results),
         figures.trip_signals(results[-1]),
         figures.quality(results),
@@ -142,7 +143,7 @@ def test_trips_without_a_mileage_are_counted():
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 5
     assert drawn[1] == []
     assert drawn[3] == ["no trip with a mileage"] * 3
-    figure = health_figure.health_trend([*fleet(3, ()), unplaced[0]], OUTPUTS)
+    figure = health_trend(trend_of([*fleet(3, ()), unplaced[0]], OUTPUTS))
     draw(figure)
     assert figure.axes[0].get_title() == "without a mileage, not shown: 1"
 

@@ -20,20 +20,21 @@ from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
+from suspnet.maintenance.series import series_of
+from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import LEAST_PERCENT
-from suspnet.maintenance.watch import Watched
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.reader_process import LIMIT, apart
 from suspnet.report import output
 from suspnet.report.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.report.tensorboard import RunLog
 from suspnet.spectra.curves import CurveSettings
+from suspnet.trips import earlier as finished
 from suspnet.trips import fleet
-from suspnet.trips import result_cache as finished
+from suspnet.trips.commissionings import check_models
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import check_models
 from suspnet.trips.trip import evaluate_trip
 
 TRIPS = TripSettings()
@@ -388,7 +389,7 @@ def test_report_is_there_where_too_few_trips_say_what_is_healthy(three, model, n
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
     (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
     missing = "healthy is not known yet: 3 trips have an estimate, the first 5 are to say it"
-    for found in one.assessments:
+    for found in one.state.assessments:
         assert found.limited == (found.parameter != "M_s")
         assert found.words.startswith("healthy is not known yet; ") == found.limited
         assert (found.severity >= Severity.UNKNOWN) == found.limited
@@ -444,8 +445,8 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
             replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
             for one, e in zip((model, other), errors, strict=False)
         ]
-        least = fleet._least_percent(OUTPUTS, models)
-        found = fleet._assessments(results, OUTPUTS, least, DEFAULT_LIMITS, Watched())
+        least = fleet.least_percent(OUTPUTS, models)
+        found = State(series_of(results), DEFAULT_LIMITS, least_percent=least).assessments
         return {one.parameter for one in found if one.trend.changed}
 
     assert LEAST_PERCENT < 0.2
@@ -513,6 +514,7 @@ def test_file_that_kills_or_hangs_its_reader_costs_its_row(
     assert len(list(out.rglob("report.html"))) == len(found) == 1
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stop")])
 def test_interrupted_run_leaves_only_whole_files(
@@ -641,7 +643,7 @@ def test_coverage_is_the_naive_one(alone):
 def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
     seen = {}
     monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[7]))
+    monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[2].level))
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",

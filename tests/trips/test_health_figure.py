@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
+from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.maintenance import Alarm, Cause, Life, Severity
-from suspnet.report.health_figure import AHEAD, LEAST_SPAN_PERCENT, health_trend
+from suspnet.report.trend import LEAST_SPAN_PERCENT
+from suspnet.report.trend_figure import AHEAD, health_trend
 
 FEW = OUTPUTS[:2]
 FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"
@@ -17,7 +18,7 @@ FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90
 
 def drawn(results, outputs=FEW, **options):
     """Return a figure's panels, drawn (a warning is an error)."""
-    figure = health_trend(results, outputs, **options)
+    figure = health_trend(trend_of(results, outputs, **options))
     FigureCanvasAgg(figure).draw()
     return figure.axes
 
@@ -100,6 +101,7 @@ def test_without_intervals_and_flags_the_figure_is_as_before():
 # limit: what the axis holds
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize(("value", "edge", "words"), [(0.27, 0, "27 %"), (2.5, 1, "250 %")])
 @pytest.mark.parametrize("place", [0, 6, 11])
 def test_a_single_odd_trip_does_not_spoil_the_axis(value, edge, words, place):
@@ -185,8 +187,8 @@ def test_a_lone_flagged_trip_is_shown():
 def test_alarm_is_marked_where_it_began():
     alarms = [Alarm("k_p", Cause.CHANGE, Severity.NOTICE, 5e4)]
     axes = drawn(measured(), alarms=alarms)
-    assert points(axes[0], "notice: an alarm begins").T.tolist() == [[50.0, 1.0]]
-    assert "notice: an alarm begins" not in labels(axes[1])
+    assert points(axes[0], "notice: start of an alarm").T.tolist() == [[50.0, 1.0]]
+    assert "notice: start of an alarm" not in labels(axes[1])
 
 
 def test_crossing_ahead_makes_room_for_itself():

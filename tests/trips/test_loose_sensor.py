@@ -4,7 +4,7 @@ import pytest
 from trip_fixtures import OUTPUTS, RATES_HZ, changed, signal
 
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.history.records import NO_ESTIMATE, OK
+from suspnet.ground.records import NO_ESTIMATE, OK
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.check_records import READY, TOO_LITTLE
 from suspnet.trips.check import CheckSettings, check_trip

@@ -8,11 +8,11 @@ from trip_fixtures import changed, model_at
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.validity import check_model
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog
+from suspnet.trips.commissionings import NAMED, models_of, place_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import NAMED, models_of, place_of
 
 HERE, THERE = Place("S1", "leading", "", "1", "1"), Place("S1", "leading", "", "1", "2")
 

@@ -8,18 +8,21 @@ from html.parser import HTMLParser
 import pyarrow.parquet as pq
 import pytest
 from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
-from trip_records import HALF_WIDTHS, trip
+from trip_records import HALF_WIDTHS, flagged, trip
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.maintenance.limits import DEFAULT_LIMITS, Severity
-from suspnet.recordings.manifest import Place
+from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.records import Place
+from suspnet.maintenance.series import series_of
+from suspnet.maintenance.state import State
 from suspnet.report import output
-from suspnet.report.overview import Evaluated, finding, write_overview
+from suspnet.report.output import write_overview
+from suspnet.report.overview import Evaluated, finding
 from suspnet.report.tensorboard import RunLog
 from suspnet.trips import fleet
+from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.models import models_of
 
 SETTINGS = FleetSettings(TripSettings())
 
@@ -227,8 +230,10 @@ class Links(HTMLParser):
 
 def test_page_links_each_report_and_escapes_names(tmp_path):
     hostile = "<script>alert('x')</script> & \"y\""
+    odd = flagged(trip(0, with_curves=False))
+    state = State(series_of([odd]), DEFAULT_LIMITS)
     done = [
-        Evaluated("a b#?", Place(hostile, "leading", "left"), [trip(0, with_curves=False)]),
+        Evaluated("a b#?", Place(hostile, "leading", "left"), [odd], state),
         Evaluated("broken", Place("broken"), error=hostile),
     ]
     words = write_overview(done, OUTPUTS, tmp_path)

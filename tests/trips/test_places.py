@@ -2,7 +2,7 @@
 
 import pytest
 
-from suspnet.recordings.manifest import Place
+from suspnet.ground.records import Place
 from suspnet.trips.grouping import TAKEN, find_groups
 
 

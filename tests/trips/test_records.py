@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
-from suspnet.history.records import Quality, TripResult, first_trips, relative_to_first
+from suspnet.ground.records import Quality, TripResult
+from suspnet.trips.commissionings import first_trips, relative_to_first
 
 FEW = ("k_p", "M_s")
 

@@ -12,9 +12,9 @@ from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.estimation.sides import UNEXPLAINED, spoken_sides
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK
-from suspnet.report.sides_summary import sides_finding
+from suspnet.estimation.trip_flags import UNEXPLAINED, spoken_sides
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
+from suspnet.report.report import sides_finding
 from suspnet.spectra.side_difference import SideDifference
 from suspnet.trips.trip import evaluate_trip
 

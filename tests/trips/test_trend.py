@@ -200,13 +200,6 @@ def test_shapes_that_differ_are_refused():
         trend("k_p", [1, 2, 3], [1, 1])
 
 
-def test_settings_out_of_range_are_refused():
-    with pytest.raises(ValueError, match="`n_ends` must be at least 2 trips, got 1"):
-        trend("k_p", [1], [1], n_ends=1)
-    with pytest.raises(ValueError, match="`min_size` must be at least 2 trips, got 1"):
-        steps([1], [1], min_size=1)
-
-
 # flagged trips
 
 

@@ -21,10 +21,10 @@ from trip_fixtures import (
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation import from_recording as recording
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.ood import Flags
-from suspnet.history.records import ERROR, NO_ESTIMATE, OK
+from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.manifest import CHANNELS, TripError
 from suspnet.simulation.fleet import Scenario
@@ -352,6 +352,7 @@ def test_harmless_fault_changes_nothing(manifests, model, good, tmp_path, change
     assert close(result, good, 1.002)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("channel", CHANNELS)
 @pytest.mark.parametrize("size", [3.0, 1000.0])
 def test_segments_with_unrelated_noise_are_left_out(
@@ -364,6 +365,7 @@ def test_segments_with_unrelated_noise_are_left_out(
     assert close(result, good)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("channel", CHANNELS)
 @pytest.mark.parametrize("size", [10.0, 1000.0])
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
@@ -495,6 +497,7 @@ def test_no_segment_is_free_of_faults(manifests, model, tmp_path):
     assert "gap" in result.quality.faults
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("check", [True, False])
 @pytest.mark.parametrize(
     ("channels", "message"),

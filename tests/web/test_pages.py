@@ -1,13 +1,17 @@
 """The pages as Flask's test client reads them: content, escaping, protection, errors."""
 
+import os
 import re
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of, trips
 
+from suspnet.ground.limits import Severity
 from suspnet.history import History
-from suspnet.maintenance.limits import Severity
 from suspnet.report.board import Board
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher
@@ -79,7 +83,7 @@ def test_fleet_is_filtered_by_train_and_state(client):
     assert "Train 9<" not in page
     assert "<option selected>12</option>" in page
     assert "1 suspension: 1 without alarm." in client.get("/?severity=none", **BASE).text
-    assert "No suspension is like that." in client.get("/?train=77", **BASE).text
+    assert "No suspension matches." in client.get("/?train=77", **BASE).text
     assert "4 suspensions" in client.get("/?severity=odd", **BASE).text
 
 
@@ -105,7 +109,7 @@ def test_suspension_has_all_that_is_known(client, refresher):
     assert page.count('<script src="/files/') == 3
     assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
     healthy = client.get(f"/suspension/{name_of(refresher.board.view, HEALTHY)}", **BASE).text
-    assert "No alarm stands." in healthy
+    assert "No alarm is active." in healthy
 
 
 def test_figures_are_json_without_nan(client, refresher):
@@ -257,7 +261,7 @@ def test_store_that_has_gone_is_told_with_the_last_state(client, refresher, path
     assert "trips and responses are not shown" in client.get(address, **BASE).text
     answer = client.post(f"{address}/acknowledge", data=csrf, **BASE)
     assert answer.status_code == 503
-    assert "Nothing was kept" in answer.text
+    assert "Nothing was saved" in answer.text
     assert not path.exists()  # nor was a new one made
     path.with_suffix(".away").rename(path)
     refresher.soon()
@@ -273,7 +277,37 @@ def test_empty_store_and_first_look_are_told(tmp_path):
     found.start()
     wait_for(lambda: found.words.startswith("last looked"))
     found.stop()
-    assert "being read" in (page := client.get("/", **BASE).text) or "No trip is kept" in page
+    assert (
+        "being read" in (page := client.get("/", **BASE).text)
+        or "This history holds no trip" in page
+    )
+
+
+SERVE = """
+import sys
+from pathlib import Path
+from served_fleet import FAILED, SETTINGS, name_of
+from suspnet.report.board import Board
+from suspnet.web.app import create_app
+from suspnet.web.refresher import Refresher
+
+board = Board(sys.argv[1], SETTINGS)
+board.refresh()
+client = create_app(Refresher(board, 1.0)).test_client()
+one = "/suspension/" + name_of(board.view, FAILED)
+for address in ("/", "/plan", one, one + "/trend.json", one + "/responses.json"):
+    assert client.get(address, base_url="http://127.0.0.1").status_code == 200, address
+print(*sorted({"torch", "matplotlib", "hydra", "sklearn"} & sys.modules.keys()))
+"""
+
+
+def test_pages_are_served_without_torch_and_matplotlib(filled):
+    """Only the calendar's picture needs matplotlib, when it is first asked for."""
+    tests = str(Path(__file__).parent.parent)
+    command = [sys.executable, "-c", SERVE, str(filled)]
+    environment = {**os.environ, "PYTHONPATH": tests}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
 
 
 class Broken:
@@ -290,7 +324,7 @@ class Broken:
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (RuntimeError("no room"), "could not be worked out: RuntimeError: no room"),
+        (RuntimeError("no room"), "could not be computed: RuntimeError: no room"),
         (SystemExit(3), "is not read any more (SystemExit: 3): start suspnet-serve again"),
     ],
 )

@@ -99,7 +99,7 @@ def test_locked_store_holds_no_page_up_and_is_shown_again(path):
             assert "responses are not shown" in asked(client, address, 4).text
             sent = asked(client, f"{address}/acknowledge", 6, "post", data=form | {"by": "Kim"})
             assert sent.status_code == 503
-            assert "Nothing was kept" in sent.text
+            assert "Nothing was saved" in sent.text
             asked(client, f"{address}/trend.json", 2)
             assert asked(client, f"{address}/responses.json", 4).status_code == 503
         look()
@@ -258,7 +258,7 @@ def read_all_pages(path, counts, before=None):
             assert answer.status_code in (200, 404, 503), (address, answer.text)
             assert time.monotonic() - begin < 20
         page = client.get("/", **BASE).text
-        assert "could not be worked out" not in page, re.search(r"could not be worked[^<]*", page)[
+        assert "could not be computed" not in page, re.search(r"could not be computed[^<]*", page)[
             0
         ]
 

@@ -1,0 +1,274 @@
+"""What a commissioned vehicle is, in words and in SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
+from suspnet.estimation.commissioning import Commissioned
+from suspnet.estimation.healthy_trips import HealthyTrips
+from suspnet.estimation.physics import INCOMPLETE
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.wording import count
+from suspnet.spectra.estimates import EstimateSettings
+
+LEAST_AGREEING = 2
+"""Starts that must find the same vehicle: one alone may have ended in another valley."""
+TOLD = 0.8
+"""The trips tell a number if they take its deviation below this share of the prior's."""
+NARROW = 0.5
+"""Standard deviation over the median up to which a number is written with plus and minus."""
+SIMILAR = 1.5
+"""Factor between minutes of healthy trips and of training beyond which it is said."""
+PREFIXES = ((1e6, "M"), (1e3, "k"))
+"""Prefixes of units of force, the largest first."""
+PART_TITLES = {
+    "": "Springs, dampers, lengths and inertias",
+    "bushings": "Bushings of the dampers",
+    "rubber": "Rubber of the primary springs",
+    "guidance": "Axle guidance",
+    "longitudinal": "Longitudinal links between car body and bogie",
+    "bending": "First bending of the car body",
+    "roll": "Roll, cross level and lateral places",
+    "air_spring": "Air spring",
+}
+SYMBOLS = {
+    **{f"healthy_{name}": name for name in PARAMETERS[:4]},
+    "half_wheelbase": "a",
+    "half_pivot_distance": "L",
+    "bogie_gyration": "\N{GREEK SMALL LETTER RHO}_b",
+    "body_gyration": "\N{GREEK SMALL LETTER RHO}_c",
+    "body_lever": "h_2",
+    "bogie_lever": "h_3",
+    "bending_at_pivot": "p",
+    "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
+}
+"""Symbols of the quantities that have one in the equations of the vehicle."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One uncertain number of a vehicle before and after commissioning.
+
+    Attributes
+    ----------
+    quantity : Quantity
+    nominal : float
+        Of the drawing, SI units.
+    prior, posterior : tuple of 3 floats
+        One standard deviation below the median, the median, one above, SI units.
+    deviations : pair of float, [-]
+        Standard deviation of the logarithm in prior and posterior.
+    """
+
+    quantity: Quantity
+    nominal: float
+    prior: tuple[float, float, float]
+    posterior: tuple[float, float, float]
+    deviations: tuple[float, float]
+
+    @property
+    def ratio(self) -> float:
+        """Median of the posterior over that of the prior, [-]."""
+        return self.posterior[1] / self.prior[1] if self.prior[1] else 1.0
+
+    @property
+    def uncertainty_left(self) -> float:
+        """Deviation of the posterior over the prior's, [-]; 1 where the trips tell nothing."""
+        return self.deviations[1] / self.deviations[0]
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the trips tell the number."""
+        return self.uncertainty_left < TOLD
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the number in SI units, for a file."""
+        return {
+            "name": self.quantity.name,
+            "meaning": self.quantity.meaning,
+            "part": self.quantity.part,
+            "unit": self.quantity.unit or "1",
+            "nominal": self.nominal,
+            "prior": _as_json(self.prior, self.deviations[0]),
+            "posterior": _as_json(self.posterior, self.deviations[1]),
+            "ratio": self.ratio,
+            "uncertainty_left": self.uncertainty_left,
+            "told": self.is_told,
+        }
+
+
+def numbers(outcome: Commissioned) -> list[Number]:
+    """Return every uncertain number, by the part of the vehicle that it belongs to."""
+    nominal = dict(
+        zip(UNMEASURED, outcome.generator.nominal_values()[len(PARAMETERS) :], strict=True)
+    )
+    known = {quantity.name: quantity for quantity in QUANTITIES}
+    both = outcome.prior, outcome.posterior
+    ends = [np.stack([one.quantile(n) for n in (-1, 0, 1)], axis=1) for one in both]
+    found = []
+    for i, name in enumerate(outcome.prior.names):
+        prior, posterior = (tuple((nominal[name] * part[i]).tolist()) for part in ends)
+        was, left = (float(one.deviations[i]) for one in both)
+        found.append(Number(known[name], nominal[name], prior, posterior, (was, left)))
+    return sorted(found, key=lambda one: ("", *PARTS).index(one.quantity.part))
+
+
+def is_explained(outcome: Commissioned) -> bool:
+    """Return whether the vehicle explains its healthy trips."""
+    return outcome.misfit <= INCOMPLETE
+
+
+def doubts(outcome: Commissioned) -> list[str]:
+    """Return a sentence on each reason not to rely on a commissioned vehicle."""
+    found = []
+    if not is_explained(outcome):
+        found.append(
+            f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete or a "
+            "sensor is wrong; the figure shows at which frequencies. Every estimate of a model "
+            "trained on this vehicle is flagged, and its interval is wider by what this could cost."
+        )
+    if not outcome.converged:
+        found.append(
+            "The search for the vehicle did not converge: its numbers may not be the most "
+            "probable ones. Commission on more or longer trips."
+        )
+    if outcome.n_agree < LEAST_AGREEING:
+        found.append(
+            f"Of {outcome.n_starts} starts of the search no other one found this vehicle: a better "
+            "one may exist. Commission on more or longer trips."
+        )
+    return found
+
+
+def unplaced(found: HealthyTrips) -> str | None:
+    """Return a sentence if single sensors are taken as in the middle because no side is given."""
+    if not (names := found.manifests[0].unplaced):
+        return None
+    return (
+        f"The single sensors ({', '.join(names)}) are taken as in the middle, where they feel no "
+        "roll: if they are on one side, say so in the manifests (side: left, or right)."
+    )
+
+
+def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
+    """Return a sentence if models are to be trained for far longer or shorter trips than these."""
+    usual = float(np.median([group.spectra.n_averages for group in found.groups]))
+    share = usual / settings.n_averages
+    if 1 / SIMILAR <= share <= SIMILAR:
+        return None
+    minutes = settings.minutes * share
+    return (
+        f"The healthy trips have about {minutes:.2g} usable minutes at one speed, models are "
+        f"trained for {settings.minutes:g}: data.minutes={minutes:.2g} would suit them better."
+    )
+
+
+def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
+    """Return in a sentence on how many trips a vehicle was commissioned and how well they agree."""
+    n_trips, n_groups = len(found.manifests), len(found.groups)
+    stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
+    explains = "explains" if is_explained(outcome) else "does not explain"
+    return (
+        f"The vehicle {explains} its healthy trips ({count(n_trips, 'trip')}{stretches}): the "
+        f"misfit is {outcome.misfit:.2f} times the noise, 1 is noise alone."
+    )
+
+
+def agreement(outcome: Commissioned) -> str:
+    """Return in a sentence how many starts of the search found the same vehicle."""
+    return f"{outcome.n_agree} of {outcome.n_starts} starts of the search found this vehicle."
+
+
+def reference(outcome: Commissioned) -> str:
+    """Return in a sentence what healthy means from now on."""
+    told = {one.quantity.name: one for one in numbers(outcome)}
+    values = [
+        f"{name} = {spoken(told[f'healthy_{name}'])}"
+        for name in PARAMETERS[:4]
+        if f"healthy_{name}" in told
+    ]
+    shown = f": 100 % is {', '.join(values)}" if values else ""
+    if "±" in shown:
+        shown += " (± one standard deviation)"
+    return f"Healthy from now on is what these trips showed{shown}."
+
+
+def untold(found: Sequence[Number]) -> str:
+    """Return a sentence on the numbers that the trips do not tell; empty if they tell all."""
+    names = [one.quantity.meaning for one in found if not one.is_told]
+    if not names:
+        return ""
+    return (
+        f"The trips say little or nothing about {len(names)} of {len(found)} numbers, which keep "
+        f"their values from before: {'; '.join(names)}."
+    )
+
+
+def force_scale(bogie_mass_kg: float) -> str:
+    """Return a sentence on what trips cannot determine: the scale of all forces."""
+    return (
+        "Accelerations determine ratios of forces only: all stiffnesses, dampings and masses rest "
+        f"on the bogie mass of the drawing, {bogie_mass_kg:g} kg for a bogie's side, and are wrong "
+        "by as many percent as it is."
+    )
+
+
+def spoken(one: Number) -> str:
+    """Return a number as commissioned with its uncertainty and unit."""
+    scale, unit = _unit(one)
+    return f"{_value(*one.posterior, scale)} {unit}".strip()
+
+
+def cells(one: Number) -> dict[str, Any]:
+    """Return a number as a row of a table."""
+    scale, unit = _unit(one)
+    quantity = one.quantity
+    return {
+        "symbol": SYMBOLS.get(quantity.name, ""),
+        "meaning": quantity.meaning[0].upper() + quantity.meaning[1:],
+        "unit": unit or "1",
+        "prior": _value(*one.prior, scale),
+        "posterior": _value(*one.posterior, scale),
+        "change": one.ratio - 1,
+        "left": one.uncertainty_left,
+        "told": one.is_told,
+    }
+
+
+def _unit(one: Number) -> tuple[float, str]:
+    """Return the scale and the unit, with a prefix, in which a number is written."""
+    unit = one.quantity.unit
+    if unit.startswith("N"):
+        for scale, prefix in PREFIXES:
+            if one.nominal >= scale:
+                return scale, prefix + unit
+    return 1.0, unit
+
+
+def _as_json(ends: tuple[float, float, float], deviation: float) -> dict[str, float]:
+    """Return median, the ends one deviation off it, and the deviation of the logarithm."""
+    low, median, high = ends
+    return {"median": median, "low": low, "high": high, "log_deviation": deviation}
+
+
+def _value(low: float, median: float, high: float, scale: float) -> str:
+    """Return a median and its standard deviation, or where that is large its range."""
+    value, half = median / scale, (high - low) / scale / 2
+    if not half:
+        return f"{value:g}"
+    if half > NARROW * abs(value):
+        ends = (_rounded(one / scale, max(abs(one / scale), half / 10)) for one in (low, high))
+        return f"{_rounded(value, max(abs(value), half / 10))} ({' to '.join(ends)})"
+    return f"{_rounded(value, half)} ± {_rounded(half, half)}"
+
+
+def _rounded(value: float, least: float) -> str:
+    """Return a number with the decimals that show two digits of another one."""
+    digits = 1 - math.floor(math.log10(abs(least)))
+    return f"{round(value, digits) + 0.0:.{max(digits, 0)}f}"  # no minus before 0

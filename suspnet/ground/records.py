@@ -1,0 +1,351 @@
+"""Records of trips: which suspension, its estimate or why there is none, and what healthy was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD, SI_COLUMNS
+from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.wording import kilometres
+
+HIGHEST_KM = 2e7
+"""Mileage that no rail vehicle reaches [km]: 40 years of 500 000 km, which fast trains run."""
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """Which suspension a trip is of; text is empty where the manifest does not say it.
+
+    Parameters
+    ----------
+    suspension : str
+    bogie : str
+        One of ``BOGIES``.
+    side : str
+        One of ``SIDES``.
+    train, car : str
+        Of which train and which of its cars, in free text.
+    """
+
+    suspension: str = ""
+    bogie: str = ""
+    side: str = ""
+    train: str = ""
+    car: str = ""
+
+    def __str__(self) -> str:
+        """Return the place in words."""
+        vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
+        where = [self.bogie and f"{self.bogie} bogie", self.side]
+        return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
+
+
+Key = tuple[str, Place]
+"""Vehicle and place: which suspension it is."""
+
+
+OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How well a trip's transfer functions are known.
+
+    Attributes
+    ----------
+    coherence_p, coherence_s : float, [-]
+        Mean over the band, axle box - bogie and bogie - body.
+    n_averages : float
+        Independent averages.
+    segments_used, segments_total : int
+    duration_s : float, [s]
+        Common to all channels.
+    usable_percent : float, [%]
+        Share of the duration without a fault.
+    speed_m_per_s : float, [m/s]
+        Mean over the segments used.
+    speed_bins : str
+        Each bin with its averages.
+    features_found : str
+    faults : str
+        What cleaning found in each channel, the speed and the clocks.
+    read_as : str
+        How files were read, where that had to be found out, as of CSV files.
+    warnings : str
+    """
+
+    coherence_p: float = np.nan
+    coherence_s: float = np.nan
+    n_averages: float = 0.0
+    segments_used: int = 0
+    segments_total: int = 0
+    duration_s: float = np.nan
+    usable_percent: float = np.nan
+    speed_m_per_s: float = np.nan
+    speed_bins: str = ""
+    features_found: str = ""
+    faults: str = ""
+    read_as: str = ""
+    warnings: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TripCurves:
+    """Curves behind one trip's estimate, and an overview of its signals.
+
+    Attributes
+    ----------
+    frequencies_hz : array of shape (n_freq,), [Hz]
+    responses : complex array of shape (2, n_freq), [-]
+        G_p and G_s.
+    coherences, deviations : arrays of shape (2, n_freq), [-]
+        Deviation: standard deviation of the log-magnitude.
+    overview_s : array of shape (n_windows,), [s]
+        Begin of each window.
+    overview_low, overview_high, overview_mean : arrays of shape (3, n_windows), [m/s^2]
+        Least, largest and mean value of axle box, bogie and body in each window.
+    overview_speed : array of shape (n_windows,), [m/s]
+    """
+
+    frequencies_hz: FloatArray
+    responses: ComplexArray
+    coherences: FloatArray
+    deviations: FloatArray
+    overview_s: FloatArray
+    overview_low: FloatArray
+    overview_high: FloatArray
+    overview_mean: FloatArray
+    overview_speed: FloatArray
+
+
+@dataclass(frozen=True)
+class TripResult:
+    """One trip: its estimate, or the reason why there is none.
+
+    Attributes
+    ----------
+    trip, manifest, vehicle : str
+    place : Place
+        Which suspension it is of.
+    mileage_km : float, [km]
+    start : str
+        ISO 8601, or empty.
+    status : {"ok", "no estimate", "error"}
+    reason : str
+        Empty if there is an estimate.
+    estimates : dict of float, [-]
+        Parameters relative to healthy; 1 is healthy.
+    raw : dict of float, [-]
+        The same relative to the vehicle's nominal parameters.
+    truth : dict of float, [-]
+        Of simulated trips, relative to the same as `estimates`.
+    half_widths : dict of float, [-]
+        The interval of an estimate reaches from estimate * exp(-half width) to
+        estimate * exp(half width); NaN where the model has no intervals.
+    healthy_since_km : float, [km]
+        Mileage of the first healthy trip of the commissioning; NaN of a nominal vehicle.
+    healthy_si : dict of float, [N/m, N s/m, kg]
+        What a ratio of 1 in `raw` means.
+    healthy_half_widths : dict of float, [-]
+        Half widths of their intervals, in logarithms.
+    flags : str
+        The flags of the estimate in words; empty if there are none.
+    sides : str
+        Which side of which part is weaker, in words; empty without pairs of sensors, and if nothing
+        stands out.
+    quality : Quality
+    seconds : float, [s]
+        Time the evaluation took.
+    temperature_c : float, [°C]
+        Of the air outside; NaN where the manifest does not say it.
+    curves : TripCurves, optional
+    """
+
+    trip: str
+    manifest: str
+    vehicle: str = ""
+    place: Place = field(default_factory=Place)
+    mileage_km: float = np.nan
+    start: str = ""
+    status: str = OK
+    reason: str = ""
+    estimates: dict[str, float] = field(default_factory=dict)
+    raw: dict[str, float] = field(default_factory=dict)
+    truth: dict[str, float] = field(default_factory=dict)
+    half_widths: dict[str, float] = field(default_factory=dict)
+    healthy_since_km: float = np.nan
+    healthy_si: dict[str, float] = field(default_factory=dict)
+    healthy_half_widths: dict[str, float] = field(default_factory=dict)
+    flags: str = ""
+    sides: str = ""
+    quality: Quality = field(default_factory=Quality)
+    seconds: float = 0.0
+    temperature_c: float = np.nan
+    curves: TripCurves | None = None
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return lower and upper end of a parameter's interval, [-]; NaN where there is none."""
+        value, half = (part.get(name, np.nan) for part in (self.estimates, self.half_widths))
+        with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+            return float(value * np.exp(-half)), float(value * np.exp(half))
+
+    def si(self, name: str) -> tuple[float, float, float]:
+        """Return a parameter and the ends of its interval in SI units; NaN where there is none.
+
+        The interval holds the uncertainty of the healthy value too, as independent.
+        """
+        value = self.raw.get(name, np.nan) * self.healthy_si.get(name, np.nan)
+        half = np.hypot(
+            self.half_widths.get(name, np.nan), self.healthy_half_widths.get(name, np.nan)
+        )
+        with np.errstate(over="ignore"):
+            return float(value), float(value * np.exp(-half)), float(value * np.exp(half))
+
+    def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
+        """Return the trip as one flat row of a table; the same columns for every trip."""
+        flat = to_row(self)
+        flat |= {name: math.nan for name, value in flat.items() if value is None}
+        for name in outputs:
+            column = SI_COLUMNS[name]
+            flat[f"{name}_low"], flat[f"{name}_high"] = self.interval(name)
+            flat[column], flat[f"{column}_low"], flat[f"{column}_high"] = self.si(name)
+            flat[f"{column}_healthy"] = flat[f"{name}_healthy_si"]
+        columns = [
+            *("trip", "mileage_km", "start", "status", "reason", "flags", "vehicle"),
+            *PLACE,
+            *outputs,
+            *(f"{name}_{end}" for name in outputs for end in ("low", "high")),
+            *(f"{name}_{kind}" for kind in ("raw", "truth") for name in outputs),
+            *(
+                f"{SI_COLUMNS[n]}{end}"
+                for n in outputs
+                for end in ("", "_low", "_high", "_healthy")
+            ),
+            *("healthy_since_km", "temperature_c"),
+            *QUALITY_TYPES,
+            *("sides", "seconds", "manifest"),
+        ]
+        return {name: flat[name] for name in columns}
+
+
+PLACE = tuple(one.name for one in fields(Place))
+"""Columns that say which suspension of which vehicle it is; empty where it is not said."""
+NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
+TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
+"""Columns of a trip's numbers and texts, named as in its result."""
+VALUES = {
+    "estimates": "{}",
+    "half_widths": "{}_half_width",
+    "raw": "{}_raw",
+    "truth": "{}_truth",
+    "healthy_si": "{}_healthy_si",
+    "healthy_half_widths": "{}_healthy_half_width",
+}
+"""Numbers of each parameter, named as in a trip's result, and their columns."""
+QUALITY_TYPES = {one.name: str(one.type) for one in fields(Quality)}
+"""Each column of a trip's quality with the name of its type."""
+
+
+def to_row(result: TripResult) -> dict[str, Any]:
+    """Return a trip as a flat row, as the store, the cache of finished trips and tables hold it.
+
+    None is a parameter's number that the trip does not have. Its curves are not in the row.
+    """
+    row: dict[str, Any] = {"vehicle": result.vehicle} | asdict(result.place)
+    row |= {name: getattr(result, name) for name in (*TEXTS, *NUMBERS)}
+    for name, column in VALUES.items():
+        row |= {column.format(one): getattr(result, name).get(one) for one in PARAMETERS}
+    return row | asdict(result.quality)
+
+
+def from_row(row: Mapping[str, Any]) -> TripResult:
+    """Return the trip of a row of ``to_row``; None in place of any other number is NaN."""
+    given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
+    given |= {name: or_nan(row[name]) for name in NUMBERS}
+    for name, column in VALUES.items():
+        values = {one: row[column.format(one)] for one in PARAMETERS}
+        given[name] = {one: value for one, value in values.items() if value is not None}
+    quality: dict[str, Any] = {
+        name: or_nan(row[name]) if kind == "float" else row[name]
+        for name, kind in QUALITY_TYPES.items()
+    }
+    place = Place(**{name: row[name] for name in PLACE})
+    return TripResult(place=place, quality=Quality(**quality), **given)
+
+
+def or_nan(value: float | None) -> float:
+    """Return a number of the store, NaN in place of NULL."""
+    return math.nan if value is None else float(value)
+
+
+def to_arrays(curves: TripCurves) -> dict[str, FloatArray]:
+    """Return curves as real arrays, as the store and the cache of finished trips hold them."""
+    arrays = {one.name: getattr(curves, one.name) for one in fields(curves)}
+    responses = arrays.pop("responses")
+    arrays |= {"real": np.real(responses), "imaginary": np.imag(responses)}
+    return {name: np.asarray(one, dtype=float) for name, one in arrays.items()}
+
+
+def to_responses(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
+    """Return complex responses; a sum with 1j times a part would make NaN of infinity."""
+    responses = np.empty(real.shape, dtype=complex)
+    responses.real, responses.imag = real, imaginary
+    return responses
+
+
+@dataclass(frozen=True)
+class Commissioning:
+    """One healthy state of a suspension.
+
+    Attributes
+    ----------
+    since_km : float, [km]
+        Mileage of its first healthy trip.
+    healthy_si : dict of float, [N/m, N s/m, kg]
+    relative : dict of float, [-]
+        Its healthy values over those of the first commissioning.
+    trips : tuple of str
+        Names of its healthy trips.
+    """
+
+    since_km: float
+    healthy_si: dict[str, float]
+    relative: dict[str, float]
+    trips: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """What healthy is now, in % of the first commissioning."""
+        told = ", ".join(
+            f"{name} {100 * ratio:.3g} %"
+            for name, ratio in self.relative.items()
+            if name != PAYLOAD
+        )
+        return f"from {kilometres(self.since_km)} on healthy is {told} of the first commissioning"
+
+
+def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
+    """Return trips by mileage and name, those without a mileage last."""
+    return sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
+
+
+def relative_to_first_healthy(
+    results: Sequence[TripResult], found: Sequence[Commissioning]
+) -> list[TripResult]:
+    """Return results relative to the healthy values of the first commissioning."""
+    factors = {one.since_km: one.relative for one in found}
+    return [_times(r, factors.get(r.healthy_since_km, {})) for r in results]
+
+
+def _times(result: TripResult, factors: dict[str, float]) -> TripResult:
+    """Return a result with estimates and truth multiplied by factors, 1 where there is none."""
+    estimates, truth = (
+        {name: value * factors.get(name, 1.0) for name, value in part.items()}
+        for part in (result.estimates, result.truth)
+    )
+    return replace(result, estimates=estimates, truth=truth)

@@ -1,0 +1,41 @@
+"""Numbers and their nouns as people read them, the same in messages, tables and pages."""
+
+from __future__ import annotations
+
+import math
+import re
+
+NO_NUMBER = "\N{EN DASH}"
+
+
+def count(n: int, noun: str) -> str:
+    """Return a number with its noun, in the plural where it is not one."""
+    return f"{n} {noun}{'s' * (n != 1)}"
+
+
+def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
+    """Return a number with a true minus sign, or a dash if there is none."""
+    if value is None or not math.isfinite(value):
+        return NO_NUMBER
+    text = f"{value * scale:.{digits}f}"
+    return text.replace("-", "\N{MINUS SIGN}" if float(text) else "")
+
+
+def thousands(value: float) -> str:
+    """Return a whole number with spaces between thousands, or a dash if there is none."""
+    return f"{value:,.0f}".replace(",", " ") if math.isfinite(value) else NO_NUMBER
+
+
+def kilometres(value: float) -> str:
+    """Return a mileage with its unit."""
+    return f"{thousands(value)} km"
+
+
+def span(*texts: str) -> str:
+    """Return the ends of a range, or one text if both ends read the same."""
+    return " to ".join(dict.fromkeys(texts))
+
+
+def unbroken(words: str) -> str:
+    """Return words in which no line ends between a number and its unit, or within a number."""
+    return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)

@@ -1,0 +1,323 @@
+"""A suspension along its mileage: what figures of it show, as plain data for any way to draw it.
+
+All values are in % of healthy, all mileages in km.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.records import Commissioning, TripResult, by_mileage
+from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import kilometres, thousands
+from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.judge import ABSURD
+from suspnet.maintenance.life import Life
+from suspnet.maintenance.state import State
+
+TRIP_COLOUR, FLAGGED_COLOUR, MISSING_COLOUR = "#3b82c4", "#9467bd", "#d64545"
+LIMIT_COLOURS = {"notice": "#d9822b", "act": "#d64545"}
+TRIP, FLAGGED, MISSING = "trip", "flagged: see the table", "trip without an estimate"
+MEDIAN, BEYOND = "median of five neighbouring trips", "beyond the axis"
+PASSING = "act limit will be passed (80 %)"
+MAINTENANCE, AGAIN = "maintenance", "commissioned again"
+AGAIN_OF_FIRST = f"{AGAIN}; % is of the first healthy values"
+LEAST_SPAN_PERCENT = 2.0
+"""Least span of a parameter's axis, in %, so that spread does not look like change."""
+MARGIN = 0.05
+"""Share of the span that stays free above and below."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """One parameter of several trips by mileage; NaN is unknown.
+
+    Attributes
+    ----------
+    trips : array of str, (n_trips,)
+    km, values, truth : arrays of shape (n_trips,)
+        The truth is that of simulated trips.
+    intervals : array of shape (n_trips, 2)
+        Lower and upper end.
+    flagged : bool array of shape (n_trips,)
+    """
+
+    trips: NDArray[np.str_]
+    km: FloatArray
+    values: FloatArray
+    intervals: FloatArray
+    flagged: BoolArray
+    truth: FloatArray
+
+    def chosen(self, which: BoolArray) -> Points:
+        """Return some of the trips."""
+        return Points(
+            self.trips[which],
+            self.km[which],
+            self.values[which],
+            self.intervals[which],
+            self.flagged[which],
+            self.truth[which],
+        )
+
+
+@dataclass(frozen=True)
+class Passing:
+    """Mileages where the act limit will be passed: the 80 % interval and its median."""
+
+    low_km: float
+    median_km: float
+    high_km: float
+
+    def __str__(self) -> str:
+        low, median, high = (
+            thousands(km) if np.isfinite(km) else "no end"
+            for km in (self.low_km, self.median_km, self.high_km)
+        )
+        return f"passes the act limit at about {median} km (80 %: {low} to {high})"
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One parameter along the mileage.
+
+    Attributes
+    ----------
+    name : str
+    points : Points
+        Trips with an estimate; the intervals of flagged ones are not to be relied on, and NaN.
+    missing_km, truth_km, truth : arrays
+        Trips without an estimate, and the truth of simulated trips.
+    limits : tuple of pairs
+        Kind ("notice" or "act") and value of each limit.
+    alarms : tuple of Alarm
+    passing : Passing, optional
+    act : float, optional
+        The act limit that the parameter has passed or will pass, where it is known.
+    axis : pair of float
+        Range that the figure shows.
+    """
+
+    name: str
+    points: Points
+    missing_km: FloatArray
+    truth_km: FloatArray
+    truth: FloatArray
+    limits: tuple[tuple[str, float], ...]
+    alarms: tuple[Alarm, ...]
+    passing: Passing | None
+    act: float | None
+    axis: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """A suspension along its mileage.
+
+    Attributes
+    ----------
+    panels : tuple of Panel
+    km : array of shape (n_trips,)
+        Of all trips, ascending.
+    events : tuple of pairs
+        Mileage and words of each maintenance.
+    again_km : tuple of float
+        Where it was commissioned again.
+    again : str
+        What that means for the figure.
+    n_unplaced : int
+        Number of trips without a mileage, which are not shown.
+    level : float
+        Probability of the intervals.
+    """
+
+    panels: tuple[Panel, ...]
+    km: FloatArray
+    events: tuple[tuple[float, str], ...] = ()
+    again_km: tuple[float, ...] = ()
+    again: str = AGAIN
+    n_unplaced: int = 0
+    level: float = 0.9
+
+
+def trend_of_trips(
+    results: Sequence[TripResult],
+    state: State,
+    outputs: Sequence[str],
+    level: float = 0.9,
+    commissionings: Sequence[Commissioning] = (),
+) -> Trend:
+    """Return what a report shows of trips.
+
+    Parameters
+    ----------
+    results : sequence of TripResult
+        In any order; relative to the first of several commissionings.
+    state : State
+        Of these trips; its limits are relative to the last commissioning.
+    outputs : sequence of str
+    level : float
+        Probability of the intervals.
+    commissionings : sequence of Commissioning
+        Several healthy states.
+    """
+    placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
+    now = commissionings[-1].relative if commissionings else {}
+    panels = []
+    for name in outputs:
+        points = Points(
+            np.array([r.trip for r in placed]),
+            np.array([r.mileage_km for r in placed]),
+            _percent([r.estimates.get(name, np.nan) for r in placed]),
+            _percent([r.interval(name) for r in placed]).reshape(-1, 2),
+            np.array([bool(r.flags) for r in placed], dtype=bool),
+            _percent([r.truth.get(name, np.nan) for r in placed]),
+        )
+        panels.append(_panel(name, points, state, now.get(name, 1.0)))
+    return Trend(
+        tuple(panels),
+        np.array([r.mileage_km for r in placed]),
+        _events(state),
+        tuple(one.since_km for one in commissionings[1:]),
+        AGAIN_OF_FIRST,
+        len(results) - len(placed),
+        level,
+    )
+
+
+def trend_of_state(state: State) -> Trend:
+    """Return what a page shows of a suspension, each trip relative to its own healthy values."""
+    series = state.series
+    placed = np.isfinite(series.mileage_km)
+    panels = []
+    for name in (name for name in series.estimates if name != PAYLOAD):
+        values, half = series.estimates[name], series.half_widths[name]
+        with np.errstate(over="ignore"):
+            intervals = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)
+        unknown = np.full(len(values), np.nan)
+        numbers = series.mileage_km, 100 * values, 100 * intervals, series.flagged, unknown
+        panels.append(_panel(name, Points(series.trip, *numbers).chosen(placed), state))
+    since_km = series.healthy_since_km
+    again_km = tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist())
+    return Trend(tuple(panels), series.mileage_km[placed], _events(state), again_km)
+
+
+def ranges(trend: Trend) -> list[tuple[str, float, float]]:
+    """Return stretches of the mileage that a reader may want: name, first and last km."""
+    if len(trend.km) == 0:
+        return []
+    first, newest = float(trend.km.min()), float(trend.km.max())
+    ahead = [one.passing.high_km for one in trend.panels if one.passing]
+    last = max([newest, *(km for km in ahead if np.isfinite(km))])
+    last = min(last, newest + max(newest - first, 100_000.0))
+    pad = 0.02 * max(last - first, 1000.0)
+    found = [("All", max(first - pad, min(first, 0.0)), last + pad)]
+    if newest - first > 100_000:
+        found.append((f"Last {kilometres(100_000)}", newest - 100_000, newest + 2000))
+    if len(trend.km) > 20:
+        start = float(np.sort(trend.km)[-20])
+        pad = 0.02 * max(newest - start, 1000.0)
+        found.append(("Last 20 trips", start - pad, newest + pad))
+    return found
+
+
+def running_median(values: FloatArray, window: int = 5) -> FloatArray:
+    """Return the median of the `window` values around each; the window shrinks at the ends.
+
+    Parameters
+    ----------
+    values : array of shape (n_trips,)
+        In the order of the mileage, without NaN.
+    window : int
+        Odd.
+    """
+    half = window // 2
+    return np.array(
+        [np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))]
+    )
+
+
+def percent_words(value: float, form: str = ".0f") -> str:
+    """Return a value in %, without the number where no suspension has such a one."""
+    return f"{value:{form}} %" if value <= 100 * ABSURD else f"over {100 * ABSURD:.0f} %"
+
+
+def alarm_label(alarm: Alarm) -> str:
+    """Return what a mark at the start of an alarm means."""
+    return f"{alarm.severity}: start of an alarm"
+
+
+def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Panel:
+    """Return a parameter; its limits are relative to a level of `healthy` on the figure."""
+    known, has_truth = np.isfinite(points.values), np.isfinite(points.truth)
+    shown = points.chosen(known)
+    shown.intervals[shown.flagged | ~np.isfinite(shown.intervals).all(axis=1)] = np.nan
+    limits, passing = state.limits.get(name), _passing(state.lives.get(name), state.last_km)
+    act = None
+    if limits and (passing or any(a.severity == Severity.ACT for a in state.alarms_of(name))):
+        limit = limits.act[0] if state.now(name) < 1 else limits.act[1]
+        act = 100 * healthy * limit if 0 < limit < np.inf else None
+    return Panel(
+        name,
+        shown,
+        points.km[~known],
+        points.km[has_truth],
+        points.truth[has_truth],
+        tuple(
+            (kind, 100 * healthy * value)
+            for kind in LIMIT_COLOURS
+            for value in getattr(limits, kind, ())
+            if 0 < value < np.inf
+        ),
+        tuple(one for one in state.watched.alarms if one.parameter == name),
+        passing,
+        act,
+        _axis(shown, act),
+    )
+
+
+def _events(state: State) -> tuple[tuple[float, str], ...]:
+    return tuple((one.mileage_km, one.words or one.kind) for one in state.series.events)
+
+
+def _passing(life: Life | None, last_km: float) -> Passing | None:
+    """Return where the act limit will be passed; None if that has no end, or is over."""
+    if life is None:
+        return None
+    low, high = life.interval_km()
+    if not np.isfinite(last_km + low) or high <= 0:
+        return None
+    return Passing(last_km + low, last_km + life.quantile_km(0.5), last_km + high)
+
+
+def _axis(points: Points, act: float | None) -> tuple[float, float]:
+    """Return the range of an axis: what it must hold, and near that trips and intervals.
+
+    One odd trip must not squeeze all others. The axis holds 100 %, an act limit that is passed,
+    unflagged trips (all if all are flagged) and the median of neighbouring ones, which follows a
+    lasting change, be it flagged, but no level that no suspension has. Other trips widen it by up
+    to its span on each side, intervals by up to half of that.
+    """
+    clear = ~points.flagged if not points.flagged.all() else np.ones(len(points.km), dtype=bool)
+    held = np.append(points.values[clear], running_median(points.values))
+    truth = points.truth[clear]
+    base = np.concatenate([[100.0], np.minimum(held, 100 * ABSURD), truth[np.isfinite(truth)]])
+    base = base if act is None else np.append(base, act)
+    low, high = base.min(), base.max()
+    span = max(high - low, LEAST_SPAN_PERCENT)
+    near = points.values[(points.values >= low - span) & (points.values <= high + span)]
+    ends = points.intervals[np.isfinite(points.intervals)].clip(low - span / 2, high + span / 2)
+    wide = np.concatenate([[low, high], near, ends])
+    middle, size = (wide.min() + wide.max()) / 2, wide.max() - wide.min()
+    half = max((1 + 2 * MARGIN) * size, LEAST_SPAN_PERCENT) / 2
+    return float(middle - half), float(middle + half)
+
+
+def _percent(ratios: Sequence[object]) -> FloatArray:
+    return 100 * np.array(ratios, dtype=float)

@@ -1,0 +1,116 @@
+"""From a folder of healthy trips to the vehicle that they show."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.dynamics.quantities import PARTS, LogNormal
+from suspnet.estimation import commissioning_summary as words
+from suspnet.estimation.commissioning import Commissioned, commission
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
+from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
+from suspnet.spectra.estimates import EstimateSettings
+
+log = logging.getLogger(__name__)
+ONE_SIDE_M = 1.0
+"""Lateral place of a sensor of which only the side is known."""
+FAMILY = tuple(part for part in PARTS if part != "air_spring")
+"""Parts of the vehicle that is commissioned if none are asked for."""
+
+
+def commission_folder(
+    folder: Path,
+    generator: ResponseGenerator,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    paths: Sequence[Path] | None = None,
+    n_first: int | None = None,
+    progress: bool = False,
+) -> tuple[HealthyTrips, Commissioned]:
+    """Return healthy trips of a folder and the vehicle that they show.
+
+    Parameters
+    ----------
+    generator : VerticalVehicle
+        The nominal vehicle; if it has no parts all but the air spring are taken, if it has no
+        distribution the prior of its parts.
+    paths : sequence of Path, optional
+        Manifests of one suspension, where the folder holds those of others too; None is all.
+    n_first : int, optional
+        Take the first trips by mileage only.
+
+    Raises
+    ------
+    FileNotFoundError, TripError
+        If the folder does not hold at least three healthy trips of one suspension of the vehicle
+        and its bogie.
+    ValueError
+        If the generator cannot be commissioned.
+    """
+    generator = check_generator(generator)
+    settings = settings.bound(generator.vehicle)
+    found = read_healthy(
+        folder,
+        generator.vehicle.name,
+        settings,
+        trips,
+        bogie=generator.bogie,
+        paths=paths,
+        n_first=n_first,
+        progress=progress,
+    )
+    outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
+    log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
+    for doubt in words.doubts(outcome):
+        log.warning("%s", doubt)
+    if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
+        if hint := words.unplaced(found):
+            log.warning("%s", hint)
+    if hint := words.other_minutes(found, settings):
+        log.info("%s", hint)
+    return found, outcome
+
+
+def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
+    """Return a generator that can be commissioned; ValueError if it is another."""
+    if not isinstance(generator, VerticalVehicle):
+        raise ValueError(
+            f"vehicle {generator.vehicle.name!r} cannot be commissioned as a "
+            f"{type(generator).__name__}: give its geometry, and generator=family"
+        )
+    return generator
+
+
+def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
+    """Return the generator with parts, places of sensors and a prior to start from."""
+    lateral_m = _lateral_m(generator.sensor_lateral_m, found)
+    parts = generator.parts or FAMILY
+    if not any(lateral_m):  # nothing is seen of roll
+        parts = tuple(part for part in parts if part != "roll")
+    placed = replace(generator, parts=parts, sensor_lateral_m=lateral_m)
+    if placed.distribution is None:
+        placed = replace(placed, distribution=LogNormal.prior(parts))
+    return placed
+
+
+def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
+    """Return the lateral place of each channel's sensor: 0 for a pair, its own if it has a side."""
+    manifest = found.manifests[0]
+    places = []
+    for lateral_m, is_pair, channel in zip(
+        given, found.paired, manifest.channels.values(), strict=True
+    ):
+        places.append(0.0 if is_pair else lateral_m or _place_m(manifest, channel))
+    return places[0], places[1], places[2]
+
+
+def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:
+    """Return about where a single sensor is, to the left of the middle, [m]."""
+    side = manifest.side_of(channel) if isinstance(channel, Channel) else None
+    return {SIDES[0]: ONE_SIDE_M, SIDES[1]: -ONE_SIDE_M}.get(side or "", 0.0)

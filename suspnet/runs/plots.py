@@ -1,0 +1,222 @@
+"""Figures of curves, features, predictions and comparisons; each function returns a new Figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullFormatter
+
+from suspnet.dynamics import ResponseGenerator
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.types import FloatArray
+from suspnet.report.figures import SUSPENSIONS, SYMBOLS
+from suspnet.runs.table6 import MODEL_TITLES, table6_caption
+
+PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
+PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
+
+
+def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
+    """Magnitude and phase of both responses of the healthy vehicle (Fig. 5)."""
+    responses = generator.responses(torch.ones(1, len(PARAMETERS)), frequencies_hz)
+    figure, axes = _grid(2, 2, sharex=True)
+    frequencies = frequencies_hz.cpu().numpy()
+    for column, (title, response) in enumerate(zip(SUSPENSIONS, responses, strict=True)):
+        values = response[0].cpu().numpy()
+        upper, lower = axes[0][column], axes[1][column]
+        upper.semilogx(frequencies, 20 * np.log10(np.abs(values)))
+        upper.set(title=title, ylabel="magnitude [dB]")
+        lower.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))))
+        lower.set(xlabel="frequency [Hz]", ylabel="phase [degrees]")
+        for axis in (upper, lower):
+            axis.grid(True, which="both", alpha=0.3)
+    return figure
+
+
+def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
+    """Magnitudes when each parameter halves or doubles, the others healthy (Fig. 7)."""
+    frequencies = frequencies_hz.cpu().numpy()
+    figure, axes = _grid(2, len(PARAMETERS), size=(3.0, 2.7), sharex=True)
+    for column, name in enumerate(PARAMETERS):
+        for ratio, colour in ((0.5, "tab:blue"), (1.0, "0.3"), (2.0, "tab:red")):
+            ratios = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+            ratios[0, column] = ratio
+            curves = generator.magnitudes(ratios, frequencies_hz)[0].cpu().numpy()
+            for row, curve in enumerate(curves):
+                axes[row][column].plot(frequencies, curve, color=colour, label=f"{ratio:.0%}")
+        axes[0][column].set_title(f"{SYMBOLS[name]} varies")
+        axes[1][column].set_xlabel("frequency [Hz]")
+    for row, title in enumerate(SUSPENSIONS):
+        axes[row][0].set_ylabel(f"magnitude\n{title}")
+    for axis in (axis for row in axes for axis in row):
+        axis.set_xlim(0, 10)
+        axis.grid(True, alpha=0.3)
+    axes[0][0].legend()
+    return figure
+
+
+def peak_fits(
+    frequencies_hz: FloatArray, curves: FloatArray, features: Mapping[str, float]
+) -> Figure:
+    """Noisy curves with their peaks: position, height and half-power width.
+
+    Parameters
+    ----------
+    frequencies_hz : array of shape (n_freq,)
+    curves : array of shape (2, n_freq)
+    features : mapping
+        From feature name (peak_measure) to value.
+    """
+    figure, axes = _grid(1, 2)
+    for axis, title, curve in zip(axes[0], SUSPENSIONS, curves, strict=True):
+        axis.plot(frequencies_hz, curve, color="0.6", lw=0.8)
+        axis.set(title=title, xlabel="frequency [Hz]", ylabel="magnitude", xlim=(0, 15))
+        axis.grid(True, alpha=0.3)
+    peaks = sorted({name.rsplit("_", 1)[0] for name in features})
+    for peak in peaks:
+        axis = axes[0][1] if peak == "secondary" else axes[0][0]
+        position, height = features[f"{peak}_position"], features[f"{peak}_height"]
+        half = features[f"{peak}_width"] / 2
+        level = height / math.sqrt(2)
+        axis.plot([position], [height], "o", label=peak.replace("_", " "))
+        axis.plot([position - half, position + half], [level, level], "|-", color="tab:red", lw=1)
+        axis.legend()
+    return figure
+
+
+def feature_spread(
+    inputs: FloatArray, names: Sequence[str], outputs: FloatArray, output_names: Sequence[str]
+) -> Figure:
+    """Every feature against every output, on at most 2,000 curves."""
+    rows = slice(0, 2000)
+    figure, axes = _grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
+    for i, output in enumerate(output_names):
+        for j, name in enumerate(names):
+            axes[i][j].plot(outputs[rows, i], inputs[rows, j], ".", ms=2, alpha=0.4)
+            axes[0][j].set_title(name.replace("_", "\n", 1).replace("_", " "), fontsize=8)
+            axes[i][j].set_xlabel(f"{SYMBOLS[output]} / healthy", fontsize=8)
+        axes[i][0].set_ylabel("feature / healthy")
+    return figure
+
+
+def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
+    """Predicted against actual ratios to healthy."""
+    figure, axes = _grid(1, len(names))
+    for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
+        axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
+        span = [actual[:, j].min(), actual[:, j].max()]
+        axis.plot(span, span, color="black", lw=0.8)
+        axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
+        axis.grid(True, alpha=0.3)
+    return figure
+
+
+def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
+    """Relative errors against actual ratios, and their distribution."""
+    figure, axes = _grid(2, len(names))
+    for j, name in enumerate(names):
+        error = 100 * (predicted[:, j] / actual[:, j] - 1)
+        axes[0][j].plot(actual[:, j], error, ".", ms=4, alpha=0.4)
+        axes[0][j].set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="error [%]")
+        axes[1][j].hist(error, bins=80)
+        axes[1][j].set(xlabel="error [%]", ylabel="curves")
+        axes[0][j].grid(True, alpha=0.3)
+    return figure
+
+
+def convergence(objectives: Sequence[float]) -> Figure:
+    """Objective above its last value, for each iteration."""
+    figure, axes = _grid(1, 1)
+    excess = np.maximum(np.array(objectives[:-1]) - objectives[-1], 1e-300)
+    axes[0][0].semilogy(excess, "o-")
+    axes[0][0].xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes[0][0].set(xlabel="IRWLS iteration", ylabel="objective above its last value")
+    axes[0][0].grid(True, which="both", alpha=0.3)
+    return figure
+
+
+def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw published and measured MAPE of each model and output, with the Cramer-Rao bound."""
+    shown = [r for r in records if r["metric"] == "mape_percent"]
+    outputs = list(dict.fromkeys(r["output"] for r in shown))
+    models = [name for name in MODEL_TITLES if any(r["model"] == name for r in shown)]
+    figure, axes = _grid(1, len(outputs), size=(3.2, 3.4), sharey=True)
+    for axis, output in zip(axes[0], outputs, strict=True):
+        by_model = {r["model"]: r for r in shown if r["output"] == output}
+        for x, model in enumerate(models):
+            record = by_model.get(model)
+            if record is None:
+                continue
+            for shift, key, colour in (
+                (-0.2, "published", PAPER_COLOUR),
+                (0.2, "measured", OUR_COLOUR),
+            ):
+                if record[key] is not None:
+                    bar = axis.bar(x + shift, record[key], 0.4, color=colour)
+                    axis.bar_label(bar, [f"{record[key]:.2g}"], fontsize=7)
+        bound = next(iter(by_model.values()))["bound"]
+        axis.axhline(bound, color=BOUND_COLOUR, ls="--", lw=1)
+        axis.set(title=SYMBOLS[output], yscale="log")
+        axis.margins(y=0.15)
+        axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
+    axes[0][0].set_ylabel("MAPE [%]")
+    handles: list[Any] = [
+        axes[0][0].bar(0, 0, color=PAPER_COLOUR),
+        axes[0][0].bar(0, 0, color=OUR_COLOUR),
+        axes[0][0].plot([], [], color=BOUND_COLOUR, ls="--")[0],
+    ]
+    figure.suptitle(table6_caption(records), fontsize="small")
+    labels = ["paper's Table VI", "measured", "Cramer-Rao bound"]
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
+    """MAPE against sensor precision (Fig. 11), with the Cramer-Rao bound."""
+    outputs = list(dict.fromkeys(name for run in runs for name in run["scores"]))
+    figure, axes = _grid(1, len(outputs), size=(3.2, 3.4))
+    for axis, output in zip(axes[0], outputs, strict=True):
+        for model in dict.fromkeys(run["model"] for run in runs):
+            chosen = [r for r in runs if r["model"] == model and output in r["scores"]]
+            chosen.sort(key=lambda run: run["snr_db"])
+            precision = [100 * 10 ** (-run["snr_db"] / 20) for run in chosen]
+            mape = [run["scores"][output]["mape_percent"] for run in chosen]
+            bound = [run["bound"][output]["mape_percent"] for run in chosen]
+            axis.loglog(precision, mape, "o-", label=MODEL_TITLES[model])
+        axis.loglog(precision, bound, "--", color=BOUND_COLOUR, label="Cramer-Rao bound")
+        axis.set(title=SYMBOLS[output], xlabel="sensor precision [%]", ylabel="MAPE [%]")
+        axis.set_xticks(PRECISION_TICKS, [f"{tick:g}" for tick in PRECISION_TICKS])
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.grid(True, which="both", alpha=0.3)
+    axes[0][0].legend()
+    return figure
+
+
+def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -> Figure:
+    """Cross-validated RMSE against each hyperparameter; the line joins the best of each value."""
+    names = list(settings[0])
+    figure, axes = _grid(1, len(names), sharey=True)
+    for axis, name in zip(axes[0], names, strict=True):
+        values = np.array([setting[name] for setting in settings])
+        axis.loglog(values, rmse, ".", color="0.6")
+        levels = np.unique(values)
+        axis.loglog(levels, [np.min(np.array(rmse)[values == v]) for v in levels], "o-")
+        axis.set_xlabel(name)
+        axis.grid(True, which="both", alpha=0.3)
+    axes[0][0].set_ylabel("cross-validated RMSE")
+    return figure
+
+
+def _grid(
+    n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
+) -> tuple[Figure, list[list[Axes]]]:
+    """Return a figure with a grid of axes."""
+    figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
+    axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
+    return figure, [list(row) for row in axes]

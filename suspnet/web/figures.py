@@ -1,0 +1,287 @@
+"""Figures of a suspension as plotly takes them: the trend along the mileage, and its responses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import escape
+from numpy.typing import ArrayLike
+
+from suspnet.ground.parameters import NAMES
+from suspnet.ground.wording import unbroken
+from suspnet.report import trend as shown
+from suspnet.report.responses import PARTS, Response
+from suspnet.report.trend import LIMIT_COLOURS, Panel, Points, Trend
+
+HEALTHY, BETWEEN = "#8a8f98", "#9cc3e6"
+MARGINS = {"l": 62, "r": 12, "t": 50, "b": 48}
+"""Margins of a figure, [pixel]."""
+PLAIN: dict[str, Any] = {
+    "margin": MARGINS,
+    "showlegend": False,
+    "hovermode": "closest",
+    "separators": ".\N{NO-BREAK SPACE}",
+    "font": {"family": "system-ui, sans-serif", "size": 13},
+    "dragmode": "zoom",
+}
+"""Layout of every figure; plots.js gives it the colours of the page."""
+PANEL_PX, RESPONSES_PX = 190, 520
+"""Height of the panel of one parameter, and of the figure of responses."""
+GAP = 0.07
+"""Share of the figure between two parameters, for the heading of the lower one."""
+TICKS = [one * ten for ten in (0.001, 0.01, 0.1, 1, 10, 100) for one in (1, 2, 5)]
+"""Marks of the axes of amplification, [-]."""
+EDGE_MARK = {"size": 9, "line": {"width": 1, "color": "white"}}
+
+
+def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
+    """Return a suspension along its mileage, ready for JSON.
+
+    Parameters
+    ----------
+    trend : Trend
+    name : str
+        Of the suspension: a figure of the same name keeps its zoom.
+    """
+    n = len(trend.panels)
+    height = (1 - GAP * (n - 1)) / n
+    layout: dict[str, Any] = {
+        **PLAIN,
+        "height": PANEL_PX * n + MARGINS["t"] + MARGINS["b"],
+        "uirevision": name,
+        "xaxis": {
+            "title": {"text": "mileage [km]"},
+            "anchor": f"y{n}" if n > 1 else "y",
+            "separatethousands": True,
+            "range": [km for _, *ends in shown.ranges(trend)[:1] for km in ends] or None,
+            "exponentformat": "none",
+        },
+        "shapes": [],
+        "annotations": [],
+    }
+    data: list[dict[str, Any]] = []
+    for row, panel in enumerate(trend.panels):
+        axis = f"y{row + 1}" if row else "y"
+        data += [one | {"yaxis": axis, "xaxis": "x"} for one in _traces(panel)]
+        top = 1 - row * (height + GAP)
+        layout[axis.replace("y", "yaxis")] = {
+            "domain": [max(top - height, 0.0), top],
+            "range": list(panel.axis),
+            "ticksuffix": " %",
+            "nticks": 6,
+        }
+        heading = f"{_symbol(panel.name)}, {NAMES[panel.name]}"
+        layout["annotations"].append(_axis_title(heading, axis))
+        layout["shapes"] += _levels(panel, axis)
+    for km, words in (*trend.events, *((km, trend.again) for km in trend.again_km)):
+        layout["shapes"].append(_line(x0=km, x1=km, y0=0, y1=1, yref="paper", dash="dot"))
+        note = {"x": km, "xref": "x", "y": 1, "yref": "paper", "text": html(words)}
+        style = {"textangle": -90, "showarrow": False, "font": {"size": 11}}
+        layout["annotations"].append(note | style | {"xanchor": "right", "yanchor": "top"})
+    return {"data": data, "layout": layout}
+
+
+def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
+    """Return the amplification along the frequency, a line for each trip, ready for JSON.
+
+    Parameters
+    ----------
+    responses : sequence of Response
+        By mileage, at least one: the first is dashed, the newest stands out.
+    name : str
+        Of the suspension: a figure of the same name keeps its zoom.
+    """
+    data = []
+    for part, axis in enumerate(("y", "y2")):
+        for place, one in enumerate(responses):
+            is_last, is_first = place == len(responses) - 1, place == 0
+            colour = shown.TRIP_COLOUR if is_last else HEALTHY if is_first else BETWEEN
+            dash = "dash" if is_first and not is_last else "solid"
+            data.append(
+                {
+                    "type": "scatter",
+                    "mode": "lines",
+                    "name": html(unbroken(str(one))),
+                    "legendgroup": str(place),
+                    "showlegend": part == 0,
+                    "x": finite(one.frequencies_hz),
+                    "y": finite(one.magnitudes[part]),
+                    "yaxis": axis,
+                    "hovertemplate": "%{y:.3g} at %{x:.2f} Hz",
+                    "line": {"color": colour, "width": 2.2 if is_last else 1.5, "dash": dash},
+                }
+            )
+    axis_of = {"type": "log", "tickvals": TICKS, "ticktext": [f"{one:g}" for one in TICKS]}
+    return {
+        "data": data,
+        "layout": {
+            **PLAIN,
+            "margin": MARGINS | {"t": 90},
+            "height": RESPONSES_PX,
+            "uirevision": name,
+            "showlegend": True,
+            "legend": {"orientation": "h", "x": 0, "y": 1.06, "yanchor": "bottom"},
+            "xaxis": {"title": {"text": "frequency [Hz]"}, "anchor": "y2"},
+            "yaxis": axis_of | {"domain": [0.55, 1]},
+            "yaxis2": axis_of | {"domain": [0, 0.45]},
+            "annotations": [_axis_title(*pair) for pair in zip(PARTS, ("y", "y2"), strict=True)],
+        },
+    }
+
+
+def finite(values: ArrayLike) -> list[float | None]:
+    """Return numbers with six digits as JSON holds them; None where there is none."""
+    found = np.asarray(values, dtype=float)
+    return [float(f"{one:.6g}") if np.isfinite(one) else None for one in found.tolist()]
+
+
+def html(text: str) -> str:
+    """Return a text of a user's as plotly shows it: without a meaning of its signs."""
+    return str(escape(text)).replace("%{", "%\N{ZERO WIDTH SPACE}{")
+
+
+def _traces(panel: Panel) -> list[dict[str, Any]]:
+    """Return what is drawn of one parameter; nothing is a trace without points."""
+    points, (low, high) = panel.points, panel.axis
+    clear = points.chosen(~points.flagged)
+    bars = {
+        "type": "data",
+        "symmetric": False,
+        "array": finite(clear.intervals[:, 1] - clear.values),
+        "arrayminus": finite(clear.values - clear.intervals[:, 0]),
+    }
+    traces = [
+        {
+            "mode": "lines",
+            "name": shown.MEDIAN,
+            "x": finite(points.km if len(points.km) > 2 else []),
+            "y": finite(shown.running_median(points.values)),
+            "hoverinfo": "skip",
+            "opacity": 0.5,
+            "line": {"color": shown.TRIP_COLOUR, "width": 1.5},
+        },
+        _trips(clear, panel.axis)
+        | {"error_y": bars | {"thickness": 1, "width": 0, "color": shown.TRIP_COLOUR}},
+        _trips(points.chosen(points.flagged), panel.axis),
+        _at_edge(
+            panel.missing_km,
+            low,
+            [shown.MISSING] * len(panel.missing_km),
+            {"symbol": "line-ns", "size": 10, "line": {"width": 2, "color": shown.MISSING_COLOUR}},
+        ),
+        _at_edge(
+            [one.begin_km for one in panel.alarms],
+            high,
+            [shown.alarm_label(one) for one in panel.alarms],
+            {
+                "symbol": "triangle-down",
+                "size": 10,
+                "color": [LIMIT_COLOURS[str(one.severity)] for one in panel.alarms],
+            },
+        ),
+        *_passing(panel),
+    ]
+    return [{"type": "scatter"} | one for one in traces if one["x"]]
+
+
+def _trips(points: Points, span: tuple[float, float]) -> dict[str, Any]:
+    """Return the trace of clear or flagged trips; one beyond the axis is a triangle at its edge."""
+    inside = np.clip(points.values, *span)
+    is_flagged = bool(points.flagged.any())
+    circle = "circle-open" if is_flagged else "circle"
+    marks = {-1.0: "triangle-down", 0.0: circle, 1.0: "triangle-up"}
+    what = "flagged: " if is_flagged else ""
+    return {
+        "mode": "markers",
+        "name": shown.FLAGGED if is_flagged else shown.TRIP,
+        "x": finite(points.km),
+        "y": finite(inside),
+        "text": [
+            f"{html(trip)}: {what}{shown.percent_words(value, '.4g')}"
+            for trip, value in zip(points.trips, points.values, strict=True)
+        ],
+        "hovertemplate": "%{text}, at %{x:,.0f} km<extra></extra>",
+        "marker": {
+            "color": shown.FLAGGED_COLOUR if is_flagged else shown.TRIP_COLOUR,
+            "size": 6,
+            "symbol": [marks[one] for one in np.sign(points.values - inside).tolist()],
+        },
+    }
+
+
+def _at_edge(
+    km: ArrayLike, edge: float, words: list[str], marker: dict[str, Any]
+) -> dict[str, Any]:
+    """Return marks at an edge of a panel."""
+    return {
+        "mode": "markers",
+        "name": words[0] if words else "",
+        "x": finite(km),
+        "y": [edge] * len(words),
+        "text": words,
+        "hovertemplate": "%{text}, at %{x:,.0f} km<extra></extra>",
+        "cliponaxis": False,
+        "marker": marker,
+    }
+
+
+def _passing(panel: Panel) -> list[dict[str, Any]]:
+    """Return where the act limit will be passed: the interval as a bar, the median as a diamond."""
+    passing, act = panel.passing, panel.act
+    if passing is None or act is None:
+        return []
+    red = LIMIT_COLOURS["act"]
+    low, median, high = passing.low_km, passing.median_km, passing.high_km
+    common = {"name": shown.PASSING, "hoverinfo": "text", "text": str(passing)}
+    return [
+        common
+        | {
+            "mode": "lines",
+            "x": [low, high if np.isfinite(high) else low + 1e6],
+            "y": [act, act],
+            "line": {"width": 7, "color": red},
+            "opacity": 0.45,
+        },
+        common
+        | {
+            "mode": "markers",
+            "x": [median] if np.isfinite(median) else [],
+            "y": [act],
+            "marker": {"size": 12, "symbol": "diamond", "color": red},
+        },
+    ]
+
+
+def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
+    """Return the lines of health and of the limits."""
+    place: dict[str, Any] = {"x0": 0, "x1": 1, "xref": "paper", "yref": axis}
+    found = [_line(y0=100, y1=100, **place, dash="solid")]
+    for kind, value in panel.limits:
+        colour, dash = LIMIT_COLOURS[kind], "dash" if kind == "notice" else "solid"
+        label = {
+            "text": f"{kind} {value:g} %",
+            "textposition": "start",
+            "font": {"size": 11, "color": colour},
+        }
+        line = _line(y0=value, y1=value, **place, colour=colour, dash=dash)
+        found.append(line | {"label": label})
+    return found
+
+
+def _line(*, colour: str = HEALTHY, dash: str, **place: Any) -> dict[str, Any]:
+    """Return a straight line behind the trips."""
+    line = {"color": colour, "width": 1.2, "dash": dash}
+    return {"type": "line", "layer": "between", "line": line, "xref": "x", "yref": "y"} | place
+
+
+def _symbol(name: str) -> str:
+    letter, _, index = name.partition("_")
+    return f"<i>{letter}</i><sub>{index}</sub>"
+
+
+def _axis_title(text: str, axis: str) -> dict[str, Any]:
+    """Return a heading above an axis, which takes no width as a title beside it would."""
+    place = {"x": 0, "xref": "paper", "xanchor": "left", "y": 1, "yref": f"{axis} domain"}
+    return {"text": text, **place, "yanchor": "bottom", "showarrow": False, "font": {"size": 13}}

@@ -1,0 +1,220 @@
+"""What the templates of the pages take: trains with their cars, alarms, one suspension."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import NAMES, PARAMETERS
+from suspnet.ground.records import TripResult
+from suspnet.history.curves import TripResponses
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
+from suspnet.maintenance.fleet_plan import suspension_of, train_of
+from suspnet.maintenance.schedule import joined
+from suspnet.maintenance.state import State
+from suspnet.report.overview import FleetView
+from suspnet.report.responses import response, response_table
+from suspnet.report.trend import ranges, trend_of_state
+from suspnet.report.trip_table import files_read_as, trip_table
+
+SHORT = {"leading": "lead.", "trailing": "trail."}
+"""Short words of a place, for a tile."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which suspensions are shown; empty texts choose all.
+
+    Attributes
+    ----------
+    train, severity : str
+    """
+
+    train: str = ""
+    severity: str = ""
+
+    def holds(self, state: State) -> bool:
+        """Return whether a suspension is chosen."""
+        is_there = not self.train or state.series.place.train == self.train
+        return is_there and (not self.severity or str(state.severity) == self.severity)
+
+    @property
+    def arguments(self) -> dict[str, str]:
+        """The choice as arguments of an address."""
+        given = {"train": self.train, "severity": self.severity}
+        return {name: value for name, value in given.items() if value}
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One suspension on the page: its name in addresses, severity, short words and reason."""
+
+    name: str
+    severity: str
+    words: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Train:
+    """A train with the tiles of each of its cars."""
+
+    name: str
+    cars: dict[str, list[Tile]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Raised:
+    """An active alarm, its suspension, and who acknowledged it."""
+
+    name: str
+    state: State
+    alarm: Alarm
+    seen: Acknowledgement | None
+
+
+def names_of(view: FleetView) -> list[str]:
+    """Return the name in addresses of each suspension, in the order of the states."""
+    names = [""] * len(view.states)
+    for name, place in view.keys.items():
+        names[place] = name
+    return names
+
+
+def trains_of_view(view: FleetView, choice: Choice) -> list[Train]:
+    """Return the trains with the chosen suspensions, by name; numbers in names count as such."""
+    of_fleet = {state.series.place.suspension for state in view.states}
+    found: dict[str, Train] = {}
+    several = zip(names_of(view), view.states, view.rows, strict=True)
+    for name, state, row in sorted(several, key=lambda one: _place_order(one[1])):
+        if choice.holds(state):
+            place = state.series.place
+            train = found.setdefault(place.train, Train(place.train))
+            train.cars.setdefault(place.car, []).append(_tile(name, state, row, len(of_fleet) > 1))
+    return list(found.values())
+
+
+def train_names(view: FleetView) -> list[str]:
+    """Return the trains of the fleet that have a name."""
+    return sorted({s.series.place.train for s in view.states} - {""}, key=natural)
+
+
+def counts(view: FleetView, train: str) -> dict[str, int]:
+    """Return how many suspensions of a train, or of all, are of each severity, worst first."""
+    chosen = Choice(train)
+    severities = [state.severity for state in view.states if chosen.holds(state)]
+    return {str(one): severities.count(one) for one in sorted(Severity, reverse=True)}
+
+
+def raised(view: FleetView, choice: Choice) -> list[Raised]:
+    """Return the active alarms, the worst first, those not yet acknowledged before others."""
+    found = [
+        Raised(name, state, alarm, newest_of(alarm, view.acknowledged.get(state.key, ())))
+        for name, state in zip(names_of(view), view.states, strict=True)
+        if choice.holds(state)
+        for alarm in state.alarms
+    ]
+    return sorted(found, key=lambda one: (-one.alarm.severity, one.seen is not None))
+
+
+def rows_of(view: FleetView, places: Sequence[int], address: Any) -> list[dict[str, Any]]:
+    """Return rows of the overview with the address of each suspension's page."""
+    names = names_of(view)
+    return [view.rows[i] | {"address": address(names[i])} for i in places]
+
+
+def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any]]:
+    """Return the jobs of the plan that are of chosen suspensions, with their addresses."""
+    if view.plan is None:
+        return []
+    known = {
+        (train_of(state), state.series.place.car, suspension_of(state)): name
+        for name, state in zip(names_of(view), view.states, strict=True)
+        if choice.holds(state)
+    }
+    jobs = [
+        (known.get((job["train"], job["car"], job["suspension"])), job)
+        for job in joined(view.plan.rows())
+    ]
+    return [job | {"address": address(name)} for name, job in jobs if name]
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """Return a key of sorting that puts car 2 before car 10."""
+    parts = re.split(r"(\d+)", text)
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+
+
+def _place_order(state: State) -> tuple[Any, ...]:
+    """Return the place of a suspension on the page: by train, car, bogie and side."""
+    place = state.series.place
+    parts = (place.train, place.car, place.suspension, place.bogie, place.side)
+    return (*map(natural, parts), state.series.vehicle)
+
+
+def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -> Tile:
+    """Return the tile of a suspension."""
+    place = state.series.place
+    parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
+    words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
+    why = f"{row['parameter']} {row['reason']}".strip()
+    return Tile(name, str(state.severity), words or state.series.vehicle, why)
+
+
+N_TRIPS = 20
+"""Number of the newest trips in the table."""
+LEVEL = 0.9
+"""Probability of the intervals of trips, as evaluate.py and the monitor have it by default."""
+
+
+def suspension_values(
+    view: FleetView,
+    place: int,
+    results: Sequence[TripResult],
+    stored: Sequence[TripResponses],
+    seen: Sequence[Acknowledgement],
+) -> dict[str, Any]:
+    """Return what the template of a suspension takes.
+
+    Parameters
+    ----------
+    view : FleetView
+    place : int
+        Of the suspension in the view.
+    results : sequence of TripResult
+        By mileage; empty if the store cannot be read.
+    stored : sequence of TripResponses
+        By mileage.
+    seen : sequence of Acknowledgement
+    """
+    state = view.states[place]
+    over = [one for one in state.watched.alarms if not one.is_open]
+    newest = list(reversed(results[-N_TRIPS:]))
+    responses = [response(one.trip, one.mileage_km, one) for one in stored]
+    return {
+        "state": state,
+        "row": view.rows[place],
+        "limits": state.limits,
+        "names": NAMES,
+        "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
+        "over": [(one, newest_of(one, seen)) for one in reversed(over)],
+        "ranges": ranges(trend_of_state(state)),
+        "trips": trip_table(newest, PARAMETERS, LEVEL),
+        "read_as": files_read_as(newest),
+        "n_trips": len(state.series.trip),
+        "first_km": _end(state.series.mileage_km, np.min),
+        "newest_km": _end(state.series.mileage_km, np.max),
+        "responses": responses,
+        "gains": response_table(responses[0], responses[-1]) if responses else [],
+    }
+
+
+def _end(mileage_km: Any, of: Any) -> float:
+    """Return the least or largest of the mileages that are known, [km]; NaN if none is."""
+    known = mileage_km[np.isfinite(mileage_km)]
+    return float(of(known)) if len(known) else np.nan
