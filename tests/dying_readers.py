@@ -14,8 +14,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Column, OpenFile
+from suspnet.recordings.manifest_keys import TripError
 
 N_BLOCKS, N_SAMPLES = 3, 4
 

@@ -7,9 +7,9 @@ import signal
 from suspnet.trips.trip import evaluate_trip
 
 
-def mortal(path, *arguments, **options):
+def mortal(file, *arguments, **options):
     """Do as `evaluate_trip` does, but die of some trips."""
-    if path.stem == "deadly":
+    if file.path.stem == "deadly":
         assert multiprocessing.parent_process() is not None
         os.kill(os.getpid(), signal.SIGKILL)
-    return evaluate_trip(path, *arguments, **options)
+    return evaluate_trip(file, *arguments, **options)

@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from suspnet.ground.storage import write_atomically
-from suspnet.recordings import read_manifest
 from suspnet.recordings.frames import Frame, encode
 from suspnet.recordings.manifest import SpeedSource
+from suspnet.recordings.manifest_files import read_manifest
 
 
 def columns_of(manifest):

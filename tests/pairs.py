@@ -20,7 +20,7 @@ def mark_beyond_pairs(items):
         together = 1 if cases[0].get_closest_marker("every_value") else 2
         if len(rows[0]) <= together:
             continue
-        kept = set(_covering(rows, together))
+        kept = set(covering(rows, together))
         for number, item in enumerate(cases):
             if number not in kept:
                 item.add_marker(pytest.mark.slow)
@@ -41,7 +41,7 @@ def _rows(cases):
     return list(zip(*(c for c in columns if len(set(c)) > 1), strict=True)) or [()] * len(cases)
 
 
-def _covering(rows, together):
+def covering(rows, together):
     """Yield rows that together hold all pairs, or values: next the one with most of the rest."""
     held = [set(itertools.combinations(enumerate(row), together)) for row in rows]
     left = set().union(*held)

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.recordings import reader_process as apart
+from suspnet.recordings import reader_process
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 
 def cpu_s() -> float:
     """Return the processor time of this process and of all readers so far [s]."""
-    own, server = resource.getrusage(resource.RUSAGE_SELF), apart._servers.get(os.getpid())
+    own, server = resource.getrusage(resource.RUSAGE_SELF), reader_process._servers.get(os.getpid())
     found = own.ru_utime + own.ru_stime
     if server is not None:
         stat = Path(f"/proc/{server._child.pid}/stat").read_text().rpartition(")")[2].split()
@@ -47,7 +47,7 @@ def read_all(path: Path, secret: float = np.nan) -> dict:
 def main() -> None:
     """Read the files that are named, and print the results and the largest memory [bytes]."""
     found = {name: read_all(Path(name), float(sys.argv[1])) for name in sys.argv[2:]}
-    apart.end_all()
+    reader_process.end_all()
     own = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024
     readers = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     print(json.dumps({"found": found, "own": own, "readers": readers}))

@@ -5,9 +5,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from suspnet.live.journal import dump_state, load_state
-from suspnet.recordings import load_recording
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
+from suspnet.recordings.recording import load_recording
 
 ZERO_NS = 1_700_000_000_000_000_000
 RATES_HZ = {"axle_box": 400.0, "bogie": 250.0, "body": 250.0, "speed": 4.0}
@@ -93,7 +93,13 @@ def manifest_in(folder, rates_hz=RATES_HZ):
     channels["body"] = Channel(unit="m/s2", range=50.0, **sources["body"])
     speed = SpeedSource(unit="m/s", **sources["speed"]) if "speed" in sources else 70.0
     return TripManifest(
-        folder / "trip.yaml", "trip", "train", "front left", 1.0, None, speed, channels
+        path=folder / "trip.yaml",
+        name="trip",
+        vehicle="train",
+        suspension="front left",
+        mileage_km=1.0,
+        speed=speed,
+        channels=channels,
     )
 
 

@@ -14,10 +14,10 @@ from suspnet.ground import ledger, progress
 from suspnet.ground.checks import check_number
 from suspnet.ground.storage import new_folder
 from suspnet.ground.workers import LostWorkerError, each
+from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.check_page import summary, with_shared_data, write_checks
 from suspnet.report.check_records import PROBLEM, TripCheck
-from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.checked_manifests import Opened, find_trips
+from suspnet.trips.check import CheckSettings, Opened, check_trip
 
 
 def check(arguments: Namespace) -> int:

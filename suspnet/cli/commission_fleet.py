@@ -21,13 +21,14 @@ from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
+from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.sweeps import run_errors
 from suspnet.trips.grouping import Group, find_groups
 
 log = logging.getLogger(__name__)
 LOG = "train.log"
 """Name of the log in the folder of each run."""
-TrainOne = Callable[[DictConfig, Path, Sequence[Path]], None]
+TrainOne = Callable[[DictConfig, Path, Sequence[ManifestFile]], None]
 """Commissions a configuration's vehicle on some manifests, trains it and fills a folder."""
 
 

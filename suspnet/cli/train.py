@@ -22,6 +22,7 @@ from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
 from suspnet.ground.checks import check_number
 from suspnet.learning import ranks
+from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.commissioning_page import training_notes, write_outcome
 from suspnet.runs.commissioning import check_generator, commission_folder
 from suspnet.runs.scores import Metrics
@@ -69,7 +70,7 @@ def compose(config: DictConfig) -> None:
 def _run(
     config: DictConfig,
     folder: Path,
-    paths: Sequence[Path] | None = None,
+    paths: Sequence[ManifestFile] | None = None,
     varied: Mapping[str, Any] | None = None,
     draw: bool = True,
 ) -> None:
@@ -79,7 +80,7 @@ def _run(
     ----------
     config : DictConfig
     folder : Path
-    paths : sequence of Path, optional
+    paths : sequence of ManifestFile, optional
         Manifests of healthy trips in the folder that is named; None is all.
     varied : mapping, optional
         What a multirun varies.
@@ -160,7 +161,7 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 
 
 def _commissioned(
-    config: DictConfig, folder: Path, paths: Sequence[Path] | None
+    config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
 ) -> _Healthy | None:
     """Return the vehicle that healthy trips show, where a folder of them is named."""
     if config.healthy is None:

@@ -150,9 +150,11 @@ def _bogie(
         secondary_element(p, which, parts).at(omega),
     )
     inertia = p["bogie_mass"] * omega**2
+    # Bounce: driven by the mean of both wheelsets, and by the body above.
     below = kappa_p + kappa_s - inertia
     link = kappa_s / below
     free = 0.5 * (wheels[0] + wheels[1]) * kappa_p / below
+    # Pitch: driven by their difference, and by the body only through the longitudinal links.
     upright = kappa_p - inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
     if "guidance" in parts:
         upright = upright + guidance_element(p).at(omega)

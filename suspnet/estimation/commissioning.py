@@ -43,10 +43,10 @@ from suspnet.spectra.estimates import EstimateSettings
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
 """Rms errors of the model allowed for in addition to the noise, one search after the other."""
 FEW, MANY = 12, 100
-"""Evaluations of each of these searches, and of the last one, which may follow a curved valley:
-a damper and its bushing can stand in for each other."""
+"""Evaluations of a search with allowed errors, and of the last search, which may follow a curved
+valley: a damper and its bushing can stand in for each other."""
 ROUGH_TOL, TOL = 1e-3, 1e-6
-"""Relative change of the sum of squares at which they end."""
+"""Relative change of the sum of squares that ends a search with allowed errors, and the last."""
 BAND_RATIOS = (math.inf, 2.0, math.sqrt(2.0))
 """Ratio of the upper ends of neighbouring bands, for each search from the median of the prior;
 infinity is the whole band at once. One ratio may lead past a valley that another leads into."""
@@ -75,8 +75,8 @@ curve determines the frequency any more."""
 N_DRAWS, SEED = 200, 12
 """Number of draws of each of ``REDRAWN``, and their seed."""
 FAR = 2.0
-"""Of the draws in which a number lies further than this many deviations of the prior from where it
-was, the best is searched from; the best of all would lie in the valley that is to be left."""
+"""Least distance of a redrawn number from its former value, in deviations of the prior. The best of
+these draws starts the next search: the best of all would lie in the valley that is to be left."""
 MAX_ROUNDS, LEAST_GAIN = 4, 0.02
 """Most rounds of redrawing, and the share of the cost that a round must save to be followed by
 another one."""

@@ -242,7 +242,6 @@ def cells(one: Number) -> dict[str, Any]:
 
 
 def _unit(one: Number) -> tuple[float, str]:
-    """Return the scale and the unit, with a prefix, in which a number is written."""
     unit = one.quantity.unit
     if unit.startswith("N"):
         for scale, prefix in PREFIXES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,20 +13,25 @@ from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
-from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
-from suspnet.estimation.speed_bin import SpeedBin, combined
-from suspnet.estimation.speed_groups import (
+from suspnet.estimation.steady_parts import (
+    GroupSpectra,
+    SpeedBin,
+    combined,
+    group_spectra,
     group_speed,
     groups_of,
     groups_to_read,
     no_group_words,
     readable_words,
     reads_at_any_speed,
+    speed_of,
 )
 from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.ground.settings import check_settings, setting
-from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     NoEstimateError,
@@ -154,9 +160,11 @@ def speed_bins(
             raise NoEstimateError(_too_short(recording, segments, settings))
         raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
     bins, reasons = [], []
-    for group in groups_of(method, together, speeds, groups):
+    trained = trip_settings(method)
+    own = groups_of(method, together, speeds, groups)
+    for part in steady(segments, speeds, own, trained, settings):
         try:
-            bins.append(_speed_bin(method, recording, group, together, speeds, segments, settings))
+            bins.append(_speed_bin(method, recording, part, together, speeds, segments, settings))
         except NoEstimateError as reason:
             reasons.append(reason)
     if reasons and not bins:
@@ -164,20 +172,83 @@ def speed_bins(
     return bins
 
 
+@dataclass(frozen=True)
+class Steady:
+    """Segments of a recording at one speed, and whether an estimate can be made of them.
+
+    Checking, commissioning, reading and monitoring all decide it here.
+
+    Attributes
+    ----------
+    band : SegmentSpectra
+        All segments, on the bins of an estimate.
+    group : bool tensor of shape (n_segments,)
+    found : GroupSpectra
+        What can be used of it.
+    speed : pair of float, [m/s]
+        Mean and deviation over the chosen segments; NaN if there are none.
+    has_enough : bool
+        It has the averages that an estimate needs.
+    is_certain : bool
+        Its responses are as certain as an estimate needs.
+    """
+
+    band: SegmentSpectra
+    group: Tensor
+    found: GroupSpectra
+    speed: tuple[float, float]
+    has_enough: bool
+    is_certain: bool
+
+
+def steady(
+    segments: SegmentSpectra,
+    speeds: Tensor,
+    groups: Sequence[Tensor],
+    estimate: EstimateSettings,
+    settings: TripSettings,
+) -> list[Steady]:
+    """Return each group of segments with what can be made of it.
+
+    Parameters
+    ----------
+    segments : SegmentSpectra
+    speeds : tensor of shape (n_segments, n_samples), [m/s]
+    groups : sequence of bool tensors of shape (n_segments,)
+        From `groups_to_read`.
+    estimate : EstimateSettings
+        Bound to a vehicle.
+    settings : TripSettings
+
+    Raises
+    ------
+    NoEstimateError
+        If the recording does not reach as far as the bins of `estimate`.
+    """
+    parts: list[Steady] = []
+    if not groups:
+        return parts
+    band = in_band(segments, estimate.frequencies_hz())
+    for group in groups:
+        found = group_spectra(band, group, settings.min_coherence, estimate)
+        is_any = found.spectra is not None
+        speed = speed_of(speeds[found.chosen], band) if is_any else (math.nan, math.nan)
+        has_enough = is_any and found.n_averages >= settings.min_averages
+        is_certain = found.deviation <= settings.max_deviation
+        parts.append(Steady(band, group, found, speed, has_enough, is_certain))
+    return parts
+
+
 def _speed_bin(
     method: FittedMethod,
     recording: Recording,
-    group: Tensor,
+    part: Steady,
     models: Sequence[FittedMethod],
     speeds: Tensor,
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> SpeedBin:
-    """Return a method's estimate from a group of segments."""
-    trained = trip_settings(method)
-    band = in_band(segments, trained.frequencies_hz())
-    found = group_spectra(band, group, settings.min_coherence, trained)
-    chosen, doubts = found.chosen, ""
+    found, chosen, doubts = part.found, part.found.chosen, ""
     n_candidates = int(found.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
         looked_at = chosen if found.spectra is not None else found.candidates
@@ -185,16 +256,15 @@ def _speed_bin(
             differences = difference_segments(recording, segments.welch)
             check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
         doubts = _checked(segments, looked_at, method)
-    if found.spectra is None or found.n_averages < settings.min_averages:
-        raise NoEstimateError(_too_few(found, group, models, recording, speeds, segments, settings))
-    if found.deviation > settings.max_deviation:
+    if found.spectra is None or not part.has_enough:
+        raise NoEstimateError(_too_few(part, models, recording, speeds, segments, settings))
+    if not part.is_certain:
         raise NoEstimateError(
             f"the responses are uncertain by {100 * found.deviation:.2g} % (coherence "
             f"{min(found.coherences):.2f}, {found.n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
-    mean, deviation = speed_of(speeds[chosen], segments)
-    at = Speeds.of(mean, deviation)
+    at = Speeds.of(*part.speed)
     try:
         estimate, noise_share = estimate_with_noise(method, found.spectra, settings.level, at)
     except MissingFeaturesError as error:
@@ -202,19 +272,19 @@ def _speed_bin(
     late = delay_words(method, found.spectra, estimate, at)
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
-    return SpeedBin(method, found.spectra, band, chosen, mean, estimate, noise_share, doubts)
+    speed = part.speed[0]
+    return SpeedBin(method, found.spectra, part.band, chosen, speed, estimate, noise_share, doubts)
 
 
 def _too_few(
-    found: GroupSpectra,
-    group: Tensor,
+    part: Steady,
     models: Sequence[FittedMethod],
     recording: Recording,
     speeds: Tensor,
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> str:
-    """Return that a group of segments has too few averages, and what else the trip holds."""
+    found, group = part.found, part.group
     if segments.welch.n_averages(len(group)) < settings.min_averages:
         return _too_short(recording, segments, settings)
     where = f"steady at {group_speed(speeds, group):.1f} m/s"
@@ -229,7 +299,6 @@ def _too_few(
 
 
 def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
-    """Return that all of a recording, or what is free of faults, is too short."""
     n_segments, faults = len(segments.values), unrepaired_words(recording)
     return (
         f"{n_segments} segments without faults: {segments.welch.n_averages(n_segments):.1f} "
@@ -246,10 +315,10 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
     places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
     wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
     if wrong:
-        told = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
+        listed = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
         raise TripError(
-            "the trip has sensors left and right, the model was trained for one sensor beside the "
-            f"middle: {told}; give one sensor in the manifest, or train with "
+            "the trip has sensors left and right, the model was trained for one sensor off the "
+            f"middle: {listed}; give one sensor in the manifest, or train with "
             "generator.sensor_lateral_m=[0,0,0]"
         )
 

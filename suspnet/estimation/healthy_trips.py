@@ -6,20 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from suspnet.estimation.from_recording import TripSettings, unrepaired_words
-from suspnet.estimation.group_spectra import group_spectra, speed_of
-from suspnet.estimation.speed_groups import groups_to_read
+from suspnet.estimation.from_recording import TripSettings, steady, unrepaired_words
+from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.ground.progress import bar
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import find_manifests, read_manifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_files import ManifestFile, find_manifests
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import in_band, recording_segments, segment_speeds
+from suspnet.spectra.segments import recording_segments, segment_speeds
 from suspnet.spectra.speeds import Speeds
 
 LEAST_TRIPS = 3
-"""Fewer healthy trips tell too little of a vehicle."""
+"""Fewer healthy trips hold too little information on a vehicle."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def read_healthy(
     trips: TripSettings,
     *,
     bogie: str | None = None,
-    paths: Sequence[Path] | None = None,
+    paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
     progress: bool = False,
 ) -> HealthyTrips:
@@ -95,7 +95,7 @@ def read_healthy(
     trips : TripSettings
     bogie : {"leading", "trailing"}, optional
         The bogie that manifests must name which name one; None is any.
-    paths : sequence of Path, optional
+    paths : sequence of ManifestFile, optional
         Manifests of the folder that are read, where it holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.
@@ -110,10 +110,11 @@ def read_healthy(
         differ, if a recording is faulty, or if fewer than three trips have a stretch that can be
         used.
     """
-    manifests = [read_manifest(path) for path in paths or find_manifests(folder)]
+    manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     manifests = manifests[:n_first]
     _check_same(folder, manifests, vehicle, bogie)
+    # a trip without a usable stretch is left out, with the reason
     kept: list[TripManifest] = []
     groups: list[HealthySpectra] = []
     paired: set[tuple[bool, bool, bool]] = set()
@@ -128,6 +129,7 @@ def read_healthy(
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
         paired.add(recording.paired)
+    # what is left must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
         reasons = f" ({'; '.join(left_out)})" if left_out else ""
         raise TripError(
@@ -169,15 +171,14 @@ def _check_same(
 def _spectra(
     recording: Recording, trip: int, name: str, settings: EstimateSettings, trips: TripSettings
 ) -> list[HealthySpectra]:
-    """Return the spectra of each group of segments at one speed."""
     segments = recording_segments(recording, settings.welch)
     if not len(segments.values):
         return []
     speeds = segment_speeds(recording, segments)
-    band, found = in_band(segments, settings.frequencies_hz()), []
-    for group in groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s):
-        one = group_spectra(band, group, trips.min_coherence, settings)
-        if one.spectra is not None and one.n_averages >= trips.min_averages:
-            at = Speeds.of(*speed_of(speeds[one.chosen], segments))
-            found.append(HealthySpectra(trip, name, at, one.spectra))
-    return found
+    groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
+    # uncertain ones stay: the fit of the vehicle weighs each by its noise
+    return [
+        HealthySpectra(trip, name, Speeds.of(*part.speed), part.found.spectra)
+        for part in steady(segments, speeds, groups, settings, trips)
+        if part.found.spectra is not None and part.has_enough
+    ]

@@ -32,7 +32,6 @@ from suspnet.spectra.curves import CurveObserver, CurveSettings
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
 from suspnet.spectra.observation import Observer
 
-MASS = "M_s"
 SECOND_SET = "a second set of sensors"
 PAIR = "a pair of sensors at each place, left and right"
 ONE_SIDE = "one sensor at each place, 1 m off the middle"
@@ -105,8 +104,8 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
         unmeasured = replace(now, title="car-body mass not measured", kind="less")
-        return [*(option.knowing(MASS) for option in (now, *others)), unmeasured]
-    measured = replace(now.knowing(MASS), title="+ measured car-body mass", kind="more")
+        return [*(option.knowing("M_s") for option in (now, *others)), unmeasured]
+    measured = replace(now.knowing("M_s"), title="+ measured car-body mass", kind="more")
     return [now, *others, measured]
 
 

@@ -35,7 +35,7 @@ FIRST_DAMPING = 1e-6
 BEYOND = 5.0
 """Factor on the range of the training curves within which parameters stay."""
 N_LEVELS = 9
-"""Number of levels tried of a parameter without an estimate; the best is the start."""
+"""Number of levels tried for a parameter without an estimate; the search starts from the best."""
 SCATTER = 1.5
 """Factor on the range within which the scattered vehicles lie."""
 ROWS = 4
@@ -43,12 +43,12 @@ ROWS = 4
 FURTHEST = 6.0
 """Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
 TEMPERATURES = (100.0, 10.0)
-"""Factors on the noise of the searches before the last one, where numbers are widely uncertain."""
+"""Factors on the noise of the searches before the last one, where their effect exceeds ``WIDE``."""
 WIDE = 200.0
-"""Effect of uncertain numbers, in deviations of the noise, from which on one search alone may end
-far off; that of a commissioned vehicle is about 60."""
+"""Largest effect of uncertain numbers, in deviations of the noise, for one search alone: above it
+the search may end far off. The effect is about 60 for a commissioned vehicle."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
-"""Iterations and tolerance of these searches."""
+"""Iterations and tolerance of the searches before the last one."""
 LEAST_DECREASE = 0.01
 """Decrease of half the sum of squares at which a search with uncertain numbers ends: these make
 narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations."""

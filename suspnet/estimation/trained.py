@@ -15,7 +15,8 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_recording import TripSettings, estimate_recording
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.recordings import Recording, load_recording, read_manifest
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 
 SAME_BIN_HZ = 1e-6

@@ -25,7 +25,7 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_observer
 from suspnet.estimation.refine import complete_ratios
-from suspnet.estimation.speed_bin import SpeedBin, largest
+from suspnet.estimation.steady_parts import SpeedBin, largest
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import CHANNELS, SIDES
 from suspnet.recordings.recording import Recording

@@ -1,6 +1,6 @@
 """History of suspensions: one store of trips, estimates, alarms and maintenance events."""
 
-from suspnet.history.curves import TripResponses
+from suspnet.history.arrays import TripResponses
 from suspnet.history.database import HistoryError
 from suspnet.history.store import History
 from suspnet.maintenance.series import Event, Series

@@ -12,7 +12,7 @@ from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.records import Key, Place, TripResult
-from suspnet.history.curves import TripResponses, read_responses, write_curves
+from suspnet.history.arrays import TripResponses, read_responses, read_series, write_curves
 from suspnet.history.database import (
     WAIT_S,
     HistoryError,
@@ -26,7 +26,6 @@ from suspnet.history.database import (
     upsert,
 )
 from suspnet.history.schema import BadRow, log_once, row_of, trips, undated_key
-from suspnet.history.series import read_series
 from suspnet.history.suspensions import (
     Stored,
     add_suspensions,

@@ -298,6 +298,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     def _optimize(self, samples: Tensor, centred: Tensor) -> None:
         """Set the three hyperparameters to the best of several maximisations of the likelihood."""
         random = check_random_state(self.random_state)
+        # An evaluation costs the cube of the samples: a random part of them is enough.
         chosen = random.permutation(len(samples))[: self.n_optimize]
         samples, centred = samples[chosen], centred[chosen]
         squared = squared_distances(samples, samples)
@@ -320,6 +321,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             gradient = logs.grad if logs.grad is not None else torch.zeros_like(logs)
             return -float(value.detach()), -gradient.cpu().numpy()
 
+        # The likelihood has several maxima: one search from the given values, others at random.
         starts = [np.log([self.length_scale, self.noise_variance / self.signal_variance])]
         lows, highs = np.log(list(START_RANGES.values())).T
         starts += [random.uniform(lows, highs) for _ in range(self.n_restarts)]
@@ -338,6 +340,8 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         best = min(runs, key=lambda run: run.fun)
         self.converged_, self.n_iter_ = bool(best.success), max(1, int(best.nit))
         self.length_scale_, noise = map(float, np.exp(best.x))
+        # Only the ratio of noise to signal was searched: the mean variance of the outputs at the
+        # optimum sets the scale of both.
         kernel = torch.exp(-0.5 * squared / self.length_scale_**2)
         kernel.diagonal().add_(noise)
         _, omega = log_marginal_likelihood(centred, _cholesky(kernel))

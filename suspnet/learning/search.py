@@ -134,6 +134,8 @@ class GridSearch:
         folds = [
             rows for _, rows in KFold(self.n_folds, shuffle=True, random_state=self.seed).split(X)
         ]
+        # The grid first, then, as long as the optimum is on an edge, the neighbours of the optimum
+        # in a box that is one value wider there.
         trials = _Trials(estimator, X, Y, folds, output_scaling, on_setting)
         result = trials.result
         trials.measure(list(ParameterGrid(dict(self._grid(name)))))

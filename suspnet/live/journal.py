@@ -48,21 +48,11 @@ class JournalError(ValueError):
 
 @dataclass(frozen=True)
 class Batch:
-    """Frames and states since the batch before, to be written together.
+    """Frames and states since the batch before, by suspension, to be written together."""
 
-    Attributes
-    ----------
-    new : list of (int, str)
-        Numbers and names of suspensions that the journal has not known.
-    states : dict of bytes
-        By suspension; each replaces the frames that are written already.
-    frames : dict of list of (int, bytes)
-        By suspension, after its state; with their numbers.
-    """
-
-    new: list[tuple[int, str]] = field(default_factory=list)
-    states: dict[str, bytes] = field(default_factory=dict)
-    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+    new: list[tuple[int, str]] = field(default_factory=list)  # suspensions that were not known
+    states: dict[str, bytes] = field(default_factory=dict)  # each replaces the frames written
+    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)  # after its state
 
     def __bool__(self) -> bool:
         return bool(self.states or self.frames)

@@ -8,9 +8,9 @@ import numpy as np
 
 from suspnet.ground.records import HIGHEST_KM
 from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.columns import size_of
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TEMPERATURES_C
-from suspnet.recordings.units import size_of
 
 STEP_NS = 10 * SECOND_NS
 """Steps of time for each of which one value is stored, [ns]: in it a train runs less than a

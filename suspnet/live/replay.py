@@ -22,6 +22,7 @@ import numpy as np
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
+from suspnet.recordings.dates import time_zone
 from suspnet.recordings.faults import find_gaps, runs
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
 from suspnet.recordings.manifest import (
@@ -29,13 +30,11 @@ from suspnet.recordings.manifest import (
     SPEED_UNITS,
     Source,
     SpeedSource,
-    TripError,
     TripManifest,
 )
-from suspnet.recordings.manifest_files import read_manifest, time_zone
-from suspnet.recordings.recording import even_values, known_rate
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.sources import OpenSource, open_source, zero_of
-from suspnet.recordings.timeline import Timeline
 from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
@@ -103,7 +102,7 @@ class Replay:
             self._start_ns = _parsed(self.start, self._zone)
         by_name: dict[str, list[TripManifest]] = {}
         for group in find_groups(self.folder):
-            trips = [found for path in group.manifests if (found := self._read(path))]
+            trips = [found for file in group.manifests if (found := self._read(file))]
             for name in {str(trip.place) for trip in trips}:
                 if name in by_name:
                     raise ValueError(
@@ -121,9 +120,9 @@ class Replay:
         """Yield the frames of all suspensions in the order in which they would be complete."""
         yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
 
-    def _read(self, path: Path) -> TripManifest | None:
+    def _read(self, file: ManifestFile) -> TripManifest | None:
         try:
-            return read_manifest(path)
+            return file.trip
         except TripError as error:
             self._report(str(error))
             return None
@@ -293,12 +292,11 @@ def _sensor_frames(
     kind, source = _sources(manifest)[name]
     where, suspension = _source_name(manifest, name), str(manifest.place)
     with open_source(manifest, source, where, kind) as opened:
-        timeline = None if opened.times is None else Timeline(where, opened.rate_hz)
         unit, factor = _unit(kind, source, opened)
-        blocks = even_values(opened, timeline)
+        blocks = opened.even()
         first_block = next(blocks)
-        rate_hz = known_rate(where, opened.rate_hz, timeline)
-        first_s = source.start_s + (0.0 if timeline is None else timeline.first_s)
+        rate_hz = opened.known_rate_hz
+        first_s = source.start_s + opened.first_s
         first_ns = zero_ns + round(first_s * SECOND_NS)
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
         whole = chain([first_block], blocks)

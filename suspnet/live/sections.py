@@ -44,25 +44,14 @@ BORDER_SAMPLES = 1e-3
 
 @dataclass
 class _Open:
-    """A section that is not over.
-
-    Attributes
-    ----------
-    after : Counter
-        Number of latest frames of each sensor, in a row, that start after the section is over.
-    before : int or None
-        Key of the section of the same trip before it.
-    cut_ns : int or None, [ns]
-        Where it ends before its full length, as the train stood.
-    n_tried : int
-        Number of checks for that.
-    """
+    """A section that is not over."""
 
     section: Running
-    before: int | None = None
+    before: int | None = None  # key of the section before it in the same trip
+    # number of latest frames of each sensor, in a row, that start after the section is over
     after: Counter[str] = field(default_factory=Counter)
-    cut_ns: int | None = None
-    n_tried: int = 0
+    cut_ns: int | None = None  # where it ends before its full length, as the train stood
+    n_tried: int = 0  # number of checks for that
 
 
 class Sections:

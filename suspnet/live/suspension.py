@@ -23,8 +23,8 @@ from suspnet.live.sections import Sections
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.frames import MOST_CHARACTERS, Frame
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import read_live_manifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running
 from suspnet.trips.commissionings import models_of
@@ -355,7 +355,7 @@ def read_suspensions(
     for group in find_groups(folder):
         if group.error:
             raise TripError(f"{group.folder}: {group.error}")
-        manifest = max(map(read_live_manifest, group.manifests), key=_km)
+        manifest = max((file.live_trip for file in group.manifests), key=_km)
         name = str(manifest.place)
         if not name.isprintable() or len(name) > MOST_CHARACTERS:
             raise TripError(

@@ -113,6 +113,7 @@ def part_costs(
     life, rate = costs.usual_life_km, costs.replacement / costs.usual_life_km
     samples = np.sort(np.where(samples_km > 0, samples_km, np.nextafter(dates_km[0], np.inf)))
     capped, n = np.minimum(samples, life), samples.size  # T'
+    # cumulative sums over sorted samples: each expectation is a difference of two of them
     until, visits, later = (
         np.append(0.0, np.cumsum(values))
         for values in (
@@ -126,13 +127,16 @@ def part_costs(
         paid: FloatArray = (costs.failure * n_passed + visits[n_passed]) / n
         return paid
 
+    # replaced: i samples have passed the limit until t
     i = np.searchsorted(samples, dates_km, side="right")
     thrown_away = rate * np.clip(until[n] - until[i] - dates_km * (n - i), 0, None) / n
+    # inspected: samples i to `found` are found, those up to k are replaced at once
     found = np.searchsorted(samples, dates_km + costs.reach_km, side="right")
     # R / L (T' - t) rises and V(T') falls along T': the former is smaller up to where they meet
     meet_km = (visit + rate * dates_km) / (rate + visit / end_km) if visit else dates_km
     k = np.clip(np.searchsorted(capped, meet_km, side="right"), i, found)
     at_once = rate * (until[k] - until[i] - dates_km * (k - i))
+    # g(u): the cheapest end of a life from each date on
     ends = failing(i) + thrown_away + visit * np.clip(1 - dates_km / end_km, 0, None) * (1 - i / n)
     best = np.minimum.accumulate(np.append(ends, failing(i[-1:]))[::-1])[::-1]
     go_on = best[np.searchsorted(dates_km, dates_km + costs.reach_km)] - failing(found)

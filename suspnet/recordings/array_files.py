@@ -14,24 +14,25 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from suspnet.recordings.bounds import MOST_CHUNK_BYTES, check_samples
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
+    MOST_CHUNK_BYTES,
     Block,
     Column,
     OpenFile,
     Take,
+    check_samples,
     is_vector,
     needed,
     slices,
 )
 from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
 DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
 """Names of fields and attributes, in lower case and without blanks and underscores, that say the
-rate [Hz], the unit and the start of the data beside them."""
+rate [Hz], the unit and the start of the data next to them."""
 
 NUMERIC = (
     "single",
@@ -84,7 +85,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _foreign(dataset: Any) -> str:
-    """Return what a data set needs beside its own file, or too much memory for; "" if nothing."""
+    """Return what a data set needs besides its own file, or too much memory for; "" if nothing."""
     if dataset.is_virtual:
         return "is virtual, which takes samples from other files"
     plan = dataset.id.get_create_plist()
@@ -101,8 +102,6 @@ def _foreign(dataset: Any) -> str:
 
 
 def _refusing(path: Path, file: OpenFile, refused: Mapping[str, str]) -> OpenFile:
-    """Return a file that also has columns which cannot be read, with the reason when they are."""
-
     def read(names: Sequence[str]) -> Iterator[Block]:
         for name in names:
             if name in refused:
@@ -153,8 +152,6 @@ def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Variable:
-    """A numeric variable of a MAT file, which is read when it is asked for."""
-
     path: Path
     name: str
     shape: tuple[int, ...]
@@ -205,13 +202,11 @@ def _opened(
 
 
 def _take(array: Any, axis: int, i: int) -> Take:
-    """Return a function that reads a slice along an axis of a vector, or of row i of a matrix."""
     before, after = (i,) * axis, (i,) * (len(array.shape) - axis - 1)
     return lambda part: array[(*before, part, *after)]
 
 
 def _leaves(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the fields of structs in structs by their names, joined by dots."""
     for name, value in content.items():
         if isinstance(value, dict):
             yield from _leaves(value, f"{prefix}{name}.")
@@ -220,7 +215,6 @@ def _leaves(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def _beside(name: str, leaves: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rate and unit of a field of a struct by the fields beside it."""
     struct, dot, _ = name.rpartition(".")
     if not dot:
         return {}
@@ -253,7 +247,6 @@ def _text(codes: Any) -> str:
 
 
 def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the rate and the unit among named values, as fields of a Column."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         plain = re.sub(r"[\s_]", "", key).lower()

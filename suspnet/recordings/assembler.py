@@ -81,7 +81,7 @@ class Assembler:
         Frames "taken", and those that were not: "duplicate", "late" (its place has become a gap),
         "clock" (before the end of the samples so far), "far" (beyond the longest gap). Then "gap",
         and what was seen on the way: "gap_samples", "missing" (numbers that never came in time),
-        "restart" (the sequence began anew).
+        "restart" (the sequence started again).
     first_ns : int or None, [ns]
         Time of the first sample.
     n_samples : int
@@ -158,7 +158,6 @@ class Assembler:
         return ahead if is_drift else beyond
 
     def _due(self, at_once: bool = False) -> list[FloatArray]:
-        """Return the samples of the frames whose turn it is."""
         given: list[FloatArray] = []
         while self._held:  # each round takes a frame or makes the next one the lowest
             if self._next not in self._held:
@@ -177,7 +176,6 @@ class Assembler:
         return given
 
     def _placed(self, frame: Frame) -> list[FloatArray]:
-        """Return a frame's samples after those so far, with the gap before them."""
         if self.first_ns is None:
             self.first_ns = self._end_ns = frame.time_ns
         distance = self._distance(frame)

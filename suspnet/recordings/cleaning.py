@@ -134,7 +134,7 @@ class Cleaner:
     settings : CleaningSettings, optional
     late : float, [-]
         Share of a window, 0 to 1, that is waited for beyond what is needed: with shares of their
-        own hundreds of channels that begin at once are not cleaned in the same second.
+        own hundreds of channels that start at once are not cleaned in the same second.
     """
 
     def __init__(
@@ -219,7 +219,6 @@ class Cleaner:
     def _check(
         self, window: FloatArray, longest_constant: int
     ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
-        """Return filled values, bad samples, masks by kind and repair, and local levels."""
         settings = self.settings
         gap = find_gaps(window)
         filled = fill(window, gap)
@@ -246,7 +245,6 @@ class Cleaner:
         return fill(filled, bad | spike), bad, masks, centre
 
     def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
-        """Add the samples of a mask to the count of a kind of fault."""
         count = int(np.count_nonzero(mask))
         if count:
             before, first = self._found.get(
@@ -255,7 +253,6 @@ class Cleaner:
             self._found[kind, repaired] = (before + count, first)
 
     def _add(self, values: FloatArray, bad: BoolArray) -> None:
-        """Update the sums behind mean and spread by one block."""
         n_bad = int(np.count_nonzero(bad))
         self.n_samples += len(values)
         self.n_bad += n_bad
@@ -311,7 +308,6 @@ class _Windows:
             yield from self._complete()
 
     def _complete(self) -> Iterator[tuple[FloatArray, int, int]]:
-        """Yield the windows that are complete."""
         buffer, size = np.concatenate([np.empty(0), *self.pending]), self.core + self.context
         # after the first window each takes `core` samples off the buffer
         while len(buffer) >= self.lead + size:

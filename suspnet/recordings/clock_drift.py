@@ -1,4 +1,4 @@
-"""Clocks of two sensors that run apart: the delay between them along the trip.
+"""Clocks of two sensors that drift against each other: the delay between them along the trip.
 
 Sensors of one vehicle feel the same track, so that the cross-correlation of two has its peak at a
 delay that depends on the vehicle and its speed only. If one clock runs fast, the delay grows with
@@ -17,9 +17,9 @@ from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import get_window
 
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.speed import STANDING_M_PER_S
 
 WINDOW_S = 20.0
@@ -57,11 +57,11 @@ MEMORY = 0.2
 """Weight of the newest window in the common cross-spectrum that follows a drifting clock."""
 
 SIGNIFICANT = 6.0
-"""Least size of a drift or jump that is told, in standard deviations."""
+"""Least size of a drift or jump that is reported, in standard deviations."""
 
 TOLD_S, REFUSED_S = 0.003, 0.02
-"""Changes of the delay along the trip from which a drift or jump is told, and above which the trip
-is refused, [s]: more than the second costs estimates 2 % and more."""
+"""Changes of the delay along the trip from which a drift or jump is reported, and above which the
+trip is refused, [s]: more than the second costs estimates 2 % and more."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def clock_faults(
     speed_m_per_s: FloatArray,
     rate_hz: float,
 ) -> tuple[Fault, ...]:
-    """Return the faults of clocks that run apart.
+    """Return the faults of clocks that drift against each other.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def clock_faults(
     Raises
     ------
     TripError
-        If two run apart by more than ``REFUSED_S``.
+        If two drift by more than ``REFUSED_S``.
     """
     faults = []
     for first, second in _compared(manifest):
@@ -149,13 +149,13 @@ def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tup
     if math.isinf(drift.size):
         words = (
             f"seems to jump against that of {first}: only on one side of {drift.jump_at_s:.0f} s "
-            "after the begin do they show the same motion; were samples lost?"
+            "after the start do they show the same motion; were samples lost?"
         )
         return words, TOLD_S
     if drift.is_jump:
         words = (
             f"jumps by {1e3 * drift.size:+.3g} ms against that of {first} about "
-            f"{drift.jump_at_s:.0f} s after the begin: were samples lost or added?"
+            f"{drift.jump_at_s:.0f} s after the start: were samples lost or added?"
         )
         return words, abs(drift.size)
     size_s = abs(drift.size) * drift.seconds
@@ -242,7 +242,6 @@ def _cross_spectra(
 
 
 def _band(n_fft: int, rate_hz: float) -> slice:
-    """Return the bins of the band."""
     low, high = (round(edge * n_fft / rate_hz) for edge in BAND_HZ)
     return slice(low, high + 1)
 
@@ -289,7 +288,7 @@ def _peak(spectra: ComplexArray, omega: FloatArray, n_fft: int, rate_hz: float) 
 
 
 def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> Drift | None:
-    """Return drift or jump of delays, whichever explains them better; None if neither can be told.
+    """Return drift or jump of delays, whichever explains them better; None if neither is clear.
 
     Delays depend on the speed, so that each class of speed has a mean of its own.
     """

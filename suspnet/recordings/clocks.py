@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
-from suspnet.recordings.columns import Column
-from suspnet.recordings.dates import date_problem, read_date
+from suspnet.recordings.columns import Column, size_of
+from suspnet.recordings.dates import date_problem, read_date, time_zone
 from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
-from suspnet.recordings.manifest_files import time_zone
-from suspnet.recordings.units import size_of
+from suspnet.recordings.manifest_keys import TripError
 
 SECOND_NS = 10**9
 DATED_S = (3.15e8, 4.1e9)
@@ -134,7 +132,6 @@ class Times:
         return round(early.total_seconds()) * SECOND_NS
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
-        """Find unit and zero of numbers."""
         numbers = times.astype(np.float64)
         known = numbers[np.isfinite(numbers)]
         first = float(known[0]) if len(known) else 0.0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.recordings.bounds import check_samples
-from suspnet.recordings.checked_mapping import TripError
+from suspnet.ground.storage import open_plain, stored_bytes
+from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS, CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
@@ -24,6 +27,9 @@ Block = tuple[NDArray[Any], ...]
 """One array (n_samples,) for each column: float64, or datetime64[ns] of time stamps."""
 
 Take = Callable[[slice], Any]
+
+SHARED_BYTES = 8 * 8 * BLOCK
+"""Size of the memory that a reading process shares with the one that asks: eight columns."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +100,10 @@ class OpenFile:
         return next(column for column in self.columns if column.name == name)
 
 
+Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
+"""Opens a file of one format."""
+
+
 def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[str]:
     """Return the name of each column, None replaced by the only one that is not named.
 
@@ -158,3 +168,129 @@ def needed(path: Path, module: str, extra: str, what: str) -> Any:
         raise TripError(
             f'{path}: {what} needs {module}; run: pip install "suspnet[{extra}]"'
         ) from error
+
+
+MOST_SAMPLES = 48 * 3600 * 10_000
+"""Largest number of samples of a channel: two days at 10 kHz."""
+FREE_SAMPLES = 2**26
+"""Number of samples that any file may declare, as a channel of nothing but zeros may be packed into
+a few bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""
+SAMPLES_PER_BYTE = 8
+"""Number of samples beyond those for each byte that is stored. Packed noise takes a byte or more
+for each sample, so that seven eighths of a long recording may be zeros that take no space."""
+
+FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
+"""Memory that the reader of a file may take: 1.25 GiB, and 16 bytes for each that is stored.
+
+Columns of MAT and UFF files are read whole: 8 bytes for each sample, twice, of 2 bytes or less."""
+FREE_S, SECONDS_PER_BYTE, MOST_S = 20.0, 1e-6, 300.0
+"""Time [s] that a reader may take for one step: 20 s, and 1 s for each megabyte, at most 300 s."""
+MOST_CHUNK_BYTES = 2**28
+"""Largest size of what must be unpacked at once to read one sample of an HDF5 file."""
+
+
+def most_samples(path: Path) -> int:
+    """Return the largest number of samples that a channel of a file may have."""
+    with open_plain(path) as stream:
+        return min(MOST_SAMPLES, FREE_SAMPLES + SAMPLES_PER_BYTE * stored_bytes(stream))
+
+
+def check_samples(path: Path, n_samples: int) -> None:
+    """Raise TripError if a file declares more samples than a recording of its size has."""
+    if n_samples > FREE_SAMPLES and n_samples > (most := most_samples(path)):
+        raise TripError(
+            f"{path} declares {n_samples} samples in one column; at most {most} are read of a file "
+            "that stores so little. Export the recording again, in parts if it is that long"
+        )
+
+
+def memory_bytes(stored: int) -> int:
+    """Return how much memory the reader of a file may take, by the bytes that are stored."""
+    return FREE_MEMORY + MEMORY_PER_BYTE * stored
+
+
+def step_s(stored: int) -> float:
+    """Return how long a step of the reader of a file may take [s], by the bytes that are stored."""
+    return min(MOST_S, FREE_S + round(SECONDS_PER_BYTE * stored))
+
+
+GRAVITY = ACCELERATION_UNITS["g"]
+
+_SPELLINGS = {
+    "acceleration": {
+        1.0: ("m/s2", "m/s^2", "m/s**2", "m/s/s", "ms-2", "ms^-2", "m*s^-2", "m*s-2", "m.s-2"),
+        1e-3: ("mm/s2", "mm/s^2"),
+        1e-2: ("cm/s2", "cm/s^2", "gal"),
+        GRAVITY: ("g", "gn", "g0", "g_n"),
+        GRAVITY / 1e3: ("mg",),
+    },
+    "speed": {
+        1.0: ("m/s", "ms-1", "m*s^-1", "mps"),
+        SPEED_UNITS["km/h"]: ("km/h", "kmh", "kph", "kmph", "kmh-1", "km*h^-1"),
+        0.44704: ("mph", "mi/h"),
+        1852 / 3600: ("kn", "kt", "knots", "knot"),
+    },
+    "time": {
+        1.0: ("s", "sec", "second", "seconds"),
+        1e-3: ("ms", "msec", "milliseconds"),
+        1e-6: ("us", "usec", "microseconds"),
+        1e-9: ("ns", "nsec", "nanoseconds"),
+    },
+}
+_SIZES = {
+    kind: {spelling: size for size, names in sizes.items() for spelling in names}
+    for kind, sizes in _SPELLINGS.items()
+}
+_STATED: Mapping[str, Mapping[str, float]] = {
+    "acceleration": ACCELERATION_UNITS,
+    "speed": SPEED_UNITS,
+    "time": TIME_UNITS,
+}
+
+
+def size_of(kind: str, text: str | None) -> float | None:
+    """Return the size of a unit of a file in SI; None if it is empty or not known.
+
+    Parameters
+    ----------
+    kind : {"acceleration", "speed", "time"}
+    text : str or None
+    """
+    plain = re.sub(r"[\s\[\]()]", "", text or "").replace("²", "2").replace("·", "*")
+    plain = plain.replace("µ", "u").replace("μ", "u").replace("⁻", "-").replace("¹", "1")
+    sizes = _SIZES[kind]
+    return sizes.get(plain, sizes.get(plain.lower()))
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a text is a known unit of acceleration, speed or time."""
+    return any(size_of(kind, text) is not None for kind in _SIZES)
+
+
+def unit_in_name(name: str) -> str:
+    """Return the unit in the brackets at the end of a column's name; empty if there is none."""
+    match = re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)
+    return match.group(1).strip() if match and is_unit(match.group(1)) else ""
+
+
+def agreed_size(where: str, kind: str, stated: str | None, written: str | None) -> float:
+    """Return the size in SI of the unit of a column, by the manifest or by its file.
+
+    Raises
+    ------
+    TripError
+        If they contradict each other, or neither says a unit that is known.
+    """
+    found = size_of(kind, written)
+    known = _STATED[kind]
+    if stated is None:
+        if found is None:
+            says = f"says {written!r}, which is not known" if written else "does not say it"
+            raise TripError(f"{where}: `unit` is missing, and the file {says}; give {list(known)}")
+        return found
+    if found is not None and abs(found / known[stated] - 1) > 1e-9:
+        raise TripError(
+            f"{where}: `unit` says {stated!r}, its file says {written!r}; correct one, or leave "
+            "`unit` out to take the file's"
+        )
+    return known[stated]

@@ -91,7 +91,6 @@ def confine(descriptor: int, path: Path, memory_bytes: int) -> None:
 
 
 def _code_folders() -> list[str]:
-    """Return the folders of Python, of installed packages and of shared libraries."""
     prefixes = tuple({f"{os.path.realpath(one)}/lib" for one in (sys.prefix, sys.base_prefix)})
     own = [os.path.realpath(place) for place in sys.path if place]
     packages = [
@@ -142,7 +141,6 @@ def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> None:
 
 
 def _allow(libc: Any, ruleset: int, handle: int, rights: int) -> None:
-    """Add a file, or all that lies in a folder, to those of a ruleset."""
     libc.syscall(_ADD_RULE, ruleset, 1, struct.pack("=Qi", rights, handle), 0)
 
 

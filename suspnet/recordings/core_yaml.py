@@ -89,8 +89,6 @@ def dump_yaml(content: Any) -> str:
 
 
 class _Builder:
-    """Makes content of the events of a parser, one after the other."""
-
     def __init__(self) -> None:
         self.anchors: dict[str, Any] = {}
         self.sizes: dict[str, int] = {}
@@ -108,7 +106,6 @@ class _Builder:
         return content
 
     def _node(self, event: Any, events: Iterator[Any], depth: int) -> Any:
-        """Return the content of the node that an event begins."""
         if depth > DEEPEST:
             raise ValueError(f"line {_line(event)}: it is nested more than {DEEPEST} deep")
         if isinstance(event, yaml.AliasEvent):

@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from suspnet.recordings.checked_mapping import TripError
+from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
 from suspnet.recordings.manifest import DELIMITERS, CsvDialect
-from suspnet.recordings.units import is_unit, unit_in_name
+from suspnet.recordings.manifest_keys import TripError
 
 SAMPLE_BYTES = 2**18
 """Number of bytes at the beginning of a file from which its dialect is found out."""
@@ -94,7 +94,7 @@ class Found:
     date: str | None = None
 
     def __str__(self) -> str:
-        """Return what was found in words."""
+        """Return what was found as text."""
         header = f"names in line {self.header_line}" if self.header_line else "no names"
         bom = " with byte-order mark" if self.has_bom else ""
         delimiter = _WORDS.get(self.delimiter, repr(self.delimiter))
@@ -106,8 +106,6 @@ class Found:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """One way to read the rows at the end of the sample."""
-
     delimiter: str
     decimal: str
     n_columns: int
@@ -143,30 +141,21 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         give in the manifest.
     """
     given = CsvDialect() if given is None else given
-    with path.open("rb") as stream:
-        sample = stream.read(SAMPLE_BYTES)
-        is_whole = not stream.read(1)
-    encoding, has_bom = _encoding(sample)
-    encoding = given.encoding or encoding
-    try:
-        text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
-    except (UnicodeError, LookupError) as error:
-        raise _unreadable(path, f"it is not {encoding} text") from error
-    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
-    lines = text.split("\n")  # splitlines() would also split at form feeds
-    if not is_whole:
-        lines = lines[:-1]
+    encoding, has_bom, lines = _first_lines(path, given)
+    # Rows are recognised at the end of the sample, where no header is.
     filled = [line for line in lines[given.header_line or 0 :] if line.strip()]
     tail = filled[-max(min(TAIL_LINES, len(filled) // 2), 1) :]
     candidates = _candidates(tail, given)
     if not candidates:
         raise _unreadable(path, "no row of numbers was found: it is empty, cut off or no table")
+    # Of those that explain the whole sample, the one that explains most of it is taken.
     found = [_table(lines, one, given) for one in candidates]
     whole = [pair for pair in zip(found, candidates, strict=True) if pair[0] is not None]
     if not whole:
         raise _unreadable(path, "no row has as many values as there are names")
     best, candidate = max(whole, key=lambda pair: _preference(*pair))
     assert best is not None
+    # A file that may be read in two ways is refused rather than guessed.
     rivals = [
         other
         for other, one in whole
@@ -194,6 +183,24 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
     )
 
 
+def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
+    """Return encoding, whether there is a byte-order mark, and the lines of the sample."""
+    with path.open("rb") as stream:
+        sample = stream.read(SAMPLE_BYTES)
+        is_whole = not stream.read(1)
+    encoding, has_bom = _encoding(sample)
+    encoding = given.encoding or encoding
+    try:
+        text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
+    except (UnicodeError, LookupError) as error:
+        raise _unreadable(path, f"it is not {encoding} text") from error
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")  # splitlines() would also split at form feeds
+    if not is_whole:
+        lines = lines[:-1]
+    return encoding, has_bom, lines
+
+
 def _date_in_row(line: str, one: _Candidate) -> str | None:
     """Return the date and time of day in a row's columns of words; None if there are none."""
     read = {*one.numeric, *one.stamped}
@@ -202,15 +209,13 @@ def _date_in_row(line: str, one: _Candidate) -> str | None:
 
 
 def _unreadable(path: Path, reason: str) -> TripError:
-    """Return the error that names what to give."""
     return TripError(
-        f"{path}: {reason}; say how it is written in the manifest, beside its `file`, like "
+        f"{path}: {reason}; say how it is written in the manifest, next to its `file`, like "
         '`csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}`'
     )
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:
-    """Return the encoding of a file by its first bytes, and whether it has a byte-order mark."""
     for bom, name in _BOMS:
         if sample.startswith(bom):
             return name, True
@@ -225,7 +230,6 @@ def _encoding(sample: bytes) -> tuple[str, bool]:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line."""
     if delimiter == " ":
         return line.split()
     if not delimiter:
@@ -239,7 +243,6 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
-    """Return the ways to read some rows, those with the fewest broken cells only."""
     delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
     found = []
     for delimiter in delimiters:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
+from zoneinfo import ZoneInfo
 
 EARLIEST_YEAR = 1990
 """A logger whose clock was never set begins in 1970 or 1980; digital ones are younger than this."""
@@ -95,3 +96,23 @@ def date_in_lines(lines: Sequence[str]) -> str | None:
         if read_date(value) is not None:
             return value if _CLOCK.search(value) else f"{value} {clock}".strip()
     return None
+
+
+def time_zone(name: str) -> tzinfo:
+    """Return a time zone by its name or its offset from UTC.
+
+    Raises
+    ------
+    ValueError
+        If it is not known.
+    """
+    if name == "UTC":
+        return UTC
+    try:
+        if name[:1] in ("+", "-"):
+            zone = datetime.strptime(name, "%z").tzinfo
+            assert zone is not None  # the format asks for one
+            return zone
+        return ZoneInfo(name)
+    except (KeyError, OSError) as error:
+        raise ValueError(f"the time zone {name!r} is not known") from error

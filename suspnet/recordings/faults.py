@@ -123,13 +123,11 @@ def find_spikes(
 
 
 def _smallest_step(values: FloatArray) -> float:
-    """Return the smallest change from one sample to the next, an estimate of the quantisation."""
     steps = np.abs(np.diff(values))
     return float(steps.min(where=steps > 0, initial=math.inf))
 
 
 def _height(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the height of each run above both of its sides, and the spread within the sides."""
     width = int((stops - starts).max())
     peak = values[np.minimum(starts[:, None] + np.arange(width), stops[:, None] - 1)]
     above, below, spread = [], [], []

@@ -1,4 +1,4 @@
-"""Columns of data files of every format, a block at a time: one entry of ``READERS`` each."""
+"""Columns of data files of every format, a block at a time: one line of ``FORMATS`` each."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet
@@ -15,15 +15,20 @@ from scipy.io.matlab import MatReadError
 
 from suspnet.ground.storage import NotPlainError, open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
-from suspnet.recordings.bounds import check_samples
-from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile, as_block, choose
-from suspnet.recordings.csv_files import open_csv, to_float
+from suspnet.recordings.columns import (
+    BLOCK,
+    Block,
+    OpenFile,
+    Reader,
+    check_samples,
+    choose,
+)
+from suspnet.recordings.csv_files import open_csv, open_parquet
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.recordings.manifest import CsvDialect, TripError
+from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.mdf_files import open_mdf
-from suspnet.recordings.reader_process import Reader, apart
-
-PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
+from suspnet.recordings.reader_process import in_own_process
 
 
 @contextmanager
@@ -110,51 +115,7 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
 
 
 @contextmanager
-def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open a Parquet file; the metadata `unit` and `rate_hz` of a column say what they are."""
-    # Reading ahead, the default, is no faster here and takes as much memory as the whole column.
-    with pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=PARQUET_BUFFER_BYTES) as file:
-        fields = {field.name: field for field in file.schema_arrow}
-
-        def read(names: Sequence[str]) -> Iterator[Block]:
-            for name in names:
-                kind = fields[name].type
-                if not (
-                    pa.types.is_integer(kind)
-                    or pa.types.is_floating(kind)
-                    or pa.types.is_timestamp(kind)
-                ):
-                    raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
-            check_samples(path, file.metadata.num_rows)
-            for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
-                yield tuple(_from_arrow(batch.column(name)) for name in names)
-
-        yield OpenFile(tuple(map(_parquet_column, file.schema_arrow)), read)
-
-
-def _parquet_column(field: Any) -> Column:
-    """Return what the schema of a Parquet file says of a column."""
-    said = field.metadata or {}
-    is_time = pa.types.is_timestamp(field.type)
-    unit, rate = (said.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"rate_hz"))
-    try:
-        rate_hz = float(rate) if rate else None
-    except ValueError:
-        rate_hz = None
-    is_zoned = is_time and field.type.tz is not None
-    return Column(field.name, unit or None, rate_hz, is_time=is_time, is_zoned=is_zoned)
-
-
-def _from_arrow(column: Any) -> Any:
-    """Return an Arrow column as float64, or as datetime64[ns] of time stamps."""
-    if pa.types.is_timestamp(column.type):
-        return as_block(column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False))
-    return to_float(column)
-
-
-@contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Turn what a reader raises on a damaged file into a TripError that names the file."""
     try:
         yield
     except TripError:
@@ -165,24 +126,52 @@ def _named(path: Path) -> Iterator[None]:
         raise TripError(f"{path} is damaged, cut off or not a {suffix} file ({reason})") from error
 
 
+@dataclass(frozen=True)
+class Format:
+    """One format of data files.
+
+    Another format is a function that opens a file, in a module of its own or of its kind, and one
+    line of ``FORMATS``.
+
+    Parameters
+    ----------
+    suffixes : tuple of str
+        By which a file is known to have it.
+    open : callable
+        Gives an `OpenFile`: its columns with all that the file says of them, and `read`, which
+        yields blocks of some of them.
+    library : str, optional
+        A package that `open` imports.
+    in_own_process : bool
+        Whether it runs in a confined process: whatever declares sizes or may crash its library.
+    """
+
+    suffixes: tuple[str, ...]
+    open: Reader
+    library: str | None = None
+    in_own_process: bool = True
+
+    @property
+    def reader(self) -> Reader:
+        """What opens a file, in the process that it belongs to."""
+        return in_own_process(self.open, self.library) if self.in_own_process else self.open
+
+
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 
-READERS: dict[str, Reader] = {
-    ".parquet": apart(open_parquet, "pandas"),  # Arrow imports it, if there, for its first array
-    **dict.fromkeys(CSV_SUFFIXES, open_csv),
-    ".mat": apart(open_mat, "h5py"),
-    ".h5": apart(open_hdf5, "h5py"),
-    ".hdf5": apart(open_hdf5, "h5py"),
-    ".tdms": apart(open_tdms, "nptdms"),
-    ".mf4": apart(open_mdf, "asammdf"),
-    ".mdf": apart(open_mdf, "asammdf"),
-    ".uff": apart(open_uff, "pyuff"),
-    ".unv": apart(open_uff, "pyuff"),
-    ".wav": apart(open_wav),
-}
-"""Reader of each suffix; another format is one more entry.
-
-That of CSV is in this process: its text declares nothing, and no damaged file has crashed it."""
+FORMATS = (
+    Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
+    # its text declares nothing, and no damaged file has crashed its reader
+    Format(CSV_SUFFIXES, open_csv, in_own_process=False),
+    Format((".mat",), open_mat, "h5py"),
+    Format((".h5", ".hdf5"), open_hdf5, "h5py"),
+    Format((".tdms",), open_tdms, "nptdms"),
+    Format((".mf4", ".mdf"), open_mdf, "asammdf"),
+    Format((".uff", ".unv"), open_uff, "pyuff"),
+    Format((".wav",), open_wav),
+)
+READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
+"""What opens a file of each suffix."""
 
 _DAMAGE = (
     pa.ArrowException,

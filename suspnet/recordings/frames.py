@@ -156,7 +156,6 @@ def decode(data: bytes) -> Frame:
 
 
 def _samples(reader: pa.BufferReader, schema: pa.Schema) -> FloatArray:
-    """Return the samples of the record batch that follows the schema."""
     try:
         message = pa.ipc.read_message(reader)
         if message.type != "record batch" or _is_compressed(bytes(message.metadata)):
@@ -202,7 +201,6 @@ def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
 
 
 def _described(metadata: dict[bytes, bytes]) -> dict[str, Any]:
-    """Return what the metadata of a schema say of a frame."""
     found: dict[str, Any] = {}
     kinds = {"sequence": ("sequence", int), "time_ns": ("time", int), "rate_hz": ("rate", float)}
     for name in ("suspension", "sensor", "unit", *kinds):

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.io import wavfile
 
-from suspnet.recordings.bounds import check_samples
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import (
     BLOCK,
     Block,
@@ -23,10 +21,12 @@ from suspnet.recordings.columns import (
     OpenFile,
     Take,
     as_block,
+    check_samples,
     needed,
     slices,
 )
 from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 _WAV = Lock()
 """Filters of warnings are of the process; sensors are read in threads."""
@@ -64,7 +64,6 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _tdms_column(name: str, channel: Any) -> Column:
-    """Return what the properties of a TDMS channel say of it."""
     properties = channel.properties
     step_s = properties.get("wf_increment")
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
@@ -90,6 +89,25 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a universal file; each time record of type 58 is a column, read whole."""
     pyuff = needed(path, "pyuff", "uff", "a universal file")
     file = _call(pyuff.UFF, str(path))
+    columns, records = _uff_columns(file)
+
+    def read(names: Sequence[str]) -> Iterator[Block]:
+        arrays = []
+        for name in names:
+            is_times = name not in records
+            record = _call(file.read_sets, records[name.removesuffix(": times")])
+            values = np.asarray(record["x" if is_times else "data"])
+            if values.dtype.kind not in "iuf":
+                raise TripError(f"{path}: column {name!r} holds {values.dtype}, not real numbers")
+            arrays.append(values.ravel())
+        takes: list[Take] = [array.__getitem__ for array in arrays]
+        return slices(path, names, [len(array) for array in arrays], takes)
+
+    yield OpenFile(tuple(columns), read)
+
+
+def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
+    """Return the columns of a universal file, and the number of each one's record."""
     records: dict[str, int] = {}
     columns = []
     for i, kind in enumerate(_call(file.get_set_types)):
@@ -105,32 +123,16 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         step_s = float(header.get("abscissa_inc") or 0.0)
         even = header.get("abscissa_spacing") == 1 and step_s > 0
         unit = str(header.get("ordinate_axis_units_lab", "")).strip()
-        date = str(header.get("id3", "")).strip() or None
-        columns.append(
-            Column(
-                name,
-                unit=None if unit.upper() in ("", "NONE") else unit,
-                rate_hz=1 / step_s if even else None,
-                time=None if even else f"{name}: times",
-                date=date,
-            )
-        )
-        if not even:
-            columns.append(Column(f"{name}: times", is_part=True))
-
-    def read(names: Sequence[str]) -> Iterator[Block]:
-        arrays = []
-        for name in names:
-            is_times = name not in records
-            record = _call(file.read_sets, records[name.removesuffix(": times")])
-            values = np.asarray(record["x" if is_times else "data"])
-            if values.dtype.kind not in "iuf":
-                raise TripError(f"{path}: column {name!r} holds {values.dtype}, not real numbers")
-            arrays.append(values.ravel())
-        takes: list[Take] = [array.__getitem__ for array in arrays]
-        return slices(path, names, [len(array) for array in arrays], takes)
-
-    yield OpenFile(tuple(columns), read)
+        about: dict[str, Any] = {
+            "unit": None if unit.upper() in ("", "NONE") else unit,
+            "date": str(header.get("id3", "")).strip() or None,
+        }
+        if even:
+            columns.append(Column(name, rate_hz=1 / step_s, **about))
+        else:
+            times = f"{name}: times"
+            columns += [Column(name, time=times, **about), Column(times, is_part=True)]
+    return columns, records
 
 
 @contextmanager
@@ -183,7 +185,6 @@ def _bext_date(path: Path) -> str | None:
 
 
 def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Return what a function of a package returns that may raise any error on damaged files."""
     try:
         return read(*arguments, **named)
     except MemoryError:

@@ -171,12 +171,10 @@ def _frames(
 
 
 def _in_frames(values: Any, size: int, step: int) -> Any:
-    """Return overlapping frames of values as rows."""
     return np.lib.stride_tricks.sliding_window_view(values, size)[::step]
 
 
 def _band(size: int, rate_hz: float) -> slice:
-    """Return the bins of the band of a transform of so many samples."""
     low, high = BAND_HZ[0], min(BAND_HZ[1], rate_hz / 4)
     return slice(math.ceil(low * size / rate_hz), math.floor(high * size / rate_hz) + 1)
 
@@ -247,7 +245,6 @@ def _is_elsewhere(signals: FloatArray, i: int, part: slice, rate_hz: float) -> b
 
 
 def _whitened(signal: FloatArray, n_fft: int, rate_hz: float) -> ComplexArray:
-    """Return the transform over its smoothed magnitude, zero outside of the band."""
     spectrum, band = rfft(signal - signal.mean(), n_fft), _band(n_fft, rate_hz)
     width = max(round(SMOOTHED_HZ * n_fft / rate_hz), 1)
     power = uniform_filter1d(np.abs(spectrum) ** 2, width)[band]
@@ -272,7 +269,6 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
 
 
 def _words(loose: BoolArray, alone: BoolArray, duration_s: float, start_s: float) -> str:
-    """Return since when a sensor is loose, as far as the train ran, and what that means."""
     stretches = []
     for start, stop in zip(*runs(loose), strict=True):
         at = np.flatnonzero(alone[start:stop]) + start

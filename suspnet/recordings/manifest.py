@@ -1,33 +1,40 @@
-"""Manifests of trips: where each accelerometer is stored, in which unit and at which rate."""
+"""Manifests of trips: where each accelerometer is stored, in which unit and at which rate.
+
+The fields of the dataclasses are the keys of the YAML file; what each one means is said here, once.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from suspnet.ground.records import Place
-from suspnet.recordings.checked_mapping import TripError
-
-__all__ = [
-    "ACCELERATION_UNITS",
-    "BOGIES",
-    "CHANNELS",
-    "DELIMITERS",
-    "FORMAT",
-    "MIDDLE",
-    "SIDES",
-    "SPEED_UNITS",
-    "TIME_UNITS",
-    "Channel",
-    "CsvDialect",
-    "Pair",
-    "Source",
-    "SpeedSource",
-    "TripError",
-    "TripManifest",
-]
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import HIGHEST_KM, Place
+from suspnet.recordings.manifest_keys import (
+    POSITIVE,
+    Key,
+    TripError,
+    Value,
+    all_of,
+    encoding,
+    header_line,
+    key,
+    keys_of,
+    number,
+    one_of,
+    optional,
+    positive,
+    sign,
+    start,
+    stripped,
+    text,
+    zone,
+)
 
 FORMAT = "suspnet-trip-1"
 
@@ -55,103 +62,210 @@ SIDES = ("left", "right")
 MIDDLE = "middle"
 """Side of a single sensor between left and right, or of the mean of both."""
 
-
 TEMPERATURES_C = (-60.0, 60.0)
 """Temperatures outside that a train meets [°C]."""
+
+_CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
+"""Constant speed with its unit, as text: 252 km/h."""
+
+
+def _delimiter(value: Value) -> str:
+    signs = DELIMITERS | {one: one for one in DELIMITERS.values()}
+    return signs[one_of(list(signs))(value)]
 
 
 @dataclass(frozen=True)
 class CsvDialect:
-    """How a CSV file is written; None is found out.
+    """How a CSV file is written; None is found out."""
 
-    Parameters
-    ----------
-    delimiter : str, optional
-        One of the values of ``DELIMITERS``.
-    decimal : {".", ","}, optional
-    header_line : int, optional
-        Line of the names of the columns, counted from 1; 0 if there are none, and the columns are
-        "column_1" and so on.
-    encoding : str, optional
-        As Python names it.
-    """
+    delimiter: str | None = optional(
+        _delimiter,
+        "`,` `;` `tab` `space`, or the vertical bar in quotes",
+        "`space` is any number of blanks",
+        default="found out",
+    )
+    decimal: str | None = optional(
+        one_of([".", ","]), "`.` or `,`", "decimal sign", default="found out"
+    )
+    header_line: int | None = optional(
+        header_line,
+        "whole number",
+        "line of the names of the columns, counted from 1; 0: there are none, and columns are "
+        "`column_1` and so on",
+        default="found out",
+    )
+    encoding: str | None = optional(
+        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="found out"
+    )
 
-    delimiter: str | None = None
-    decimal: str | None = None
-    header_line: int | None = None
-    encoding: str | None = None
+
+def _csv(value: Value) -> CsvDialect:
+    return CsvDialect(**value.read(keys_of(CsvDialect)))
+
+
+_IN_FILE = "what the file says"
+
+
+def _unit(units: Mapping[str, float]) -> Any:
+    return optional(
+        one_of(list(units)),
+        "`m/s2`, `g`; of the speed `m/s`, `km/h`",
+        "unit of the values",
+        default=_IN_FILE,
+    )
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where one measured quantity is stored.
+    """Where one measured quantity is stored."""
 
-    Parameters
-    ----------
-    file : str
-        Absolute, or relative to the manifest's folder.
-    unit : str, optional
-        One of ``ACCELERATION_UNITS``, or for the speed of ``SPEED_UNITS``; None: the file says it.
-    column : str, optional
-        Column, MAT or HDF5 variable, or TDMS "group/channel"; None if the file has only one.
-    rate_hz : float, optional, [Hz]
-        Sampling rate. If `time` is given too, the two must agree within 1 %. Without both, the
-        file says the rate.
-    time : str, optional
-        Name of a column of times: numbers, or time stamps; a time step may be missing there, and
-        is then a gap.
-    start_s : float, [s]
-        Time of the first sample on the trip's clock; with `time`, what is added to those times.
-    time_unit : str, optional
-        Unit of the numbers in `time`, one of ``TIME_UNITS``; None: the file says it, or they are
-        so large that they must be counted from 1970, or they are seconds.
-    time_zone : str, optional
-        Zone of time stamps that name none: "UTC", "+02:00" or "Europe/Berlin".
-    csv : CsvDialect, optional
-    """
-
-    file: str
-    unit: str | None = None
-    column: str | None = None
-    rate_hz: float | None = None
-    time: str | None = None
-    start_s: float = 0.0
-    time_unit: str | None = None
-    time_zone: str | None = None
-    csv: CsvDialect | None = None
+    file: str = field(metadata=key(text, "text", "a file of one of the [formats](#files)"))
+    unit: str | None = _unit(ACCELERATION_UNITS | SPEED_UNITS)
+    column: str | None = optional(
+        text, "text", "column, variable or channel of the file", default="the only one"
+    )
+    rate_hz: float | None = optional(
+        positive,
+        "number above 0",
+        "sampling rate; with `time`, both must agree within 1 %",
+        "Hz",
+        _IN_FILE,
+    )
+    time: str | None = optional(
+        text, "text", "column of times, instead of `rate_hz` or as well", default=_IN_FILE
+    )
+    start_s: float = field(
+        default=0.0,
+        metadata=key(
+            number(),
+            "number",
+            "time of the first sample on the trip's clock; with `time`, what is added to it",
+            "s",
+            "0",
+        ),
+    )
+    time_unit: str | None = optional(
+        one_of(list(TIME_UNITS)),
+        "`s`, `ms`, `us`, `ns`",
+        "unit of times that are numbers",
+        default="what the file says, else found out",
+    )
+    time_zone: str | None = optional(
+        zone,
+        "text",
+        'of time stamps that name none: `UTC`, `"+02:00"`, `Europe/Berlin`',
+        default="not known",
+    )
+    csv: CsvDialect | None = field(
+        default=None,
+        metadata=key(_csv, "mapping", "how a CSV file is written, below", default="found out"),
+    )
 
 
 @dataclass(frozen=True)
 class SpeedSource(Source):
-    """Place where the speed of the train is stored."""
+    """Where the speed of the train is stored."""
+
+    unit: str | None = _unit(SPEED_UNITS)
 
 
 @dataclass(frozen=True)
 class Channel(Source):
-    """Where one accelerometer is stored.
+    """Where one accelerometer is stored."""
 
-    Parameters
-    ----------
-    sign : int
-        -1 turns a sensor that was mounted upside down.
-    range : float, optional, [unit]
-        Largest magnitude that the sensor can give.
-    side : str, optional
-        One of ``SIDES``; each sensor of a pair has one. A single sensor may be in the ``MIDDLE``.
-    """
-
-    sign: int = 1
-    range: float | None = None
-    side: str | None = None
+    unit: str | None = _unit(ACCELERATION_UNITS)
+    sign: int = field(
+        default=1,
+        metadata=key(sign, "1 or -1", "-1 turns a sensor that is mounted upside down", default="1"),
+    )
+    range: float | None = optional(
+        positive,
+        "number above 0",
+        "largest magnitude that the sensor can give: finds saturation; full scale of integers "
+        "in WAV files",
+        "the channel's",
+        "not known",
+    )
+    side: str | None = optional(
+        one_of([*SIDES, MIDDLE]),
+        "`left`, `right`; `middle` for a single sensor",
+        "side of a sensor",
+        default="the first is left; the suspension's",
+    )
 
 
 Pair = tuple[Channel, Channel]
 """Two accelerometers at one place, the left one first."""
 
 
-@dataclass(frozen=True)
+def _speed(value: Value) -> float | SpeedSource:
+    """Return a constant speed [m/s] or where the speed is stored."""
+    given = value.content
+    if isinstance(given, str) and (found := _CONSTANT_SPEED.fullmatch(given.strip())):
+        return float(found[1]) * SPEED_UNITS[found[2]]
+    if isinstance(given, dict):
+        return SpeedSource(**value.read(keys_of(SpeedSource)))
+    return number(
+        "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`", POSITIVE
+    )(value)
+
+
+def _sensor(value: Value) -> Channel:
+    return Channel(**value.read(keys_of(Channel)))
+
+
+def _sensor_of_pair(value: Value) -> Channel:
+    keys = keys_of(Channel)
+    return Channel(**value.read(keys | {"side": replace(keys["side"], check=one_of(SIDES))}))
+
+
+def _sensors(value: Value) -> Channel | Pair:
+    if not isinstance(value.content, list):
+        return _sensor(value)
+    if len(value.content) == 1:
+        return _sensor(value.at(0))
+    if len(value.content) != 2:
+        raise TripError(
+            f"{value.path}: `{value.name}` must be a sensor, or a list of one on the left and one "
+            f"on the right, got a list of {len(value.content)}"
+        )
+    first, second = all_of(partial(_sensor_of_pair, value.at(i)) for i in range(2))
+    left, right = SIDES
+    if first.side is None:
+        first = replace(first, side=left if second.side in (None, right) else right)
+    if second.side is None:
+        second = replace(second, side=left if first.side == right else right)
+    if first.side == second.side:
+        raise TripError(
+            f"{value.path}: `{value.name}` has two sensors on the {first.side}; a pair is one on "
+            "the left and one on the right"
+        )
+    return (first, second) if first.side == left else (second, first)
+
+
+def _channels(value: Value) -> dict[str, Channel | Pair]:
+    found: dict[str, Channel | Pair] = value.read(dict.fromkeys(CHANNELS, Key(_sensors, "", "")))
+    return found
+
+
+def _mileage(value: Value) -> float:
+    mileage = number("a number >= 0", 0.0)(value)
+    if mileage > HIGHEST_KM:
+        raise value.refuse(f"at most {HIGHEST_KM:.0f} km (is it in metres?)")
+    return mileage
+
+
+def _truth(value: Value) -> dict[str, float]:
+    one = Key(positive, "", "", default="")
+    found: dict[str, float] = value.read(dict.fromkeys(PARAMETERS, one))
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
 class TripManifest:
     """One trip: a recording of accelerometers at three places and the speed.
+
+    Its keys are those of the table in docs/recordings.md.
 
     Parameters
     ----------
@@ -159,38 +273,83 @@ class TripManifest:
         The YAML file.
     name : str
         The file's name without its suffix.
-    vehicle, suspension : str
-        Which vehicle, and which of its suspensions, in free text.
-    mileage_km : float, [km]
     start : datetime or None
         Zero of the trip's clock, where some sources have absolute times and others have not.
     speed : float, [m/s], or SpeedSource
     channels : dict of Channel, or of Pair
         One sensor, or one on the left and one on the right, for each of ``CHANNELS``.
-    truth : dict of float, [-]
-        Known values of a simulated trip relative to healthy; keys from ``PARAMETERS``.
-    bogie, side : str, optional
-        One of ``BOGIES`` and one of ``SIDES``; None where it is not said.
-    train, car : str, optional
-        In free text.
-    temperature_c : float, optional, [°C]
-        Of the air outside, along the trip.
     """
 
     path: Path
     name: str
-    vehicle: str
-    suspension: str
-    mileage_km: float
-    start: datetime | None
-    speed: float | SpeedSource
-    channels: Mapping[str, Channel | Pair]
-    truth: dict[str, float] = field(default_factory=dict)
-    bogie: str | None = None
-    side: str | None = None
-    train: str | None = None
-    car: str | None = None
-    temperature_c: float | None = None
+    vehicle: str = field(metadata=key(text, "text", "name of the vehicle, as the model's"))
+    suspension: str = field(
+        metadata=key(
+            text,
+            "text",
+            "which suspension, in your words; trips that say the same are one suspension",
+        )
+    )
+    bogie: str | None = optional(
+        one_of(BOGIES),
+        "`leading`, `trailing`",
+        "bogie, in the direction of travel; chooses the models of that bogie",
+        default="not said",
+    )
+    side: str | None = optional(
+        one_of(SIDES),
+        "`left`, `right`",
+        "side of the suspension, to distinguish suspensions of one name; single sensors are "
+        "there too",
+        default="not said",
+    )
+    train: str | None = optional(
+        stripped, "text", "which train it is, where several are watched", default="not said"
+    )
+    car: str | None = optional(stripped, "text", "which of its cars", default="not said")
+    mileage_km: float = field(
+        metadata=key(_mileage, "number, 0 to 2e7", "mileage of the vehicle at this trip", "km")
+    )
+    start: datetime | None = field(
+        default=None,
+        metadata=key(
+            start,
+            "time, `2015-08-03T08:00:00`",
+            "date of the trip, from 1990 until today; also when the sources without dates begin, "
+            "see [clocks](#clocks)",
+            default="by the files",
+        ),
+    )
+    temperature_c: float | None = optional(
+        number(f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C),
+        "number, -60 to 60",
+        "temperature of the air outside; stands in the tables: oil and rubber change with it",
+        "°C",
+        "none",
+    )
+    speed: float | SpeedSource = field(
+        metadata=key(
+            _speed,
+            "number above 0, also with its unit (`252 km/h`), or a source",
+            "the constant speed, or where it is stored",
+            "m/s",
+        )
+    )
+    channels: Mapping[str, Channel | Pair] = field(
+        metadata=key(
+            _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of two"
+        )
+    )
+    truth: dict[str, float] = field(
+        default_factory=dict,
+        metadata=key(
+            _truth,
+            "mapping of numbers above 0",
+            "of simulated trips: true `k_p`, `c_p`, `k_s`, `c_s`, `M_s`; errors are printed",
+            "healthy = 1",
+            "none",
+        ),
+    )
 
     @property
     def place(self) -> Place:
@@ -221,3 +380,7 @@ class TripManifest:
     def file_of(self, source: Source) -> Path:
         """Return the path of a channel's or the speed's data file."""
         return self.path.parent / source.file
+
+
+MANIFEST = {"format": Key(one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
+"""All keys of a manifest."""

@@ -15,9 +15,9 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
 from suspnet.recordings.manifest import CsvDialect
+from suspnet.recordings.manifest_keys import TripError
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -118,14 +118,12 @@ def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
 
 
 def _repeated(file: Any) -> set[str]:
-    """Return the names that more than one channel of an MDF file has."""
     names = [channel.name for group in file.groups for channel in group.channels]
     seen: set[str] = set()
     return {name for name in names if name in seen or seen.add(name)}  # type: ignore[func-returns-value]
 
 
 def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
-    """Return a function that reads a slice of a channel of an MDF file."""
     channel = file.groups[group].channels[index]
     convert = _conversion(path, name, file.version[:1], channel.conversion)
 
@@ -193,7 +191,6 @@ def _conversion(
 
 
 def _entries(conversion: Any, key: str, n: int) -> FloatArray:
-    """Return the entries of a table of a conversion."""
     return np.array([float(conversion[f"{key}_{i}"]) for i in range(n)])
 
 

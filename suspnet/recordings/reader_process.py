@@ -13,7 +13,6 @@ from __future__ import annotations
 import atexit
 import fcntl
 import functools
-import importlib
 import itertools
 import json
 import mmap
@@ -23,23 +22,25 @@ import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from suspnet.ground.storage import open_plain, stored_bytes
-from suspnet.recordings.bounds import memory_bytes, step_s
-from suspnet.recordings.checked_mapping import TripError
-from suspnet.recordings.columns import BLOCK, Block, Column, OpenFile
-from suspnet.recordings.confinement import confine
+from suspnet.recordings.columns import (
+    SHARED_BYTES,
+    Block,
+    Column,
+    OpenFile,
+    Reader,
+    memory_bytes,
+    step_s,
+)
 from suspnet.recordings.manifest import CsvDialect
-
-Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
+from suspnet.recordings.manifest_keys import TripError
 
 LIMIT = "SUSPNET_READER_S"
 """Environment variable: longest time that opening a file, or reading its next block, may take [s].
@@ -49,12 +50,6 @@ CRASH_S = 5.0
 """Longest time between the end of a process's answers and its own, [s]."""
 DTYPES = ("float64", "datetime64[ns]")
 """Those of a block."""
-SHARED_BYTES = 8 * 8 * BLOCK
-"""Size of the memory that a process shares with the one that asks: a block of eight columns."""
-MEMORY_WORDS = (
-    "reading it takes more memory than a recording of its size does, so the file is damaged or "
-    "declares more than it holds; export the recording again"
-)
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
@@ -63,7 +58,7 @@ ENVIRONMENT = {
 """Environment variables of readers."""
 
 
-def apart(reader: Reader, library: str | None = None) -> Reader:
+def in_own_process(reader: Reader, library: str | None = None) -> Reader:
     """Return a reader that does the same in another process.
 
     Parameters
@@ -105,12 +100,10 @@ def apart(reader: Reader, library: str | None = None) -> Reader:
 
 
 class _Server:
-    """A process that forks others which read one file each, and buries them."""
-
     def __init__(self) -> None:
         code = (
             f"import sys; sys.path[:] = {[str(place) for place in sys.path]}; "
-            f"from {__name__} import serve; serve()"
+            f"from suspnet.recordings.reader_server import serve; serve()"
         )
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
@@ -168,8 +161,6 @@ def end_all() -> None:
 
 
 class _Process:
-    """The process that reads a file."""
-
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False
@@ -240,12 +231,11 @@ class _Process:
         return answer, tuple(arrays)
 
     def _end_late(self) -> None:
-        """End the process because it takes too long."""
         self._is_late = True
         os.kill(self._pid, signal.SIGKILL)
 
     def _ending(self) -> str:
-        """Return in words why the process has ended; a file that is late is not tried again."""
+        """Return why the process has ended, as text; a file that is late is not tried again."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
             words = (
@@ -273,7 +263,6 @@ class _Process:
 
 
 def _shared_memory() -> int:
-    """Return the descriptor of memory that cannot be made smaller by who shares it."""
     handle = os.memfd_create("block", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     os.ftruncate(handle, SHARED_BYTES)
     fcntl.fcntl(handle, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
@@ -281,7 +270,6 @@ def _shared_memory() -> int:
 
 
 def _state(path: Path) -> tuple[str, int, int]:
-    """Return what tells whether a file has changed."""
     found = path.stat()
     return str(path), found.st_size, found.st_mtime_ns
 
@@ -295,121 +283,3 @@ def _limit_s(stored: int) -> float:
         if 0 < float(text) <= threading.TIMEOUT_MAX:
             return float(text)
     raise TripError(f"the environment variable {LIMIT} must be a time in seconds, got {text!r}")
-
-
-# in the other processes
-
-
-def serve() -> None:
-    """Fork a process for each file; what libraries print goes nowhere."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one that asks hears it
-    control = socket.socket(fileno=os.dup(0))
-    control.send(b"1")
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 2):
-        os.dup2(nowhere, stream)
-    with suppress(BrokenPipeError, ConnectionResetError):
-        while True:  # ends with the process that asks
-            message, handles, _, _ = socket.recv_fds(control, 2**16, 3)
-            if not message:
-                return
-            request = json.loads(message)
-            if "end" in request:
-                number = _end(request["end"], request["grace_s"])
-            else:
-                number = _forked(request, handles, control)
-            for handle in handles:
-                os.close(handle)
-            control.send(str(number).encode())
-
-
-def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.socket) -> int:
-    """Return the number of a process that reads a file and never returns from here."""
-    module, name = request["function"]
-    reader = getattr(importlib.import_module(module), name)
-    if request["library"] is not None:
-        with suppress(Exception):  # the reader says what is wrong with it
-            importlib.import_module(request["library"])
-    pid = os.fork()
-    if pid == 0:
-        try:
-            control.close()
-            file, connection, memory = handles
-            shared = mmap.mmap(memory, SHARED_BYTES)
-            os.chdir(request["folder"])  # names in messages may be relative to it
-            confine(file, Path(request["path"]), request["memory_bytes"])
-            _serve_file(reader, Path(request["path"]), connection, shared)
-        finally:
-            os._exit(0 if sys.exc_info()[0] is None else 1)
-    return pid
-
-
-def _end(pid: int, grace_s: float) -> int:
-    """Return the exit code of a process that is killed if it does not end in some time."""
-    last = time.monotonic() + grace_s
-    with suppress(ChildProcessError):  # it is that of another server, from before a fork
-        while not (ended := os.waitpid(pid, os.WNOHANG))[0]:
-            if time.monotonic() >= last:
-                os.kill(pid, signal.SIGKILL)
-                ended = os.waitpid(pid, 0)
-                break
-            time.sleep(0.001)
-        return os.waitstatus_to_exitcode(ended[1])
-    return -signal.SIGKILL
-
-
-def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) -> None:
-    """Answer requests on a file until there are no more."""
-    with (
-        os.fdopen(connection, "rb", closefd=False) as requests,
-        os.fdopen(connection, "wb", closefd=False) as answers,
-        suppress(BrokenPipeError, ConnectionResetError),
-    ):
-        for answer, arrays in _answers(reader, path, requests):
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            kinds, place = [], 0
-            for array in arrays:
-                kinds.append([str(array.dtype), len(array)])
-                np.frombuffer(shared, array.dtype, len(array), place)[:] = array
-                place += array.nbytes
-            answers.write(json.dumps(answer | {"arrays": kinds}).encode() + b"\n")
-            answers.flush()
-
-
-def _answers(
-    reader: Reader, path: Path, requests: IO[bytes]
-) -> Iterator[tuple[dict[str, Any], Block]]:
-    """Yield the answer to each request."""
-    with ExitStack() as stack:
-        file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
-        for line in requests:
-            request = json.loads(line)
-            # The process that asks bounds the time of a step too, but it may be gone by then.
-            signal.setitimer(signal.ITIMER_REAL, min(request["limit_s"], 1e8))
-            answer: dict[str, Any] = {}
-            arrays: Block = ()
-            try:
-                if "open" in request:
-                    file = stack.enter_context(reader(path, None))
-                    columns = [asdict(column) for column in file.columns]
-                    answer = {"columns": columns, "words": file.words, "hint": file.hint}
-                else:
-                    number = request["block"]
-                    if number not in blocks:
-                        blocks[number] = _pieces(file.read(request["names"]))
-                    arrays = next(blocks[number], ())
-            except TripError as error:
-                answer = {"problems": error.problems}
-            except MemoryError:
-                answer = {"problems": [f"{path}: {MEMORY_WORDS}"]}
-            except Exception as error:  # whatever a library raises on a damaged file
-                answer = {"error": str(error) or type(error).__name__}
-            yield answer, arrays
-
-
-def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks that fit into the shared memory."""
-    for block in blocks:
-        most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
-        for start in range(0, len(block[0]), most):
-            yield tuple(array[start : start + most] for array in block)

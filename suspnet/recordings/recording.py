@@ -1,13 +1,12 @@
 """One trip, cleaned and on one clock: accelerations at three places and the speed.
 
 A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled on
-its own. Half their sum is the channel, in which roll cancels; half their difference is kept too.
+its own. Half their sum is the channel, in which roll cancels; half their difference is stored too.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -18,16 +17,15 @@ import numpy as np
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.checked_mapping import all_of
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.loose import find_loose
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripError, TripManifest
-from suspnet.recordings.resampling import Resampler, decimate
-from suspnet.recordings.sources import OpenSource, open_source, zero_of
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.manifest_keys import TripError, all_of
+from suspnet.recordings.sensor import Sensor, SensorSignal
+from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
-from suspnet.recordings.timeline import Timeline
 
 MOST_AT_ONCE = 2
 """Number of sensors that are read at the same time, which bounds the memory that this takes."""
@@ -85,36 +83,13 @@ class Recording:
     started: datetime | None = None
 
 
-@dataclass(frozen=True)
-class SensorSignal:
-    """One sensor on the common clock, for as long as it recorded.
-
-    Attributes
-    ----------
-    start_s, end_s : float, [s]
-        Of the recording; the low-pass takes off a part of it.
-    first : int
-        Values are of the instants ``(first + arange(n)) / rate_hz``.
-    values, touched : arrays of shape (n,)
-    """
-
-    name: str
-    start_s: float
-    end_s: float
-    first: int
-    values: FloatArray
-    touched: BoolArray
-    faults: tuple[Fault, ...]
-    words: str
-
-
 def load_recording(
     manifest: TripManifest, rate_hz: float = 100.0, cleaning: CleaningSettings | None = None
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
     Files are read block by block, ``MOST_AT_ONCE`` sensors at the same time. Only the time that
-    all sensors cover is kept, less about ``8 / rate_hz`` at both ends, where the low-pass is not
+    all sensors cover remains, less about ``8 / rate_hz`` at both ends, where the low-pass is not
     complete.
 
     Parameters
@@ -176,12 +151,14 @@ def joined(
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
     speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
+    # all sensors at the instants of the common clock
     touched = np.zeros(len(times_s), dtype=np.bool_)
     values = {}
     for stream in streams:
         part = slice(first - stream.first, last + 1 - stream.first)
         values[stream.name] = stream.values[part]
         touched |= stream.touched[part]
+    # faults between sensors: loose ones first, as they have no clock to compare
     usable = np.isfinite(speed) & ~touched
     found, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
     faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults, *found)
@@ -192,7 +169,7 @@ def joined(
             f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
         )
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
-    told = [track.words if track else "", *(stream.words for stream in streams)]
+    read_as = [track.words if track else "", *(stream.words for stream in streams)]
     paired, signals, differences = _combined(manifest, values)
     duration_s = len(times_s) / rate_hz
     return Recording(
@@ -206,7 +183,7 @@ def joined(
         float(times_s[0]),
         paired,
         differences,
-        "; ".join(dict.fromkeys(words for words in told if words)),
+        "; ".join(dict.fromkeys(words for words in read_as if words)),
     )
 
 
@@ -248,7 +225,6 @@ def _combined(
 
 
 def _where(manifest: TripManifest, name: str) -> str:
-    """Return how errors name a sensor."""
     return f"{manifest.path}: channel {name!r}"
 
 
@@ -259,93 +235,26 @@ def _read_sensor(
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> SensorSignal:
-    """Read, clean and decimate one sensor as it streams by, and put it on the common clock."""
     where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
-        timeline = None if source.times is None else Timeline(where, source.rate_hz)
-        blocks = even_values(source, timeline)
-        first_block = next(blocks)
-        rate_hz = known_rate(where, source.rate_hz, timeline)
+        blocks = source.even()
+        first_block = next(blocks)  # time stamps say the rate, roughly, once it is read
+        rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
         if rate_hz > HIGHEST_HZ:
             raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
         cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
-        scaled = (source.size * block for block in chain([first_block], blocks))
-        decimated = decimate(cleaner.clean(scaled), rate_hz, wanted_hz)
-    start_s = offset_s + channel.start_s + (0.0 if timeline is None else timeline.first_s)
-    rate_hz = known_rate(where, source.rate_hz, timeline)
-    second = Resampler(start_s, rate_hz, wanted_hz, decimated.first, decimated.factor)
-    first = second.next
-    resampled = second.push(decimated.values, decimated.touched)
-    return sensor_signal(where, cleaner, start_s, rate_hz, first, *resampled, source.words)
-
-
-def sensor_signal(
-    where: str,
-    cleaner: Cleaner,
-    start_s: float,
-    rate_hz: float,
-    first: int,
-    values: FloatArray,
-    touched: BoolArray,
-    words: str = "",
-) -> SensorSignal:
-    """Return one sensor on the common clock; TripError if it has no usable sample.
-
-    Parameters
-    ----------
-    where : str
-        Named in errors.
-    cleaner : Cleaner
-        Through which all samples have gone.
-    start_s : float, [s]
-        Of the first sample.
-    rate_hz : float, [Hz]
-        Of the sensor.
-    first, values, touched, words
-        As of `SensorSignal`.
-    """
-    faults = cleaner.faults(start_s)
-    _check_alive(where, cleaner, faults)
-    end_s = start_s + cleaner.n_samples / rate_hz
-    return SensorSignal(cleaner.channel, start_s, end_s, first, values, touched, faults, words)
-
-
-def even_values(source: OpenSource, timeline: Timeline | None) -> Iterator[FloatArray]:
-    """Yield a sensor's values in its own unit, evenly sampled."""
-    if timeline is not None:
-        yield from timeline.even(source.blocks())
-    else:
-        for (block,) in source.blocks():
-            yield block
-
-
-def known_rate(where: str, stated_hz: float | None, timeline: Timeline | None) -> float:
-    """Return a sensor's rate as stated or by its time stamps, [Hz]."""
-    if timeline is None:
-        assert stated_hz is not None  # a source has times or a rate
-        return stated_hz
-    if math.isnan(timeline.rate_hz):
-        raise TripError(f"{where} has fewer than two samples; its rate is unknown")
-    return timeline.rate_hz
-
-
-def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
-    """Raise TripError if a sensor has no usable sample."""
-    if cleaner.n_bad < cleaner.n_samples:
-        return
-    n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
-    if n_constant == cleaner.n_samples and cleaner.lowest == cleaner.highest:
-        value = f"{cleaner.lowest:g}"
-        raise TripError(f"{where} is constant ({value}) throughout: is the sensor connected?")
-    raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
+        sensor = Sensor(where, cleaner, source.size, wanted_hz)
+        for block in chain([first_block], blocks):
+            sensor.push(block)
+    sensor.begin(offset_s + channel.start_s + source.first_s, source.known_rate_hz)
+    return replace(sensor.finish(), words=source.words)
 
 
 def _common(
     manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
 ) -> tuple[int, int]:
-    """Return the first and the last instant that all sensors have, in samples of the clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = ", ".join(
@@ -357,3 +266,85 @@ def _common(
         )
     first = max(stream.first for stream in streams)
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
+
+
+def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
+    """Return a recording followed by another one of the same sensors.
+
+    Between the last instant of the first and the first of the second nothing is usable: a moment at
+    least, as filters need samples on both sides.
+
+    Parameters
+    ----------
+    one, other : Recording
+    offset_s : float, [s]
+        Zero of the second one's clock on that of the first.
+    """
+    end = round(one.start_s * one.rate_hz) + len(one.usable)
+    n_gap = round((other.start_s + offset_s) * one.rate_hz) - end
+    n_skip = max(-n_gap, 0)  # a rate that is no whole number may let them overlap by an instant
+    n_gap = max(n_gap, 0)
+    usable = [one.usable, np.zeros(n_gap, dtype=np.bool_), other.usable[n_skip:]]
+    speeds = [one.speed_m_per_s, np.full(n_gap, np.nan), other.speed_m_per_s[n_skip:]]
+    signals = [one.signals, np.zeros((len(one.signals), n_gap)), other.signals[:, n_skip:]]
+    pairs = [
+        one.differences,
+        np.zeros((len(one.differences), n_gap)),
+        other.differences[:, n_skip:],
+    ]
+    later = (replace(fault, first_s=fault.first_s + offset_s) for fault in other.faults)
+    words = dict.fromkeys(filter(None, (one.words, other.words)))
+    return replace(
+        one,
+        signals=np.concatenate(signals, axis=1),
+        usable=np.concatenate(usable),
+        speed_m_per_s=np.concatenate(speeds),
+        faults=(*one.faults, *later),
+        duration_s=sum(map(len, usable)) / one.rate_hz,
+        differences=np.concatenate(pairs, axis=1),
+        words="; ".join(words),
+    )
+
+
+WINDOWS = 600
+"""Largest number of windows, about as many as a figure has pixels across."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overview:
+    """Range and mean of the signals of a recording in windows of equal length.
+
+    Attributes
+    ----------
+    times_s : array of shape (n_windows,), [s]
+        Begin of each window, from the first sample on.
+    low, high, mean : arrays of shape (3, n_windows), [m/s^2]
+        Least, largest and mean value of axle box, bogie and body.
+    speed_m_per_s : array of shape (n_windows,), [m/s]
+        Mean speed; NaN where it is unknown in part.
+    faulty : bool array of shape (n_windows,), optional
+        Where some sample cannot be used; None if that is not known.
+    """
+
+    times_s: FloatArray
+    low: FloatArray
+    high: FloatArray
+    mean: FloatArray
+    speed_m_per_s: FloatArray
+    faulty: BoolArray | None = None
+
+
+def overview(recording: Recording) -> Overview:
+    """Return the signals of a recording in at most ``WINDOWS`` windows."""
+    n_windows = min(WINDOWS, recording.signals.shape[1])
+    size = recording.signals.shape[1] // n_windows
+    windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)
+    speed = recording.speed_m_per_s[: n_windows * size].reshape(n_windows, size)
+    return Overview(
+        times_s=np.arange(n_windows) * size / recording.rate_hz,
+        low=windows.min(axis=2),
+        high=windows.max(axis=2),
+        mean=windows.mean(axis=2),
+        speed_m_per_s=speed.mean(axis=1),
+        faulty=np.any(~recording.usable[: n_windows * size].reshape(n_windows, size), axis=1),
+    )

@@ -9,8 +9,6 @@ the value at each instant of the common clock. With f the wanted rate, both are 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -36,62 +34,38 @@ PHASES = 512
 BLOCK_ROWS = 2**12
 
 
-@dataclass(frozen=True)
-class Decimated:
-    """A signal after the first stage.
+class Growing:
+    """A signal and where it is touched by bad samples, both of shape (n,), that grow in place.
 
-    Attributes
-    ----------
-    values : array of shape (n,), [as the input]
-    touched : array of shape (n,)
-        True where a bad sample took part.
-    first, factor : int
-        Sample j lies exactly at input sample ``first + j * factor``.
+    A list of blocks would need twice the memory in the end.
     """
 
-    values: FloatArray
-    touched: BoolArray
-    first: int
-    factor: int
+    def __init__(self) -> None:
+        self.values, self.touched = np.empty(0), np.empty(0, dtype=np.bool_)
 
-
-def decimate(
-    blocks: Iterable[tuple[FloatArray, BoolArray]], input_rate_hz: float, rate_hz: float
-) -> Decimated:
-    """Return a stream of (values, bad) low-passed and decimated by the first stage.
-
-    Only samples that the filter covers completely are returned, so the ends are missing.
-
-    Parameters
-    ----------
-    blocks : iterable of pairs of arrays of shape (n_samples,)
-    input_rate_hz : float, [Hz]
-        Of the stream; roughly is enough.
-    rate_hz : float, [Hz]
-        The rate wanted after both stages.
-    """
-    first_stage = Decimator(input_rate_hz, rate_hz)
-    values, touched = np.empty(0), np.empty(0, dtype=np.bool_)
-    for block, bad in blocks:
-        new, new_touched = first_stage.push(block, bad)
-        if len(new):
-            _append(values, new)
-            _append(touched, new_touched)
-    return Decimated(values, touched, first_stage.first, first_stage.factor)
+    def append(self, values: FloatArray, touched: BoolArray) -> None:
+        """Add samples; nothing else may refer to the arrays' memory."""
+        array: NDArray[Any]
+        for array, block in ((self.values, values), (self.touched, touched)):
+            if len(block):
+                array.resize(len(array) + len(block), refcheck=False)
+                array[-len(block) :] = block
 
 
 class Decimator:
-    """The first stage, block by block.
+    """The first stage, block by block; values that the filter does not cover completely lack.
 
     Parameters
     ----------
-    input_rate_hz, rate_hz : float, [Hz]
-        As of `decimate`.
+    input_rate_hz : float, [Hz]
+        Of the samples; roughly is enough.
+    rate_hz : float, [Hz]
+        The rate wanted after both stages.
 
     Attributes
     ----------
     first, factor : int
-        As of `Decimated`.
+        Value j lies exactly at input sample ``first + j * factor``.
     tail, bad_tail : arrays of shape (n_samples,)
         Samples that the next values need.
     """
@@ -130,7 +104,7 @@ class Resampler:
     rate_hz : float, [Hz]
         The rate wanted.
     first, factor : int
-        As of `Decimated`.
+        As of `Decimator`.
 
     Attributes
     ----------
@@ -171,7 +145,6 @@ class Resampler:
         return found
 
     def _instant(self, position: int) -> float:
-        """Return the time of a decimated sample, in samples of the common clock."""
         seconds = self.start_s + (self.first + position * self.factor) / self.input_rate_hz
         return seconds * self.rate_hz
 
@@ -183,15 +156,6 @@ class Resampler:
         positions -= self.first
         positions /= self.factor
         return np.asarray(positions)
-
-
-def _append(array: NDArray[Any], block: NDArray[Any]) -> None:
-    """Add a block to the end of an array in place: a list would need twice the memory in the end.
-
-    Nothing else may refer to the array's memory.
-    """
-    array.resize(len(array) + len(block), refcheck=False)
-    array[-len(block) :] = block
 
 
 def support(oversampling: float) -> int:

@@ -7,7 +7,7 @@ instants of the common clock are multiples of ``1 / rate_hz``.
 
 All later steps look at the whole recording: whether clocks drift apart; which speeds are impossible
 or stuck; which segments share a speed; which are louder than ``LOUD`` medians, or less coherent
-than the others. Signals on the common clock are kept for them: 27 bytes for each instant of three
+than the others. Signals on the common clock are stored for them: 27 bytes for each instant of three
 sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with half overlap, up to
 a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
 chosen. So a recording has to end; `longest_s` bounds it, and with it the memory.
@@ -32,27 +32,25 @@ import numpy as np
 from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.assembler import Assembler, OrderSettings
-from suspnet.recordings.cleaning import CleaningSettings
-from suspnet.recordings.clocks import SECOND_NS, Zero
+from suspnet.recordings.cleaning import Cleaner, CleaningSettings
+from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.columns import size_of
 from suspnet.recordings.frames import Frame, FrameError, end_ns
-from suspnet.recordings.joining import followed
 from suspnet.recordings.manifest import (
     ACCELERATION_UNITS,
     SPEED_UNITS,
     Source,
     SpeedSource,
-    TripError,
     TripManifest,
 )
-from suspnet.recordings.recording import HIGHEST_HZ, Recording, joined
-from suspnet.recordings.running_sensor import RunningSensor
-from suspnet.recordings.sources import RATE_TOLERANCE
-from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack
-from suspnet.recordings.timeline import RATE_TOLERANCE as TIMES_TOLERANCE
-from suspnet.recordings.units import size_of
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
+from suspnet.recordings.sensor import Sensor
+from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
+from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
 UNITS = {"acceleration": "m/s2", "speed": "m/s"}
-"""Units in which samples are kept where the manifest leaves them to the file."""
+"""Units in which samples are stored where the manifest leaves them to the file."""
 
 
 class Running:
@@ -78,7 +76,7 @@ class Running:
     begin_ns, end_ns : int, [ns]
         When the first frame begins and the last one ends, by their times.
     goes_on : bool
-        Whether it goes on with the trip of another one.
+        Whether it continues the trip of another one.
     rest : Running or None
         What follows of the same trip, where it is too short for a recording of its own.
 
@@ -126,7 +124,7 @@ class Running:
                     "it comes"
                 )
         self._orders: dict[str, Assembler] = {}
-        self._sensors: dict[str, RunningSensor] = {}
+        self._sensors: dict[str, Sensor] = {}
         self._speeds: list[FloatArray] = []
 
     @property
@@ -146,7 +144,6 @@ class Running:
 
     @property
     def _accelerations(self) -> list[str]:
-        """Names of the accelerometers."""
         return list(self.manifest.sensors())
 
     @property
@@ -212,18 +209,15 @@ class Running:
         return self._orders[name]
 
     def _begin(self, name: str, rate_hz: float) -> None:
-        """Begin a sensor, whose rate is known."""
         self._orders[name] = Assembler(rate_hz, self.order)
         channel = self.manifest.sensors().get(name)
         if channel is not None:
-            self._sensors[name] = RunningSensor(
-                f"{self.manifest.path}: channel {name!r}",
-                name,
-                replace(channel, rate_hz=rate_hz, unit=channel.unit or UNITS["acceleration"]),
-                self.rate_hz,
-                self.cleaning,
-                late=zlib.crc32(f"{self._name}, {name}".encode()) / 2**32,
-            )
+            unit = ACCELERATION_UNITS[channel.unit or UNITS["acceleration"]]
+            full_scale = None if channel.range is None else unit * channel.range
+            late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
+            where = f"{self.manifest.path}: channel {name!r}"
+            cleaner = Cleaner(name, rate_hz, full_scale, self.cleaning, late)
+            self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
         """Return why a sensor cannot have a rate; empty if it can."""
@@ -251,10 +245,10 @@ class Running:
         ------
         TripError
             As `load_recording` does: a sensor is dead or missing, the time too short, the speed
-            unknown, or clocks run apart.
+            unknown, or clocks drift against each other.
         """
-        begun = [name for name, order in self._orders.items() if order.first_ns is not None]
-        missing = [name for name in self._sources if name not in begun]
+        started = [name for name, order in self._orders.items() if order.first_ns is not None]
+        missing = [name for name in self._sources if name not in started]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
         signals = [
@@ -286,13 +280,13 @@ class Running:
         return _second(first_ns) if self.rate_hz.is_integer() else self.zero_ns
 
     def _give(self, name: str, blocks: list[FloatArray]) -> None:
-        """Give the next samples of a sensor to what keeps them."""
         if name == "speed":
             self._speeds += blocks
             return
         sensor = self._sensors[name]
         if blocks and sensor.start_s is None:
-            sensor.begin(self._start_s(name, self._zero_ns(name)))
+            start_s = self._start_s(name, self._zero_ns(name))
+            sensor.begin(start_s, self._orders[name].rate_hz)
         for block in blocks:
             sensor.push(block)
 
@@ -310,10 +304,8 @@ class Running:
         rate_hz = self._orders["speed"].rate_hz
         self._speeds = [np.concatenate(self._speeds)]
         speeds = SPEED_UNITS[source.unit or UNITS["speed"]] * self._speeds[0]
-        elapsed_s = np.arange(len(speeds)) / rate_hz
-        step_s = float(np.median(np.diff(elapsed_s))) if len(speeds) > 1 else 1 / rate_hz
         start_s = self._start_s("speed", self._clock_ns)
-        return SpeedTrack(start_s + elapsed_s, speeds, Zero(), step_s, "")
+        return speed_track(np.arange(len(speeds)) / rate_hz, speeds, start_s, rate_hz)
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values that `restore` makes the same recording of."""
@@ -338,7 +330,7 @@ class Running:
 
     @property
     def identity(self) -> list[Any]:
-        """Return what a state must share with the recording that goes on from it."""
+        """Return what a state must share with the recording that continues it."""
         sensors = {
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
             for name, one in self._sources.items()

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
+import numpy as np
+
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.recordings.clocks import Times, Zero, header_date
-from suspnet.recordings.columns import Column, OpenFile, choose
+from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import Channel, Source, TripManifest
-from suspnet.recordings.units import agreed_size, size_of
+from suspnet.recordings.manifest_keys import TripError
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference of a stated rate from that in the header of a file."""
@@ -52,6 +54,8 @@ class OpenSource:
     stated: Zero
     full_scale: float | None
     words: str
+    where: str
+    timeline: Timeline | None
 
     @property
     def zero(self) -> Zero:
@@ -67,6 +71,29 @@ class OpenSource:
                 yield block
             else:
                 yield self.times.seconds(block[0]), block[1]
+
+    def even(self) -> Iterator[FloatArray]:
+        """Yield values in its own unit, evenly sampled: NaN where its times leave samples out."""
+        if self.timeline is not None:
+            yield from self.timeline.even(self.blocks())
+        else:
+            for (block,) in self.blocks():
+                yield block
+
+    @property
+    def known_rate_hz(self) -> float:
+        """Rate as stated or by the times: roughly after the first even block, then exactly."""
+        if self.timeline is None:
+            assert self.rate_hz is not None  # a source has times or a rate
+            return self.rate_hz
+        if math.isnan(self.timeline.rate_hz):
+            raise TripError(f"{self.where} has fewer than two samples; its rate is unknown")
+        return self.timeline.rate_hz
+
+    @property
+    def first_s(self) -> float:
+        """Time of the first sample since `zero`, after the first even block, [s]."""
+        return 0.0 if self.timeline is None else self.timeline.first_s
 
 
 @contextmanager
@@ -94,6 +121,7 @@ def open_source(
         column = file.column(name)
         if column.is_time:
             raise TripError(f"{path}: column {name!r} holds time stamps, not numbers")
+        # the rate, or else the times: by the manifest, the file, or its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
         if time is None and rate_hz is None:
@@ -103,6 +131,7 @@ def open_source(
             raise TripError(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
             )
+        # what values are multiplied with
         size, words = _size(where, kind, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:
@@ -123,11 +152,12 @@ def open_source(
             Zero(column.start_ns, is_stated=True, date=header_date(column)),
             full_scale,
             "; ".join(part for part in (file.words, words) if part),
+            where,
+            None if times is None else Timeline(where, rate_hz),
         )
 
 
 def _value_column(path: Path, file: OpenFile, source: Source) -> str:
-    """Return the name of the column of values."""
     if source.time is None:
         return choose(path, file, [source.column])[0]
     return choose(path, file, [source.time, source.column])[1]
@@ -171,3 +201,131 @@ def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acc
                 opened.times.seconds(times[0])
                 break
         return opened.zero
+
+
+GAP_STEPS = 1.5
+"""A time step longer than this multiple of the usual one is a gap."""
+
+LONGEST_GAP_S = 1800.0
+"""Longest gap within a trip [s]; after a longer one its time stamps are refused."""
+
+TIMES_TOLERANCE = 0.01
+"""Largest relative difference of the rate by time stamps from that in the manifest."""
+
+
+class Timeline:
+    """Makes an evenly sampled stream of one with time stamps, whatever its blocks.
+
+    Parameters
+    ----------
+    where : str
+        Named in errors, e.g. "trip.yaml: channel 'body'".
+    rate_hz : float, optional, [Hz]
+        Rate in the manifest; None if only the time stamps say it.
+
+    Attributes
+    ----------
+    rate_hz : float, [Hz]
+        One over the mean time step, gaps left out: roughly after the first block, exactly after
+        the last; NaN while there is no step.
+    first_s : float, [s]
+        The first time stamp.
+    """
+
+    def __init__(self, where: str, rate_hz: float | None) -> None:
+        self.where, self.stated_rate_hz = where, rate_hz
+        self.rate_hz = self.first_s = np.nan
+        self._usual_s = self._last_s = np.nan
+        self._n_steps, self._seconds = 0, 0.0
+        self._rest = 0.0  # what rounding gaps to whole samples has left over, [samples]
+
+    def even(self, blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[FloatArray]:
+        """Yield the values of blocks of (times [s], values), with NaN where times are missing.
+
+        Raises
+        ------
+        TripError
+            If times do not rise or are not finite, leave out more than ``LONGEST_GAP_S``, or
+            disagree with the stated rate by more than ``TIMES_TOLERANCE``.
+        """
+        for times, values in _recut(blocks):
+            before = self._last_s if self._n_steps else None
+            check_rising(self.where, times, before)
+            if before is None:
+                self.first_s = float(times[0])
+            steps = np.diff(times, prepend=times[0] if before is None else before)
+            if np.isnan(self._usual_s) and len(times) > 1:
+                self._usual_s = float(np.median(steps[1:]))
+            gaps = np.flatnonzero(steps > GAP_STEPS * self._usual_s)
+            self._count(steps, gaps)
+            self._last_s = float(times[-1])
+            if len(gaps) == 0:
+                yield values
+                continue
+            shift = np.zeros(len(times), dtype=np.intp)
+            shift[gaps] = self._missing(steps[gaps])
+            shift = np.cumsum(shift)
+            filled = np.full(len(times) + int(shift[-1]), np.nan)
+            filled[np.arange(len(times)) + shift] = values
+            yield filled
+
+    def _count(self, steps: FloatArray, gaps: IntArray) -> None:
+        n_first = 0 if self._n_steps else 1  # the very first sample follows no step
+        self._n_steps += len(steps) - n_first - len(gaps)
+        self._seconds += float(steps.sum() - steps[gaps].sum())
+        if self._n_steps:
+            self.rate_hz = self._n_steps / self._seconds
+            check_rate(self.where, self.stated_rate_hz, self.rate_hz)
+
+    def _missing(self, gaps_s: FloatArray) -> FloatArray:
+        """Return how many samples each gap lacks; rounding does not add up."""
+        if gaps_s.sum() > LONGEST_GAP_S:
+            raise TripError(
+                f"{self.where}: its times leave out {gaps_s.sum():.6g} s at once; the most is "
+                f"{LONGEST_GAP_S:g} s, so divide the trip in two or correct the times"
+            )
+        exact = np.cumsum(gaps_s * self.rate_hz - 1) + self._rest
+        whole = np.maximum.accumulate(np.round(exact))
+        self._rest = float(exact[-1] - whole[-1])
+        return np.asarray(np.diff(whole, prepend=0.0))
+
+
+def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:
+    """Raise TripError unless times are finite and rise, from the one before them on."""
+    if not np.isfinite(times).all():
+        raise TripError(f"{where}: its times hold an empty or infinite value")
+    all_times = times if before is None else np.concatenate([[before], times])
+    fall = np.flatnonzero(all_times[1:] <= all_times[:-1])
+    if len(fall):
+        earlier, later = all_times[fall[0] : fall[0] + 2]
+        raise TripError(
+            f"{where}: times must rise, but {later:.9g} s follows {earlier:.9g} s; are they "
+            "rounded too coarsely, or stored in single precision?"
+        )
+
+
+def check_rate(where: str, stated_hz: float | None, found_hz: float) -> None:
+    """Raise TripError if a stated rate is not that of the time stamps."""
+    if stated_hz is not None and abs(found_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
+        raise TripError(
+            f"{where}: `rate_hz` says {stated_hz:g} Hz, its times say {found_hz:.6g} Hz; they must "
+            "agree within 1 %, so correct one or leave it out"
+        )
+
+
+def _recut(blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[tuple[FloatArray, ...]]:
+    """Yield the same stream in blocks of ``BLOCK`` samples, the last one shorter."""
+    pending: list[tuple[FloatArray, ...]] = []
+    held = 0
+    for block in blocks:
+        pending.append(block)
+        held += len(block[0])
+        if held < BLOCK:
+            continue
+        columns = [np.concatenate(parts) for parts in zip(*pending, strict=True)]
+        whole = held - held % BLOCK
+        for start in range(0, whole, BLOCK):
+            yield tuple(column[start : start + BLOCK] for column in columns)
+        pending, held = [tuple(column[whole:] for column in columns)], held - whole
+    if held:
+        yield tuple(np.concatenate(parts) for parts in zip(*pending, strict=True))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
 from suspnet.recordings.faults import paint, runs
 from suspnet.recordings.manifest import SpeedSource, TripManifest
-from suspnet.recordings.sources import OpenSource, open_source
-from suspnet.recordings.timeline import GAP_STEPS, check_rate, check_rising
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.sources import GAP_STEPS, OpenSource, check_rate, check_rising, open_source
 
 LARGEST_SPEED_M_PER_S = 150.0
 """Largest speed of a train [m/s]; a larger value counts as unknown."""
@@ -59,18 +58,18 @@ class SpeedTrack:
     seconds : array of shape (n_known,), [s]
         Since `zero`, with the manifest's `start_s`.
     speeds : array of shape (n_known,), [m/s]
-    zero : Zero
     step_s : float, [s]
         Usual time between two of them; infinite if there is only one and no rate.
+    zero : Zero
     words : str
         How its file is read.
     """
 
     seconds: FloatArray
     speeds: FloatArray
-    zero: Zero
     step_s: float
-    words: str
+    zero: Zero = field(default_factory=Zero)
+    words: str = ""
 
 
 def read_speed(manifest: TripManifest) -> SpeedTrack | None:
@@ -93,12 +92,18 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     with open_source(manifest, source, where, "speed") as file:
         parts = list(_thinned(_timed(file, where)))
         seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
-        step_s = 1 / (file.rate_hz or np.inf)
-        if len(seconds) > 1:
-            step_s = float(np.median(np.diff(seconds)))
-        return SpeedTrack(
-            source.start_s + seconds, file.size * speeds, file.zero, step_s, file.words
-        )
+        found = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)
+        return replace(found, zero=file.zero, words=file.words)
+
+
+def speed_track(
+    seconds: FloatArray, speeds: FloatArray, start_s: float, rate_hz: float | None
+) -> SpeedTrack:
+    """Return speeds (n_known,) [m/s] by their times since `start_s` [s]."""
+    step_s = 1 / (rate_hz or np.inf)
+    if len(seconds) > 1:
+        step_s = float(np.median(np.diff(seconds)))
+    return SpeedTrack(start_s + seconds, speeds, step_s)
 
 
 def speed_at(

@@ -71,6 +71,13 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
             _draw_visit(axis, row, visit)
     if not shown:
         axis.text(0.5, 0.5, "nothing to be done", ha="center", transform=axis.transAxes)
+    _label(axis, plan, shown, len(names))
+    _legend(figure, axis, plan.level)
+    return figure
+
+
+def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
+    """Name trains, days and the numbers of visits; every other train is shaded."""
     axis.set_ylim(max(len(shown), LEAST_ROWS) - 0.5, -0.5)
     names_in_lines = ["\n".join(wrap(name, LONGEST_LINE)[:2]) for name in shown]
     axis.set_yticks(range(len(shown)), names_in_lines, fontsize="small")
@@ -92,22 +99,18 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     )
     if plan.unknown:
         title += f", {count(len(plan.unknown), 'part')} unknown"
-    if len(names) > len(shown):
-        title += f"\n{len(shown)} trains of {len(names)}, the most urgent"
+    if n_trains > len(shown):
+        title += f"\n{len(shown)} trains of {n_trains}, the most urgent"
     axis.set_title(title, fontsize="medium")
-    _legend(figure, axis, plan.level)
-    return figure
 
 
 def _urgency(visits: Sequence[Visit], jobs: Sequence[Job], name: str) -> tuple[Any, ...]:
-    """Return what trains are sorted by: the first visit, then the first that waits."""
     first = min(((URGENCIES.index(v.urgency), v.day.toordinal()) for v in visits), default=(9, 0))
     known = [job.probability for job in jobs if not job.part.unknown]
     return (len(known) == len(jobs), *first, -max(known, default=0.0), name)
 
 
 def _draw_visit(axis: Axes, row: int, visit: Visit) -> None:
-    """Draw a visit, how many jobs it has and until when it may be put off."""
     urgency = visit.urgency_of(visit.jobs[0])
     colour = COLOURS[urgency]
     day, latest = (float(mdates.date2num(one)) for one in (visit.day, visit.latest))
@@ -116,7 +119,6 @@ def _draw_visit(axis: Axes, row: int, visit: Visit) -> None:
 
 
 def _draw_mark(axis: Axes, day: float, row: int, urgency: str, text: str) -> None:
-    """Draw a mark with a short text in the colour of its urgency."""
     style: dict[str, Any] = {"ms": 11, "mec": "white", "clip_on": False, "zorder": 3}
     axis.plot(day, row, "o", color=COLOURS[urgency], label=WORDS[urgency], **style)
     place: dict[str, Any] = {"ha": "center", "va": "center", "color": "white", "zorder": 4}
@@ -124,7 +126,6 @@ def _draw_mark(axis: Axes, day: float, row: int, urgency: str, text: str) -> Non
 
 
 def _draw_passing(axis: Axes, plan: Plan, row: int, jobs: Sequence[Job]) -> None:
-    """Draw when the first parts of a train pass their limits, below each other in its row."""
     begin, end = (float(mdates.date2num(day)) for day in (plan.today, plan.horizon))
     ends = sorted(job.passing_days for job in jobs if begin + job.passing_days[0] < end)[:BARS]
     for i, (low, high) in enumerate(ends):

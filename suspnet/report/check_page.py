@@ -17,8 +17,7 @@ from suspnet._version import __version__
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.wording import span
-from suspnet.recordings.overview import overview
-from suspnet.recordings.recording import Recording
+from suspnet.recordings.recording import Recording, overview
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
 from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
 from suspnet.report.templates import render
@@ -95,7 +94,6 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
 
 
 def _ends(values: Sequence[float], digits: int) -> str:
-    """Return the least and the largest of numbers."""
     return span(*(f"{of(values):.{digits}f}" for of in (min, max)))
 
 
@@ -140,7 +138,6 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
 
 
 def _cells(check: TripCheck) -> list[str]:
-    """Return the cells of a trip that could be read."""
     parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
     speeds = _ends(each, 1) if each else ""
     coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
@@ -159,7 +156,6 @@ def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, s
 
 
 def _listing(names: Sequence[str]) -> str:
-    """Return names, at most ``LISTED`` of them."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more
 

@@ -112,7 +112,6 @@ def as_json(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
 
 
 def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure]) -> str:
-    """Return the page as HTML."""
     doubts, numbers = words.doubts(outcome), words.numbers(outcome)
     groups: dict[str, list[dict[str, Any]]] = {}
     for one in numbers:
@@ -148,7 +147,6 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
 
 
 def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
-    """Return what the page is about: label and text."""
     pairs = [
         f"{channel.replace('_', ' ')} {'left and right' if pair else 'one'}"
         for channel, pair in zip(CHANNELS, found.paired, strict=True)
@@ -167,7 +165,6 @@ def _place(found: HealthyTrips) -> str:
 
 
 def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
-    """Return each trip with its mass and its stretches at one speed."""
     rows = []
     for i, manifest in enumerate(found.manifests):
         groups = [
@@ -194,7 +191,6 @@ def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
 
 
 def _curves(found: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
-    """Return measured, nominal and commissioned responses of each group, a row a bin."""
     left = figures.residuals(outcome)
     tables = []
     for i, group in enumerate(found.groups):

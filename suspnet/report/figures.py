@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
-from suspnet.recordings.overview import Overview
+from suspnet.recordings.recording import Overview
 from suspnet.report.responses import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
@@ -89,7 +89,6 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
 
 
 def _label_signals(axes: Sequence[Axes], time: str) -> None:
-    """Name the quantities on the axes of `draw_signals`."""
     for axis, channel in zip(axes, CHANNEL_TITLES, strict=False):
         axis.set_ylabel(f"{channel}\n[m/s²]")
     axes[3].set(ylabel="speed\n[km/h]", xlabel=time)
@@ -176,7 +175,6 @@ def quality(results: Sequence[TripResult]) -> Figure:
 
 
 def _lone_point(time: FloatArray) -> dict[str, Any]:
-    """Return the style that makes a line of one point visible."""
     return {"marker": "o"} if len(time) == 1 else {}
 
 

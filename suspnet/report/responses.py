@@ -10,7 +10,7 @@ import numpy as np
 from suspnet.ground.records import TripCurves
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
-from suspnet.history.curves import TripResponses
+from suspnet.history.arrays import TripResponses
 
 PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")
 BAND = 1.96

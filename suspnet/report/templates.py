@@ -120,23 +120,19 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
 
 
 def _rounded(km: float) -> str:
-    """Return a mileage with two significant digits."""
     return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 
 def _symbol(name: str) -> Markup:
-    """Return a parameter's symbol with its index."""
     letter, _, index = name.partition("_")
     return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
 
 
 def _range(pair: tuple[float, float]) -> str:
-    """Return lower and upper limit, in %."""
     return " to ".join(f"{100 * one:g}" for one in pair)
 
 
 def _columns(names: Iterable[str]) -> list[Markup]:
-    """Return the headings of columns of parameters in %."""
     return [Markup("#{}\n[%]").format(_symbol(name)) for name in names]
 
 

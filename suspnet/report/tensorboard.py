@@ -145,11 +145,9 @@ class RunLog:
 
 
 def _column(key: str) -> str:
-    """Return the column of a key of the configuration: n_train of data.n_train."""
     last = key.rpartition(".")[2]
     return last if last in HYPERPARAMETERS else key
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as TensorBoard can hold it."""
     return value if isinstance(value, bool | int | float | str) else str(value)

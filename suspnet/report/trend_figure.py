@@ -108,7 +108,6 @@ def _draw_levels(axis: Axes, panel: Panel) -> None:
 
 
 def _mark_beyond(axis: Axes, panel: Panel) -> None:
-    """Put a triangle and the value at the edge beyond which a trip lies."""
     values, edges = panel.points.values, axis.get_xaxis_transform()
     for beyond, marker, edge in (
         (values < panel.axis[0], "v", 0),

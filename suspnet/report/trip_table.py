@@ -62,7 +62,6 @@ def _half_width(result: TripResult, name: str) -> float:
 
 
 def _digits(half_widths: Sequence[float]) -> int:
-    """Return the number of decimals of a column of estimates and half widths: 1, 2 or 3."""
     known = [half for half in half_widths if math.isfinite(half) and half > 0]
     if not known:
         return 1

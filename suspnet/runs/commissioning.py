@@ -14,6 +14,7 @@ from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
@@ -29,7 +30,7 @@ def commission_folder(
     settings: EstimateSettings,
     trips: TripSettings,
     *,
-    paths: Sequence[Path] | None = None,
+    paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
     progress: bool = False,
 ) -> tuple[HealthyTrips, Commissioned]:
@@ -40,7 +41,7 @@ def commission_folder(
     generator : VerticalVehicle
         The nominal vehicle; if it has no parts all but the air spring are taken, if it has no
         distribution the prior of its parts.
-    paths : sequence of Path, optional
+    paths : sequence of ManifestFile, optional
         Manifests of one suspension, where the folder holds those of others too; None is all.
     n_first : int, optional
         Take the first trips by mileage only.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -86,9 +87,7 @@ def write_maintenance(
     planned = Planner(plan).plan(states, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)
-    counts = {str(state.severity): 0 for state in states}
-    for state in states:
-        counts[str(state.severity)] += 1
+    counts = Counter(str(state.severity) for state in states)
     write_json(
         folder / "metrics.json",
         {

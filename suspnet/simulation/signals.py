@@ -59,6 +59,8 @@ def simulate_trip(
     for first in range(-n_lead, n_samples, BLOCK):
         times = np.arange(first, min(first + BLOCK, n_samples)) / rate_hz
         position, speed, acceleration = journey.at(times)
+        # Every wheelset feels the same track, where it is: its vertical acceleration (and, of the
+        # cross level, that of the angle) drives the system.
         wheels = []
         for track, scale in tracks:
             squared, scaled = scale * speed**2, scale * acceleration
@@ -66,6 +68,7 @@ def simulate_trip(
                 _, slope, curvature = track.at(start_m + position - behind)
                 wheels.append(squared * curvature + scaled * slope)
         outputs = motion.advance(wheels).reshape(n_sides, 2, len(times))
+        # The lead-in is not part of the trip.
         kept = slice(max(0, -first), None)
         place = slice(max(0, first), max(0, first + len(times)))
         signals[:, 0, place] = wheels[measured][kept]

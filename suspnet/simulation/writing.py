@@ -24,7 +24,7 @@ from scipy.signal import resample_poly
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.track import make_profile
+from suspnet.dynamics.track import TrackProfile, make_profile
 from suspnet.dynamics.track_spectra import cross_level_spectrum, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
@@ -35,7 +35,7 @@ from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, Suspension, Trains
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.simulation.scatter import scattered, true_numbers
-from suspnet.simulation.signals import profile_length_m, simulate_trip
+from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
 
 ROW_GROUP = 1 << 20
 ANTI_ALIAS = ("kaiser", 12.0)
@@ -264,29 +264,19 @@ def _write_trip(
     The trip is a folder, its number, its mileage [km] and the parameters relative to healthy.
     """
     folder, index, mileage_km, ratios = trip
+    # What suspensions of a train share comes from the train's seed, the noise is each one's own.
     track, noise, speeds, cross = np.random.SeedSequence([seed, index]).spawn(4)
     if aboard is not None:
         track, _, speeds, cross = np.random.SeedSequence([aboard.seed, index]).spawn(4)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
+    # All is simulated at the highest rate; each sensor then has its own.
     rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
     system = generator.motion_system(torch.as_tensor(ratios))
     if fleet.sides == "left":
         system = replace(system, sensors=system.sensors[:2])
-    mean = track_spectrum(fleet.track, fleet.short_waves)
-    processes = [(mean, track)]
-    if system.roll_per_m:
-        processes.append((cross_level_spectrum(mean), cross))
-    profiles = [
-        make_profile(
-            spectrum,
-            profile_length_m(system, journey),
-            float(journey.speeds_m_per_s.max()) / rate_hz,
-            int(source.generate_state(1)[0]),
-        )
-        for spectrum, source in processes
-    ]
+    profiles = _profiles(fleet, system, journey, rate_hz, (track, cross))
     signals = simulate_trip(system, profiles[0], journey, rate_hz, *profiles[1:])
-    del profiles
+    del profiles  # as large as the signals
     name = _name(index)
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)
@@ -305,6 +295,24 @@ def _write_trip(
     if aboard is not None:
         manifest = replace(manifest, train=aboard.train, car=aboard.car, bogie=aboard.bogie)
     return write_manifest(manifest)
+
+
+def _profiles(
+    fleet: Fleet,
+    system: LinearSystem,
+    journey: Journey,
+    rate_hz: float,
+    seeds: tuple[np.random.SeedSequence, np.random.SeedSequence],
+) -> list[TrackProfile]:
+    """Return the profiles of the mean of both rails and, with roll, of the cross level."""
+    mean = track_spectrum(fleet.track, fleet.short_waves)
+    spectra = [mean, cross_level_spectrum(mean)] if system.roll_per_m else [mean]
+    length_m = profile_length_m(system, journey)
+    step_m = float(journey.speeds_m_per_s.max()) / rate_hz
+    return [
+        make_profile(spectrum, length_m, step_m, int(seed.generate_state(1)[0]))
+        for spectrum, seed in zip(spectra, seeds, strict=False)
+    ]
 
 
 def _write_channels(

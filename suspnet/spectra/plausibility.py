@@ -3,7 +3,7 @@
 Slowly, everything moves with the track: G_p and G_s tend to 1. Fast, each suspension isolates:
 the axle box shakes more than the bogie, the bogie more than the body, so that the responses get
 another shape when channels are swapped. Both axles of a bogie meet the same track, so that waves of
-twice the wheelbase turn the frame and leave its centre at rest: the shape tells the speed.
+twice the wheelbase turn the frame and leave its centre at rest: the shape shows the speed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
-from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.welch import SegmentSpectra
@@ -36,8 +37,8 @@ COHERENT = 0.5
 """Least coherence at which the gain is checked."""
 IN_ORDER = tuple(range(len(CHANNELS)))
 IF_SURE = (
-    "if you are sure, go on: with single sensors a vehicle unlike its drawing looks so too, and a "
-    "commissioned model checks again"
+    "if you are sure, continue: with single sensors a vehicle unlike its drawing looks so too, and "
+    "a commissioned model checks again"
 )
 """What to do about a doubt of order or speed."""
 SPEED_BAND_HZ = 20.0
@@ -50,14 +51,14 @@ Of 300 vehicles drawn from the prior, worn to 67 to 149 %, at 25 to 83 m/s with 
 a wrong order fitted at most 1.04 times as well; a wrong speed did so more than 1.5 times with 2,
 more than 1.25 times with 6."""
 ORDER_MARGIN = 1.1
-"""Factor by which another order must fit the healthy vehicle better to be told.
+"""Factor by which another order must fit the healthy vehicle better to be reported.
 
 Between axle box and bogie single sensors leave little room: of 400 states of a commissioned vehicle
 at 60 to 150 %, seen on one side, the right order fitted at most 0.97 times as badly as the best
 wrong one (1.01 in a trip), and a swap by 1.03 and more, by less than 1.1 in 12. Such a swap is a
 doubt here, and flagged by the misfit."""
 SPEED_MARGIN = 1.25
-"""Factor by which another speed must fit better than the one given to be told.
+"""Factor by which another speed must fit better than the one given to be reported.
 
 At 20 to 83 m/s, with parameters of 60 to 150 %, the right speed fits better than the one of 3.6
 times or its 3.6th part by 1.69 and more (all shipped vehicles)."""
@@ -115,7 +116,7 @@ def check_channels(
         doubts.append(speed_words)
     if order * (DOUBTFUL_ORDER_MARGIN if doubtful else 1.0) > 1:
         doubts.append(
-            f"the order of the channels is not told: it looks as much as if {order_words}"
+            f"the order of the channels is not clear: it looks as much as if {order_words}"
         )
     doubts += [IF_SURE] if doubts else []
     slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
@@ -186,7 +187,6 @@ def check_pairs(
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
-    """Return how many times as well the best wrong order of the channels fits, and that order."""
     fits = _fits(spectra, expected)
     given = fits.pop(IN_ORDER)
     other = min(fits, key=fits.__getitem__)
@@ -221,7 +221,7 @@ def _log_magnitudes(spectra: CrossSpectra, order: Sequence[int]) -> Tensor:
 def _other_speed(
     spectra: CrossSpectra, frequencies_hz: Tensor, generator: ResponseGenerator
 ) -> tuple[float, str]:
-    """Return how many times as well km/h taken for m/s, or the reverse, fit, and that in words.
+    """Return how many times as well km/h taken for m/s, or the reverse, fit, and that as text.
 
     0 if they do not fit the channels in order, or if that is not known.
 

@@ -35,7 +35,6 @@ def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
 
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
-    """Return the segments of signals on the recording's clock that are free of its faults."""
     return segment_spectra(
         torch.as_tensor(signals),
         recording.rate_hz,

@@ -106,7 +106,7 @@ def range_words(ranges: Iterable[SpeedRange]) -> str:
 
 
 def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
-    """Return the `speed_m_per_s` whose models read some speeds, and those ``MARGIN`` beside them.
+    """Return the `speed_m_per_s` whose models read some speeds and a ``MARGIN``.
 
     Parameters
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,14 +14,17 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
-from suspnet.estimation.from_recording import TripSettings
-from suspnet.estimation.group_spectra import GroupSpectra, group_spectra, speed_of
-from suspnet.estimation.speed_groups import groups_to_read, readable_words
+from suspnet.estimation.from_recording import Steady, TripSettings, steady
+from suspnet.estimation.steady_parts import (
+    groups_to_read,
+    readable_words,
+)
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import ERROR, OK
-from suspnet.recordings.checked_mapping import all_of
-from suspnet.recordings.manifest import CHANNELS, TripError, TripManifest
-from suspnet.recordings.manifest_files import parse_manifest, read_content
+from suspnet.recordings.formats import open_columns
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.report.check_page import trip_figure, write_picture
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
@@ -28,12 +32,10 @@ from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     difference_segments,
-    in_band,
     recording_segments,
     segment_speeds,
 )
 from suspnet.spectra.welch import SegmentSpectra
-from suspnet.trips.checked_manifests import Opened, check_columns
 from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 
@@ -41,6 +43,10 @@ log = logging.getLogger(__name__)
 
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
+
+
+Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
+"""Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
 
 @dataclass(frozen=True)
@@ -82,34 +88,63 @@ def check_trip(
     opened = {} if opened is None else opened
     result = TripCheck(path)
     try:
-        content = read_content(path)
-        manifest, _ = all_of(
-            [partial(parse_manifest, path, content), partial(check_columns, path, content, opened)]
-        )
+        file = ManifestFile(path)
+        manifest, _ = all_of([lambda: file.trip, lambda: _check_columns(file, opened)])
         result = _described(result, manifest)
         recording = load_recording(manifest, settings.trips.rate_hz)
         return _inspected(result, recording, settings, picture)
     except TripError as error:
-        told = error.problems
+        problems = error.problems
     except Exception as error:  # a fault in one trip must not hide what is wrong with the others
         log.debug("trip %s failed", path, exc_info=True)
-        told = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
-    return _with_problems(result, told)
+        problems = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
+    return _with_problems(result, problems)
+
+
+def _check_columns(file: ManifestFile, opened: Opened) -> None:
+    """Raise TripError if a column that a manifest names cannot be opened, whatever else is wrong.
+
+    Only the first block is read. A missing file is reported by the check of the manifest.
+    """
+    problems: dict[str, None] = {}
+    for source in file.sources.values():
+        data, time, column = (
+            file.path.parent / source["file"],
+            source.get("time"),
+            source.get("column"),
+        )
+        named = all(one is None or isinstance(one, str) for one in (time, column))
+        if not named or source.get("csv") is not None or not os.path.isfile(data):
+            continue  # how a CSV file is written is known only when the manifest is parsed
+        key = (data, time, column)
+        if key not in opened:
+            opened[key] = _opening(data, [column] if time is None else [time, column])
+        problems |= dict.fromkeys(opened[key])
+    if problems:
+        raise TripError(*problems)
+
+
+def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
+    """Return why some columns of a file cannot be opened; empty if they can."""
+    try:
+        for _ in open_columns(file, columns):
+            return ()
+    except TripError as error:
+        return error.problems
+    return ()
 
 
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
-    """Return a check with problems, of which the manifest's own path is left out."""
-    told = tuple(
+    shown = tuple(
         "".join(letter if letter.isprintable() else "?" for letter in problem).removeprefix(
             f"{result.manifest}: "
         )
         for problem in problems
     )
-    return replace(result, state=PROBLEM, problems=result.problems + told)
+    return replace(result, state=PROBLEM, problems=result.problems + shown)
 
 
 def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
-    """Return a check with what the manifest says."""
     pairs = [name for name in CHANNELS if isinstance(manifest.channels[name], tuple)]
     sensors = "single sensors" if not pairs else f"pairs: {', '.join(pairs)}"
     return replace(
@@ -166,7 +201,6 @@ def _inspected(
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
-    """Return a check whose state is what the models make of the recording."""
     manifest = recording.manifest
     try:
         models = models_of(settings.models, manifest.place)
@@ -200,32 +234,31 @@ def _with_parts(
         words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
         return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), [looked_at]
     speeds = segment_speeds(recording, segments)
-    band = in_band(segments, estimate.frequencies_hz())
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
-    groups = [
-        group_spectra(band, group, settings.min_coherence, estimate)
-        for group in groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
+    found = [
+        (one, _part(one))
+        for one in steady(segments, speeds, groups, estimate, settings)
+        if one.found.spectra is not None
     ]
-    found = [(one, _part(band, speeds, one)) for one in groups if one.spectra is not None]
-    kept = [one for one in found if one[0].n_averages >= settings.min_averages]
-    certain = [one for one in kept if one[0].deviation <= settings.max_deviation]
-    uncertain = [part for one, part in kept if one.deviation > settings.max_deviation]
+    kept = [(one, part) for one, part in found if one.has_enough]
+    certain = [(one, part) for one, part in kept if one.is_certain]
+    uncertain = [part for one, part in kept if not one.is_certain]
     words = _too_little([part for _, part in found], settings) if not kept else ""
     words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
     result = replace(
         result,
         state=READY if certain else TOO_LITTLE,
         parts=tuple(part for _, part in certain),
-        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
+        steady_percent=100 * sum(int(one.found.chosen.sum()) for one, _ in certain) / n_segments,
         remarks=(*result.remarks, *([words] if words else [])),
     )
-    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
+    return result, [one.found.chosen for one, _ in certain or found[:1]] or [looked_at]
 
 
 def _vehicle(
     manifest: TripManifest, vehicles: Mapping[str, Vehicle]
 ) -> tuple[Vehicle | None, EstimateSettings, list[str]]:
-    """Return a manifest's vehicle, how its trips are read, and why it is not known."""
     plain = EstimateSettings()
     unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
     vehicle = vehicles.get(manifest.vehicle)
@@ -244,19 +277,18 @@ def _vehicle(
         return None, unknown, [f"vehicle {manifest.vehicle!r}: {error}"]
 
 
-def _part(band: SegmentSpectra, speeds: Tensor, group: GroupSpectra) -> SteadyPart:
+def _part(one: Steady) -> SteadyPart:
     """Return what a group of segments gives; G_s counts as far as an estimate uses it."""
     return SteadyPart(
-        speed_m_per_s=speed_of(speeds[group.chosen], band)[0],
-        n_averages=group.n_averages,
-        coherence_p=group.coherences[0],
-        coherence_s=group.coherences[1],
-        deviation_percent=100 * group.deviation,
+        speed_m_per_s=one.speed[0],
+        n_averages=one.found.n_averages,
+        coherence_p=one.found.coherences[0],
+        coherence_s=one.found.coherences[1],
+        deviation_percent=100 * one.found.deviation,
     )
 
 
 def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
-    """Return why no part of a trip has enough averages."""
     most = max(parts, key=lambda part: part.n_averages, default=None)
     found = f"{most.n_averages:.1f} at {most.speed_m_per_s:.1f} m/s" if most else "none"
     return (
@@ -267,7 +299,6 @@ def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
 
 
 def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
-    """Return that nothing can be estimated from a part of a trip, because of its noise."""
     return (
         f"at {part.speed_m_per_s:.1f} m/s the responses are uncertain by "
         f"{part.deviation_percent:.0f} %, at most {100 * settings.max_deviation:g} % are accepted: "
@@ -282,7 +313,6 @@ def _with_plausibility(
     checked: Sequence[Tensor],
     vehicle: Vehicle,
 ) -> TripCheck:
-    """Return a check with what is implausible of the channels, in each of some groups."""
     doubts: list[str] = []
 
     def check_order(chosen: Tensor) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.speed_groups import speed_range
+from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.records import OK, Commissioning, Place, TripResult

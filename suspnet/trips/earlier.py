@@ -27,14 +27,13 @@ from suspnet.ground.records import (
     to_responses,
     to_row,
 )
-from suspnet.ground.storage import read_plain
 from suspnet.history import History
 from suspnet.history.schema import trip_key, undated_key
 from suspnet.maintenance.alarms import OWN_CAUSES, Alarm
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import watched
-from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.trips.commissionings import since_km
 
 log = logging.getLogger(__name__)
@@ -66,19 +65,22 @@ class FinishedTrips:
             "code": code_hash(),
         }
 
-    def made_from(self, manifest: TripManifest) -> dict[str, Any]:
+    def made_from(self, file: ManifestFile) -> dict[str, Any]:
         """Return all that a trip's result depends on, as JSON-able values.
 
         Raises
         ------
+        TripError
+            If the manifest is faulty.
         OSError
             If one of its files has just gone.
         """
+        manifest = file.trip
         sources = [*manifest.sensors().values(), manifest.speed]
-        files = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
-        states = {str(file): file.stat() for file in files}
+        data = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
+        states = {str(one): one.stat() for one in data}
         return self._common | {
-            "manifest": [str(manifest.path), read_plain(manifest.path).hex()],
+            "manifest": [str(manifest.path), file.data.hex()],
             "files": {name: [state.st_size, state.st_mtime_ns] for name, state in states.items()},
         }
 

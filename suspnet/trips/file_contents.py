@@ -1,4 +1,4 @@
-"""What data files hold, as far as their first samples and what they say of themselves tell."""
+"""What data files hold, by their first samples and by names of columns, in English and German."""
 
 from __future__ import annotations
 
@@ -10,17 +10,76 @@ from pathlib import Path
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.checked_mapping import TripError
 from suspnet.recordings.clocks import Times, Zero, header_date
-from suspnet.recordings.columns import Column, OpenFile
+from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
-from suspnet.recordings.units import size_of, unit_in_name
-from suspnet.trips import column_guess as guess
+from suspnet.recordings.manifest_keys import TripError
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are looked at."""
+
+_WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
+    "axle_box": (
+        ("axle", "achs", "radsatz", "wheelset", "lager", "bearing", "journal"),
+        ("box", "ab"),
+    ),
+    "bogie": (("bogie", "drehgestell", "rahmen", "frame"), ("dg", "truck")),
+    "body": (("body", "kasten", "coach", "floor", "boden"), ("car", "wk", "wagen", "cb")),
+}
+"""For each meaning, parts of words that have it and whole words that have it; the first fit counts:
+an axle box is also on a bogie, a bogie also of a car."""
+_SIDES = {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")}
+_TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
+_TIME_BEGINS = ("time", "zeit")
+_OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in small letters, without a unit in brackets at its end.
+
+    >>> words_of("Run1/AxleBoxLeft_2 [m/s2]")
+    ['run1', 'axle', 'box', 'left', '2']
+    """
+    bare = re.sub(r"[\[(][^\[\]()]*[\])]\s*$", "", name)
+    spaced = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    return [word for word in re.split(r"[\W_]+", spaced.lower()) if word]
+
+
+def guessed_meaning(*names: str) -> str:
+    """Return what a column is by the first of some names that says it; empty if none does.
+
+    Returns
+    -------
+    str
+        One of ``CHANNELS``, ``SPEED``, or empty.
+    """
+    for words in map(words_of, names):
+        for what, (parts, wholes) in _WORDS.items():
+            if any(word in wholes or any(part in word for part in parts) for word in words):
+                return what
+    return ""
+
+
+def names_times(name: str) -> bool:
+    """Return whether a column's name says that it holds times."""
+    return any(word in _TIMES or word.startswith(_TIME_BEGINS) for word in words_of(name))
+
+
+def guessed_side(*names: str) -> str:
+    """Return "left" or "right" by the first of some names that says it; empty if none does."""
+    for words in map(words_of, names):
+        found = [one for one in SIDES if set(words) & set(_SIDES[one])]
+        if len(found) == 1:
+            return found[0]
+    return ""
+
+
+def is_of_another_direction(column: str) -> bool:
+    """Return whether a column's name says that it is not vertical."""
+    return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
 
 
 @dataclass(frozen=True)
@@ -67,16 +126,16 @@ class Signal:
     @property
     def meaning(self) -> str:
         """What it is: one of the channels or the speed; empty if its names and unit do not say."""
-        found = guess.meaning(*self.names)
+        found = guessed_meaning(*self.names)
         if size_of(SPEED, self.unit) is not None:
-            return guess.SPEED
+            return SPEED
         is_acceleration = size_of(ACCELERATION, self.unit) is not None
-        return "" if found == guess.SPEED and is_acceleration else found
+        return "" if found == SPEED and is_acceleration else found
 
     @property
     def side(self) -> str:
         """Side of the vehicle, by names; empty if they do not say it."""
-        return guess.side(*self.names)
+        return guessed_side(*self.names)
 
 
 def look_into(file: Path) -> tuple[list[Signal], str]:
@@ -107,8 +166,7 @@ def look_into(file: Path) -> tuple[list[Signal], str]:
 
 
 def _is_time(column: Column) -> bool:
-    """Return whether a column may hold times."""
-    return column.is_time or guess.is_time(column.name)
+    return column.is_time or names_times(column.name)
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
@@ -155,7 +213,6 @@ def _signal(
 
 
 def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
-    """Return what the times of a column are counted from, as reading will find it."""
     if not time:
         return Zero(column.start_ns, is_stated=True, date=header_date(column))
     times = Times(
@@ -176,7 +233,7 @@ def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
     """Return the rate by some times [Hz], and their unit where only the column's name says it."""
     column = opened.column(time)
     said = "" if column.is_time else column.unit or unit_in_name(time)
-    words = [word for word in guess.words_of(time)[1:] if word in TIME_UNITS]
+    words = [word for word in words_of(time)[1:] if word in TIME_UNITS]
     named = words[-1] if words and not said and not column.is_time else ""
     step = float(np.median(np.diff(times))) * (size_of("time", said or named) or 1.0)
     return 1 / step, named
@@ -186,6 +243,6 @@ def _unit_word(name: str) -> str:
     """Return the unit that is a word of a column's name of its own; empty if there is none."""
     units = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"}
     units |= {"kmh": "km/h", "kph": "km/h"}
-    found = [units[word] for word in guess.words_of(name)[1:] if word in units]
+    found = [units[word] for word in words_of(name)[1:] if word in units]
     written = re.findall(r"km/h|m/s\^?[2²]|m/s", name)
     return (written or found or [""])[-1]

@@ -6,6 +6,7 @@ import functools
 import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +30,7 @@ from suspnet.maintenance.fleet import Fleet
 from suspnet.maintenance.series import Event, Series, series_of
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
-from suspnet.recordings.manifest_files import partial_words, read_manifest
+from suspnet.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.report.output import summary, write_overview, write_pages, write_tables
 from suspnet.report.overview import Evaluated
 from suspnet.report.report import Report
@@ -190,34 +191,21 @@ def evaluate_fleet(
         if partial := partial_words(folder):
             log.warning("%s is %s; the same simulation again writes the others", folder, partial)
     done: list[Evaluated] = []
-
-    def lose(group: Group, error: str) -> None:
-        done.append(Evaluated(group.name, group.place, error=error))
-        log.warning("%s is not read: %s", group.name, error)
-
     read = []
     for group in groups:
-        if group.error:
-            lose(group, group.error)
-            continue
-        try:
+        with _reported(group, done, is_alone):
+            if group.error:
+                raise ValueError(group.error)
             where = output if is_alone else output / group.name
             read.append(_read_group(group, models, where, settings, progress, store))
-        except (ValueError, ArithmeticError) as error:
-            if is_alone:
-                raise
-            lose(group, str(error))
+    # all suspensions are read before the first report: their rates of wear count for its lives
     fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
-    if store is not None:  # their rates of wear count, and they are sisters
+    if store is not None:
         fleet.add(one for one in store.series() if one.vehicle in fleet.limits)
     fleet.add(one.series for one in read)
     for one in read:
-        try:
+        with _reported(one.group, done, is_alone):
             done.append(_report(one, fleet, settings, store, figures))
-        except (ValueError, ArithmeticError) as error:
-            if is_alone:
-                raise
-            lose(one.group, str(error))
     if is_alone:
         return done
     if all(one.error for one in done):
@@ -226,6 +214,18 @@ def evaluate_fleet(
     done.sort(key=lambda one: (-one.severity, one.name))
     log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
     return done
+
+
+@contextmanager
+def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[None]:
+    """Add a suspension that cannot be read to those done, and log why; one alone raises."""
+    try:
+        yield
+    except (ValueError, ArithmeticError) as error:
+        if is_alone:
+            raise
+        done.append(Evaluated(group.name, group.place, error=str(error)))
+        log.warning("%s is not read: %s", group.name, error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +312,7 @@ def _report(
 
 
 def _evaluated(
-    paths: Sequence[Path],
+    files: Sequence[ManifestFile],
     models: Sequence[TrainedModel],
     output: Path,
     settings: FleetSettings,
@@ -321,45 +321,46 @@ def _evaluated(
 ) -> list[TripResult]:
     finished = FinishedTrips(output, models, settings.trips)
     results, made_from = [], {}
-    bar = progress_bar(title, len(paths), unit="trip", shown=progress)
+    bar = progress_bar(title, len(files), unit="trip", shown=progress)
     with bar, warnings.catch_warnings():
         # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
-        for path in paths:
-            path = path.absolute()
+        for file in [one.absolute() for one in files]:
             try:
-                made_from[path] = finished.made_from(read_manifest(path))
-                result = finished.read(made_from[path])
+                made_from[file] = finished.made_from(file)
+                result = finished.read(made_from[file])
             except Exception:  # `evaluate_trip` says what is wrong, which needs no worker
-                result = evaluate_trip(path, models, settings.trips)
+                result = evaluate_trip(file, models, settings.trips)
             if result is not None:
-                made_from.pop(path, None)
+                made_from.pop(file, None)
                 results.append(result)
                 bar.update()
         if results and made_from:
             log.info("%d trips are finished already, %d are to be read", bar.n, len(made_from))
         read = functools.partial(evaluate_trip, models=models, settings=settings.trips)
-        for path, one in _read_by_workers(read, list(made_from), settings):
+        for file, one in _read_by_workers(read, list(made_from), settings):
             if isinstance(one, LostWorkerError):
-                results.append(lost_trip(path, str(one)))
+                results.append(lost_trip(file.path, str(one)))
             else:
                 results.append(one)
-                finished.write(made_from[path], one)
+                finished.write(made_from[file], one)
             bar.update()
     return results
 
 
 def _read_by_workers(
-    read: Callable[[Path], TripResult], paths: Sequence[Path], settings: FleetSettings
-) -> Iterator[tuple[Path, TripResult | LostWorkerError]]:
+    read: Callable[[ManifestFile], TripResult],
+    files: Sequence[ManifestFile],
+    settings: FleetSettings,
+) -> Iterator[tuple[ManifestFile, TripResult | LostWorkerError]]:
     """Yield trips with their results as they are read, in local processes or on a dask cluster."""
     if settings.cluster is None:
-        yield from each(read, paths, settings.workers)
+        yield from each(read, files, settings.workers)
         return
     address = None if settings.cluster == "local" else settings.cluster
     options = {} if address else {"n_workers": settings.workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:
-        trips = {client.submit(read, path, pure=False, retries=1): path for path in paths}
+        trips = {client.submit(read, file, pure=False, retries=1): file for file in files}
         for future in distributed.as_completed(trips):
             try:
                 yield trips[future], future.result()

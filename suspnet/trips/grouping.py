@@ -10,7 +10,7 @@ from pathlib import Path
 
 from suspnet.ground.ledger import LEDGER
 from suspnet.ground.records import Place
-from suspnet.recordings.manifest_files import find_manifests, read_place
+from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 
 log = logging.getLogger(__name__)
 TAKEN = (
@@ -29,7 +29,7 @@ class Group:
     folder : Path
         Where the manifests lie.
     place : Place
-    manifests : tuple of Path
+    manifests : tuple of ManifestFile
     name : str
         Unlike that of any other group, and fit for a folder.
     error : str
@@ -38,7 +38,7 @@ class Group:
 
     folder: Path
     place: Place
-    manifests: tuple[Path, ...] = ()
+    manifests: tuple[ManifestFile, ...] = ()
     name: str = ""
     error: str = ""
 
@@ -83,12 +83,12 @@ def _holds_manifests(folder: Path) -> bool:
 
 
 def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
-    places = {path: read_place(path) for path in manifests}
-    known = sorted({place for place in places.values() if place is not None})
+    files = [ManifestFile(path) for path in manifests]
+    known = sorted({file.place for file in files if file.place is not None})
     rest = known[0] if len(known) == 1 else Place()
-    by_place: dict[Place, list[Path]] = {}
-    for path, place in places.items():
-        by_place.setdefault(place or rest, []).append(path)
+    by_place: dict[Place, list[ManifestFile]] = {}
+    for file in files:
+        by_place.setdefault(file.place or rest, []).append(file)
     return [Group(folder, place, tuple(by_place[place])) for place in sorted(by_place)]
 
 

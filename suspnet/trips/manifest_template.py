@@ -10,17 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from suspnet.recordings.clocks import first_moment
+from suspnet.recordings.columns import size_of
 from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
-from suspnet.recordings.units import size_of
-from suspnet.trips import column_guess as guess
-from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal
+from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
 
 BLANK = "FILL_IN"
 """Stands where a value is missing; suspnet-check names each that is left."""
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
-"""Size of gravity in each unit, by which the mean of a sensor that measures it tells its unit."""
+"""Size of gravity in each unit, by which the mean of a sensor that measures it shows its unit."""
 HEAD = f"""\
 # Manifest of one trip: a template written by suspnet-init. What is marked {BLANK} is not known,
 # what is marked "guess" is taken from names: check both. Then run: suspnet-check """
@@ -77,7 +76,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
     ]
     writer.blanks = ["vehicle", "suspension", *writer.blanks, "mileage_km"]
     rest = by_meaning.get("", [])
-    lines += writer.speed(by_meaning.get(guess.SPEED, []), rest)
+    lines += writer.speed(by_meaning.get(SPEED, []), rest)
     lines += ["", "channels:"]
     for name in CHANNELS:
         lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
@@ -102,8 +101,6 @@ def _start(signals: Sequence[Signal]) -> str:
 
 
 class _Writer:
-    """Writes the entries of a manifest and keeps count of blanks and guesses."""
-
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.blanks: list[str] = []
@@ -135,7 +132,7 @@ class _Writer:
 
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel, of which `found` are by their names."""
-        vertical = [one for one in found if not guess.is_of_another_direction(one.name)] or found
+        vertical = [one for one in found if not is_of_another_direction(one.name)] or found
         sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
             self.guesses.append(f"channels.{name}")
@@ -155,7 +152,6 @@ class _Writer:
         ]
 
     def _offers(self, signals: Sequence[Signal], kind: str, mark: str) -> list[str]:
-        """Return a comment for each column that the user may choose."""
         lines = []
         for one in signals[:LISTED]:
             entry, _, words = self._entry(one, kind, one.side)
@@ -164,7 +160,6 @@ class _Writer:
         return lines + ([f"    # and {more} more columns"] if more > 0 else [])
 
     def _entry(self, one: Signal, kind: str, side: str = "") -> tuple[str, list[str], str]:
-        """Return a source in YAML, its keys that are blank, and what is known of it in words."""
         allowed = ACCELERATION_UNITS if kind == ACCELERATION else SPEED_UNITS
         content: dict[str, object] = {"file": self._relative(one.file), "column": one.name}
         if side and kind == ACCELERATION:
@@ -195,14 +190,13 @@ class _Writer:
             content["rate_hz"] = BLANK
             words.append("rate in Hz?")
         words.append(f"mean {one.mean:.3g}, rms about it {one.deviation:.3g}")
-        if kind == ACCELERATION and guess.is_of_another_direction(one.name):
+        if kind == ACCELERATION and is_of_another_direction(one.name):
             words.append("vertical?")
         blanks = [key for key, value in content.items() if value is BLANK]
         inside = ", ".join(f"{key}: {_yaml(value)}" for key, value in content.items())
         return f"{{{inside}}}", blanks, _on_one_line("; ".join(words))
 
     def _relative(self, file: Path) -> str:
-        """Return a file's path from the folder of the manifest."""
         try:
             return Path(os.path.relpath(file, self.folder)).as_posix()
         except ValueError:  # another drive
@@ -217,7 +211,6 @@ def _yaml(value: object) -> str:
 
 
 def _on_one_line(words: str) -> str:
-    """Return words that end no comment."""
     return "".join(letter if letter.isprintable() else " " for letter in words)
 
 

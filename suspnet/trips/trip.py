@@ -16,15 +16,15 @@ from torch import Tensor
 
 from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.speed_bin import SpeedBin, combined, largest
+from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK, Place, Quality, TripCurves, TripResult
 from suspnet.ground.storage import printable
-from suspnet.recordings.manifest import TripError, TripManifest
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.overview import overview
-from suspnet.recordings.recording import Recording, load_recording
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.commissionings import models_at, since_km
@@ -32,21 +32,24 @@ from suspnet.trips.commissionings import models_at, since_km
 log = logging.getLogger(__name__)
 
 
-def evaluate_trip(path: Path, models: Sequence[TrainedModel], settings: TripSettings) -> TripResult:
+def evaluate_trip(
+    trip: Path | ManifestFile, models: Sequence[TrainedModel], settings: TripSettings
+) -> TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
     Parameters
     ----------
-    path : Path
-        The manifest.
+    trip : Path or ManifestFile
+        Its manifest.
     models : sequence of TrainedModel
         One for each speed bin and commissioning, all with the same outputs.
     settings : TripSettings
     """
     start = time.perf_counter()
-    result = TripResult(trip=path.stem, manifest=str(path), status=ERROR)
+    file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
+    result = TripResult(trip=file.path.stem, manifest=str(file.path), status=ERROR)
     try:
-        manifest = read_manifest(path)
+        manifest = file.trip
     except Exception as error:
         result = _failed(result, error)
     else:

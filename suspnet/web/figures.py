@@ -214,7 +214,6 @@ def _trips(points: Points, span: tuple[float, float]) -> dict[str, Any]:
 def _at_edge(
     km: ArrayLike, edge: float, words: list[str], marker: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return marks at an edge of a panel."""
     return {
         "mode": "markers",
         "name": words[0] if words else "",
@@ -255,7 +254,6 @@ def _passing(panel: Panel) -> list[dict[str, Any]]:
 
 
 def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
-    """Return the lines of health and of the limits."""
     place: dict[str, Any] = {"x0": 0, "x1": 1, "xref": "paper", "yref": axis}
     found = [_line(y0=100, y1=100, **place, dash="solid")]
     for kind, value in panel.limits:
@@ -271,7 +269,6 @@ def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
 
 
 def _line(*, colour: str = HEALTHY, dash: str, **place: Any) -> dict[str, Any]:
-    """Return a straight line behind the trips."""
     line = {"color": colour, "width": 1.2, "dash": dash}
     return {"type": "line", "layer": "between", "line": line, "xref": "x", "yref": "y"} | place
 

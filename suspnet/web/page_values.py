@@ -12,7 +12,7 @@ import numpy as np
 from suspnet.ground.limits import Severity
 from suspnet.ground.parameters import NAMES, PARAMETERS
 from suspnet.ground.records import TripResult
-from suspnet.history.curves import TripResponses
+from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.fleet_plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
@@ -151,14 +151,12 @@ def natural(text: str) -> list[tuple[int, int, str]]:
 
 
 def _place_order(state: State) -> tuple[Any, ...]:
-    """Return the place of a suspension on the page: by train, car, bogie and side."""
     place = state.series.place
     parts = (place.train, place.car, place.suspension, place.bogie, place.side)
     return (*map(natural, parts), state.series.vehicle)
 
 
 def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -> Tile:
-    """Return the tile of a suspension."""
     place = state.series.place
     parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
     words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)

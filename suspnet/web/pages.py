@@ -161,7 +161,6 @@ def state() -> ResponseReturnValue:
 
 @functools.lru_cache(maxsize=2)
 def _calendar(plan: Plan) -> bytes:
-    """Return the calendar of a plan as SVG."""
     from suspnet.report.calendar_figure import plan_calendar  # matplotlib, for this picture alone
     from suspnet.report.figures import as_svg
 
@@ -170,7 +169,6 @@ def _calendar(plan: Plan) -> bytes:
 
 
 def _suspension_page(name: str, form: Seen) -> str:
-    """Return the page of a suspension with a form as it was filled in."""
     view, state = _view(), _state(name)
     request.environ[WITH_PLOTS] = True
     results, stored, trouble = [], [], ""
@@ -247,12 +245,10 @@ def _opened(wait_s: float = READ_S) -> History:
 
 
 def _fleet_version(view: FleetView) -> str:
-    """Return a digest that changes with what the pages show of the fleet."""
     return _digest(view.at, view.version, _refresher().fault)
 
 
 def _suspension_version(view: FleetView, name: str) -> str:
-    """Return a digest that changes with what the page of a suspension shows."""
     if name not in view.keys:
         return _digest("gone", _refresher().fault)
     state = view.states[view.keys[name]]

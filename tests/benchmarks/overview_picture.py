@@ -21,7 +21,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from suspnet.ground.storage import write_atomically
-from suspnet.recordings import load_recording, read_manifest
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
 from suspnet.report.figures import CHANNEL_TITLES
 from suspnet.report.trend import LIMIT_COLOURS
 

@@ -31,7 +31,7 @@ from waitress.server import create_server
 from suspnet.ground.records import TripCurves, TripResult
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
-from suspnet.history.curves import N_NEWEST
+from suspnet.history.arrays import N_NEWEST
 from suspnet.report.board import Board, BoardSettings
 from suspnet.web.app import create_app
 from suspnet.web.refresher import Refresher

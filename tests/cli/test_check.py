@@ -24,15 +24,13 @@ from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.ledger import LEDGER
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.overview import WINDOWS
-from suspnet.recordings.reader_process import LIMIT, apart
-from suspnet.recordings.recording import load_recording
+from suspnet.recordings.manifest_files import find_trips, read_manifest
+from suspnet.recordings.reader_process import LIMIT, in_own_process
+from suspnet.recordings.recording import WINDOWS, load_recording
 from suspnet.report.check_page import trip_figure
 from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.checked_manifests import find_trips
 
 BROKEN = 10_000
 """Number of broken manifests of the slow test."""
@@ -241,7 +239,7 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
 
 
 def test_file_that_kills_or_hangs_its_reader_is_one_problem(manifests, tmp_path, monkeypatch):
-    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setitem(READERS, ".mat", in_own_process(open_dying))
     monkeypatch.setenv(LIMIT, "2")
     for what in ("crash", "exit:1", "hang"):
         (tmp_path / f"{what}.mat").write_text(what)

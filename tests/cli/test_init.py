@@ -15,8 +15,7 @@ from trip_fixtures import RATES_HZ, signal, small_fleet
 from suspnet.cli import check, init
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.trips import column_guess as guess
-from suspnet.trips.file_contents import look_into
+from suspnet.trips.file_contents import guessed_meaning, guessed_side, look_into, names_times
 from suspnet.trips.manifest_template import BLANK
 
 FILLED = {"vehicle": "am96", "suspension": "car 7", "mileage_km": "1000.0"}
@@ -91,16 +90,16 @@ def assert_ready(tmp_path):
     ],
 )
 def test_names_are_guessed(names, meaning, side):
-    assert guess.meaning(*names) == meaning
-    assert guess.side(*names) == side
+    assert guessed_meaning(*names) == meaning
+    assert guessed_side(*names) == side
 
 
 @pytest.mark.parametrize(
     "name", ["t", "Time [s]", "Zeit", "timestamp_ms", "Zeitstempel", "TimeUTC"]
 )
 def test_times_are_known_by_name(name):
-    assert guess.is_time(name)
-    assert not guess.is_time(name.replace("t", "b").replace("T", "B").replace("Z", "B"))
+    assert names_times(name)
+    assert not names_times(name.replace("t", "b").replace("T", "B").replace("Z", "B"))
 
 
 # what files say

@@ -16,7 +16,7 @@ from suspnet.estimation.from_curves import corrected, estimate_curves
 from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_with_noise
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import Conformal, Intervals
-from suspnet.spectra import estimates as estimate_observer
+from suspnet.spectra import cross_spectra
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 
 LEVEL = 0.9
@@ -187,7 +187,7 @@ def test_error_of_the_generator_does_not_average_out(model, share):
 def test_smoothing_agrees_with_a_loop():
     rng = np.random.default_rng(0)
     covariance = rng.normal(size=(2, 2, 9)) + 1j * rng.normal(size=(2, 2, 9))
-    found = estimate_observer._smoothed(torch.as_tensor(covariance)).numpy()
+    found = cross_spectra._smoothed(torch.as_tensor(covariance)).numpy()
     for bin_ in range(9):
         near = [covariance[..., min(max(k, 0), 8)] for k in range(bin_ - 2, bin_ + 3)]
         np.testing.assert_allclose(found[..., bin_], sum(near) / 5)
@@ -199,8 +199,8 @@ def test_independent_bins_are_those_of_the_variance_of_their_mean():
         r * (np.eye(5, k=k) + np.eye(5, k=-k)) / (2 if k == 0 else 1)
         for k, r in enumerate(rho.numpy())
     )
-    assert estimate_observer._independent(rho) == pytest.approx(1 / (matrix.sum() / 25))
-    assert estimate_observer._independent(torch.tensor([1.0])) == 5
+    assert cross_spectra._independent(rho) == pytest.approx(1 / (matrix.sum() / 25))
+    assert cross_spectra._independent(torch.tensor([1.0])) == 5
 
 
 # limit

@@ -17,9 +17,11 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning_summary import unplaced
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
-from suspnet.recordings import TripError, load_recording, read_manifest
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.reader_process import apart
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.reader_process import in_own_process
+from suspnet.recordings.recording import load_recording
 from suspnet.runs.commissioning import _prior
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -178,7 +180,7 @@ def test_sensors_that_differ_between_trips_are_refused(folder):
 
 
 def test_file_that_kills_its_reader_is_named(folder, monkeypatch):
-    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setitem(READERS, ".mat", in_own_process(open_dying))
     (folder / "body.mat").write_text("crash:0")
     channels = {"body": {"file": "body.mat", "column": "a", "unit": "g"}}
     changed(folder / "first.yaml", folder, "first", channels=channels)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from suspnet.estimation.speed_groups import groups_of, groups_to_read, no_group_words, speed_range
+from suspnet.estimation.steady_parts import groups_of, groups_to_read, no_group_words, speed_range
 from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.spectra.speeds import MARGIN, SpeedRange, covering, range_words, reading_range

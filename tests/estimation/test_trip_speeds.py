@@ -14,8 +14,7 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_curves import corrected
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.speed_bin import combined
-from suspnet.estimation.speed_groups import same_speed
+from suspnet.estimation.steady_parts import combined, same_speed
 from suspnet.spectra.cross_spectra import CrossSpectra, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.expected_spectra import SPEED

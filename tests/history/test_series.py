@@ -8,7 +8,7 @@ from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
-from suspnet.history import series as module
+from suspnet.history import arrays as module
 
 
 @pytest.fixture

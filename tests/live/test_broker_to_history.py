@@ -19,7 +19,7 @@ from suspnet.live.replay import trip_clock, trip_frames
 from suspnet.live.results import Results
 from suspnet.live.sinks import MqttSink
 from suspnet.live.suspension import LiveSettings, LiveSuspension
-from suspnet.recordings import read_manifest
+from suspnet.recordings.manifest_files import read_manifest
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.trip import evaluate_trip
 

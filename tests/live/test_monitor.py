@@ -21,10 +21,10 @@ from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
 from suspnet.live.sections import MOST_OPEN
 from suspnet.live.suspension import Job, LiveSettings, LiveSuspension, read_suspensions
-from suspnet.recordings import read_manifest
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, decode, encode
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.trip import evaluate_trip
 

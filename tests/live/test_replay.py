@@ -15,8 +15,9 @@ from trip_fixtures import changed, signal, write_trips
 
 from suspnet.live import replay as replay_module
 from suspnet.live.replay import Pace, Replay, trip_clock, trip_frames
-from suspnet.recordings import load_recording, read_manifest
 from suspnet.recordings.frames import end_ns
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
 from suspnet.recordings.running import Running
 
 SENSORS = ("axle_box", "bogie", "body")

@@ -23,7 +23,7 @@ from suspnet.live.sections import MOST_OPEN, Sections
 from suspnet.recordings import cleaning
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, FrameError, encode
-from suspnet.recordings.joining import followed
+from suspnet.recordings.recording import followed
 
 ORDER = OrderSettings(window=WINDOW)
 SECTION_S = 200

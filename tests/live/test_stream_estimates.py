@@ -6,9 +6,11 @@ import pytest
 from stream_signals import ZERO_NS, disturbed, encoded, interleaved, taken
 from trip_fixtures import OUTPUTS, RATES_HZ, model_at, signal, write_trips
 
-from suspnet.recordings import cleaning, load_recording, read_manifest
+from suspnet.recordings import cleaning
 from suspnet.recordings.frames import Frame
 from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
 from suspnet.recordings.running import Running
 
 WINDOW = 16

@@ -19,8 +19,9 @@ from suspnet.live.replay import Replay
 from suspnet.live.results import Results
 from suspnet.live.suspension import LiveSettings, read_suspensions
 from suspnet.recordings.frames import encode
-from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.manifest_template import BLANK
 from suspnet.trips.trip import evaluate_trip

@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from suspnet.recordings import bounds
-from suspnet.recordings.bounds import (
+from suspnet.recordings import columns as bounds
+from suspnet.recordings.columns import (
     FREE_SAMPLES,
     MOST_SAMPLES,
     SAMPLES_PER_BYTE,
@@ -19,7 +19,7 @@ from suspnet.recordings.bounds import (
     step_s,
 )
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 RATE_HZ, MINUTES = 5000, 20
 

@@ -12,8 +12,9 @@ from recording_files import write_mdf, write_tdms
 
 from suspnet.recordings.clocks import Times, Zero, offsets_s
 from suspnet.recordings.columns import Column
-from suspnet.recordings.manifest import CHANNELS, Source, TripError, TripManifest
+from suspnet.recordings.manifest import CHANNELS, Source, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 
 RATE_HZ = 250.0
@@ -134,7 +135,15 @@ def test_headers_date_channels(tmp_path, write_one, suffix):
 
 
 def test_equal_headers_begin_with_the_trip():
-    manifest = TripManifest(Path("trip.yaml"), "trip", "", "", 0.0, None, 1.0, {})
+    manifest = TripManifest(
+        path=Path("trip.yaml"),
+        name="trip",
+        vehicle="",
+        suspension="",
+        mileage_km=0.0,
+        speed=1.0,
+        channels={},
+    )
     stated = Zero(10**18 + 7, is_stated=True)
     assert offsets_s(manifest, {"a": stated, "b": stated, "c": Zero()}) == dict.fromkeys("abc", 0.0)
     assert offsets_s(manifest, {"a": Zero(), "b": Zero()}) == dict.fromkeys("ab", 0.0)

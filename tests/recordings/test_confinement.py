@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 from misbehaving_readers import attempts, open_misbehaving
 
-from suspnet.recordings import confinement, formats
-from suspnet.recordings import reader_process as apart
+from suspnet.recordings import confinement, formats, reader_process
 from suspnet.recordings.formats import open_file
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
 
 HAS_LANDLOCK = platform.system() == "Linux" and (
     ctypes.CDLL(None, use_errno=True).syscall(confinement._CREATE_RULESET, None, 0, 1) > 0
@@ -34,8 +33,8 @@ NEEDS_FILTER = (
 @pytest.fixture
 def file(monkeypatch, tmp_path):
     """Return a function that writes a file which makes its reader try something."""
-    monkeypatch.setitem(formats.READERS, ".mat", apart.apart(open_misbehaving))
-    monkeypatch.setattr(apart, "_late", {})
+    monkeypatch.setitem(formats.READERS, ".mat", reader_process.in_own_process(open_misbehaving))
+    monkeypatch.setattr(reader_process, "_late", {})
     (tmp_path / "secret").write_text("secret")
 
     def written(what):
@@ -78,7 +77,7 @@ def test_reader_may_import_and_start_threads(file):
 
 @pytest.mark.parametrize("what", ["loop", "hog"])
 def test_loop_and_hog_end_in_one_line_within_seconds(file, monkeypatch, what):
-    monkeypatch.setenv(apart.LIMIT, "1")
+    monkeypatch.setenv(reader_process.LIMIT, "1")
     path, start = file(what), time.monotonic()
     with pytest.raises(TripError, match=r"data.mat: (its reader took|reading it takes more mem)"):
         with open_file(path):

@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clock_drift import clock_faults, find_drift
-from suspnet.recordings.manifest import CHANNELS, Channel, TripError, TripManifest
+from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
+from suspnet.recordings.manifest_keys import TripError
 
 RATE_HZ, SECONDS = 100.0, 600.0
 AT = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
@@ -97,7 +98,15 @@ def test_what_has_nothing_in_common_tells_nothing():
 
 def manifest(**rates) -> TripManifest:
     channels = {name: Channel("f", "g", name, rates.get(name)) for name in CHANNELS}
-    return TripManifest(Path("trip.yaml"), "trip", "", "", 0.0, None, 1.0, channels)
+    return TripManifest(
+        path=Path("trip.yaml"),
+        name="trip",
+        vehicle="",
+        suspension="",
+        mileage_km=0.0,
+        speed=1.0,
+        channels=channels,
+    )
 
 
 def faults(seconds, **rates) -> tuple[Fault, ...]:

@@ -9,10 +9,11 @@ import pytest
 import yaml
 from recording_files import WRITERS
 
-from suspnet.recordings import reader_process as apart
+from suspnet.recordings import reader_process
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import CHANNELS, TripError
-from suspnet.recordings.manifest_files import read_manifest, read_place
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import ManifestFile, read_manifest
+from suspnet.recordings.manifest_keys import TripError
 
 VALUES = (
     "no",
@@ -92,7 +93,7 @@ def test_broken_manifests_have_one_line_each_and_are_quick(tmp_path, count):
             n_refused += 1
             assert "trip.yaml" in str(error)  # noqa: PT017
             assert "\n" not in str(error)  # noqa: PT017
-        read_place(path)
+        _ = ManifestFile(path).place
         seconds += time.process_time() - start
     assert n_refused > count / 2
     if count == MANY:
@@ -103,7 +104,7 @@ def test_broken_manifests_have_one_line_each_and_are_quick(tmp_path, count):
 @pytest.mark.parametrize("count", [10, pytest.param(500, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_damaged_files_are_read_or_refused(tmp_path, monkeypatch, suffix, count):
-    monkeypatch.setenv(apart.LIMIT, "20")  # the HDF5 library itself hangs on 2 of 500
+    monkeypatch.setenv(reader_process.LIMIT, "20")  # the HDF5 library itself hangs on 2 of 500
     draw, path = random.Random(suffix), tmp_path / f"data{suffix}"
     columns = {"t": np.arange(50.0), "a": np.arange(50.0)}
     WRITERS[suffix](path, columns, rate_hz=100.0, unit="g")

@@ -17,15 +17,15 @@ from suspnet.recordings.manifest import (
     Channel,
     CsvDialect,
     SpeedSource,
-    TripError,
     TripManifest,
 )
 from suspnet.recordings.manifest_files import (
+    ManifestFile,
     find_manifests,
     read_manifest,
-    read_place,
     write_manifest,
 )
+from suspnet.recordings.manifest_keys import TripError
 
 TRIP = """
 format: suspnet-trip-1
@@ -401,12 +401,13 @@ def test_all_mistakes_are_told_at_once(folder):
         *(
             "vehicel",
             "suspension",
+            "side",
             "mileage_km",
             "speed.unit",
             "channels.bogie[0].rate_hz",
         ),
         *("channels.bogie[1].sign", "channels.bogie[1].range", "channels.body.unit"),
-        *("truth.k_p", "truth.c_p", "side", "speed.file"),
+        *("truth.k_p", "truth.c_p", "speed.file"),
     )
     assert [problem.split()[0] for problem in told] == [f"`{key}`" for key in keys]
 
@@ -419,7 +420,9 @@ def test_bogie_and_side_are_optional_and_kept(folder):
     assert (plain.bogie, plain.side) == (None, None)
     placed = replace(plain, bogie="trailing", side="left")
     assert read_manifest(write_manifest(placed)) == placed
-    assert read_place(placed.path) == Place("car 7, leading bogie, right", "trailing", "left")
+    assert ManifestFile(placed.path).place == Place(
+        "car 7, leading bogie, right", "trailing", "left"
+    )
     assert "bogie: trailing" in placed.path.read_text().split("channels")[0]
 
 
@@ -435,17 +438,19 @@ def test_wrong_place_is_named(folder, key, to, rule):
     path = changed(folder, key, to=to)
     with pytest.raises(TripError, match=f"`{key}` must be {rule}"):
         read_manifest(path)
-    assert read_place(path) == Place("car 7, leading bogie, right")
+    assert ManifestFile(path).place == Place("car 7, leading bogie, right")
 
 
 @pytest.mark.parametrize("text", ["<b>: [", "just text", "[]", "suspension: 7", "\0"])
 def test_manifest_that_does_not_say_its_place_has_none(folder, text):
-    assert read_place(write(folder, text)) is None
-    assert read_place(folder / "nowhere.yaml") is None
+    assert ManifestFile(write(folder, text)).place is None
+    assert ManifestFile(folder / "nowhere.yaml").place is None
 
 
 def test_place_of_a_manifest_needs_nothing_else(folder):
-    assert read_place(write(folder, "suspension: ' a '\nside: left")) == Place("a", "", "left")
+    assert ManifestFile(write(folder, "suspension: ' a '\nside: left")).place == Place(
+        "a", "", "left"
+    )
     words = [str(Place("a", "leading", "left")), str(Place("a")), str(Place())]
     assert words == ["a, leading bogie, left", "a", "unknown"]
 

@@ -19,7 +19,8 @@ import re, sys
 from pathlib import Path
 import torch
 from suspnet.spectra.welch import Welch
-from suspnet.recordings import load_recording, read_manifest
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
 from suspnet.spectra.segments import recording_segments
 recording_segments(load_recording(read_manifest(Path(sys.argv[1]))), Welch())
 # not ru_maxrss, which begins with that of the process that started this one

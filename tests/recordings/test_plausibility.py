@@ -15,7 +15,8 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS
 from suspnet.dynamics.track import make_profile
 from suspnet.dynamics.track_spectra import track_spectrum
-from suspnet.recordings.manifest import CHANNELS, TripError
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.simulation.scatter import scattered
 from suspnet.simulation.signals import steady_journey
 from suspnet.simulation.writing import profile_length_m, simulate_trip
@@ -254,7 +255,7 @@ WORN = (1.11, 0.82, 0.63, 0.61, 0.91)
 def test_worn_suspension_of_a_known_vehicle_is_not_called_swapped(seed):
     told = seen_on_one_side(seed, ratios=WORN, known=True)()
     # of the first vehicle the wrong order fits the healthy state 1.02 times as well
-    assert ("the order of the channels is not told" in told) == (seed == 0)
+    assert ("the order of the channels is not clear" in told) == (seed == 0)
     for order in WRONG_ORDERS if seed else ():
         with pytest.raises(TripError, match="channels look swapped"):
             seen_on_one_side(seed, order, WORN, known=True)()
@@ -265,8 +266,8 @@ def test_single_sensors_of_a_vehicle_unlike_its_drawing_raise_doubts_alone():
         seen_on_one_side(seed=0)()
     for order in ((0, 1, 2), (1, 0, 2)):  # neither is called right
         told = seen_on_one_side(0, order)(doubtful=True)
-        assert "the order of the channels is not told" in told
-        assert "if you are sure, go on" in told
+        assert "the order of the channels is not clear" in told
+        assert "if you are sure, continue" in told
 
 
 def test_clear_mistakes_of_single_sensors_are_no_doubts():

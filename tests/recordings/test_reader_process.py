@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from dying_readers import N_BLOCKS, N_SAMPLES, open_dying
 
-from suspnet.recordings import formats
-from suspnet.recordings import reader_process as apart
+from suspnet.recordings import formats, reader_process
 from suspnet.recordings.columns import Column
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.manifest import TripError
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.reader_server import MEMORY_WORDS
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))
 
@@ -23,8 +23,8 @@ A = np.arange(float(N_BLOCKS * N_SAMPLES))
 @pytest.fixture
 def file(monkeypatch, tmp_path):
     """Return a function that writes a file which does something to its reader."""
-    monkeypatch.setitem(formats.READERS, ".mat", apart.apart(open_dying))
-    monkeypatch.setattr(apart, "_late", {})
+    monkeypatch.setitem(formats.READERS, ".mat", reader_process.in_own_process(open_dying))
+    monkeypatch.setattr(reader_process, "_late", {})
 
     def written(what, name="data"):
         path = tmp_path / f"{name}.mat"
@@ -90,7 +90,7 @@ def test_each_file_has_a_process_that_ends_with_it(file):
 
 def test_processes_are_started_again_after_their_server_was_killed(file):
     with open_file(file("fine")) as opened:
-        apart.end_all()
+        reader_process.end_all()
         with pytest.raises(ValueError, match="its reader crashed"):
             list(opened.read(["a"]))
     np.testing.assert_array_equal(read(file("fine"))[0], A)
@@ -116,9 +116,9 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
             "short of memory",
             "its reader crashed (SIGKILL), so the file is damaged, or there was too little memory",
         ),
-        ("trip", "one problem (and 1 more: suspnet-check tells all)"),
+        ("trip", "one problem (and 1 more: suspnet-check shows all)"),
         ("error", "is damaged, cut off or not a .mat file (division by zero)"),
-        ("speechless", f"{apart.MEMORY_WORDS}"),
+        ("speechless", f"{MEMORY_WORDS}"),
     ],
 )
 def test_end_of_a_reader_is_one_error(file, what, words, when):
@@ -132,7 +132,7 @@ def test_end_of_a_reader_is_one_error(file, what, words, when):
 @pytest.mark.parametrize("what", ["hang", "hang:2", "hang inside"])
 def test_reader_that_takes_too_long_is_ended_and_the_file_not_tried_again(file, monkeypatch, what):
     assert reader_of(file("fine"))  # the time is not that of the start
-    monkeypatch.setenv(apart.LIMIT, "0.5")
+    monkeypatch.setenv(reader_process.LIMIT, "0.5")
     path = file(what)
     start = time.monotonic()
     with pytest.raises(TripError, match=r"data.mat: its reader took longer than 0.5 s for one"):
@@ -140,14 +140,14 @@ def test_reader_that_takes_too_long_is_ended_and_the_file_not_tried_again(file, 
     assert 0.4 < time.monotonic() - start < 20
     with pytest.raises(TripError, match=r"took longer .* \(the variable SUSPNET_READER_S gives"):
         read(path)
-    monkeypatch.delenv(apart.LIMIT)
+    monkeypatch.delenv(reader_process.LIMIT)
     path.write_text("fine again")
     np.testing.assert_array_equal(read(path)[0], A)
 
 
 @pytest.mark.parametrize("text", ["soon", "0", "-1", "nan", "inf", "1e300"])
 def test_time_that_is_none_is_named(file, monkeypatch, text):
-    monkeypatch.setenv(apart.LIMIT, text)
+    monkeypatch.setenv(reader_process.LIMIT, text)
     with pytest.raises(TripError, match=f"SUSPNET_READER_S must be a time in .* got '{text}'"):
         read(file("fine"))
 
@@ -174,15 +174,15 @@ def test_threads_have_readers_of_their_own(file):
 def test_reader_ends_with_the_process_that_is_killed(file, what):
     code = (
         "import os, signal, sys, threading; from pathlib import Path; "
-        "from suspnet.recordings.reader_process import apart; "
+        "from suspnet.recordings.reader_process import in_own_process; "
         "from dying_readers import open_dying\n"
-        f"with apart(open_dying)(Path({str(file(what))!r}), None) as opened:\n"
+        f"with in_own_process(open_dying)(Path({str(file(what))!r}), None) as opened:\n"
         "    print(opened.words, flush=True)\n"
         "    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGKILL)).start()\n"
         "    list(opened.read(['a'])); signal.pause()"
     )
     path = os.pathsep.join(sys.path)
-    environment = os.environ | {"PYTHONPATH": path, apart.LIMIT: "2"}
+    environment = os.environ | {"PYTHONPATH": path, reader_process.LIMIT: "2"}
     ended = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, env=environment, check=False
     )

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.recordings.resampling import decimate, interpolate, support
+from suspnet.recordings.resampling import Decimator, Growing, interpolate, support
 
 RATE_HZ = 100.0
 
@@ -13,10 +13,12 @@ RATE_HZ = 100.0
 def resample(values, bad, input_hz, times_s, block=10_000):
     """Resample a signal whose first sample is at time 0."""
     blocks = ((values[i : i + block], bad[i : i + block]) for i in range(0, len(values), block))
-    first = decimate(blocks, input_hz, RATE_HZ)
+    first, found = Decimator(input_hz, RATE_HZ), Growing()
+    for values_of, bad_of in blocks:
+        found.append(*first.push(values_of, bad_of))
     positions = (times_s * input_hz - first.first) / first.factor
     oversampling = input_hz / first.factor / RATE_HZ
-    return interpolate(first.values, first.touched, positions, oversampling)
+    return interpolate(found.values, found.touched, positions, oversampling)
 
 
 RATES = [100.0, 123.4, 799.0, 800.0, 1999.7, 2000.0, 2048.0, 5000.0, 5120.0, 51_200.0]
@@ -83,8 +85,8 @@ def test_blocks_change_nothing_and_bad_samples_touch_their_neighbours(rate_hz, b
 
 
 def test_too_short_a_signal_gives_nothing():
-    first = decimate([(np.ones(10), np.zeros(10, dtype=bool))], 5000.0, RATE_HZ)
-    assert len(first.values) == len(first.touched) == 0
+    values, touched = Decimator(5000.0, RATE_HZ).push(np.ones(10), np.zeros(10, dtype=bool))
+    assert len(values) == len(touched) == 0
 
 
 def test_second_stage_reaches_less_than_a_tenth_of_a_second():

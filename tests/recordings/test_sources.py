@@ -9,19 +9,28 @@ from recording_files import WRITERS
 from scipy.io import savemat, wavfile
 
 from suspnet.recordings.array_files import open_hdf5
+from suspnet.recordings.columns import size_of, unit_in_name
 from suspnet.recordings.formats import READERS, open_columns, open_file
 from suspnet.recordings.logger_files import open_uff
-from suspnet.recordings.manifest import Channel, SpeedSource, TripError, TripManifest
+from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.sources import open_source
-from suspnet.recordings.units import size_of, unit_in_name
 
 STATING = (".h5", ".tdms", ".mf4", ".uff")
 """Formats in which unit and rate may stand."""
 
 
 def opened(path: Path, source, kind="acceleration"):
-    manifest = TripManifest(path.parent / "trip.yaml", "trip", "", "", 0.0, None, 1.0, {})
+    manifest = TripManifest(
+        path=path.parent / "trip.yaml",
+        name="trip",
+        vehicle="",
+        suspension="",
+        mileage_km=0.0,
+        speed=1.0,
+        channels={},
+    )
     return open_source(manifest, source, "here", kind)
 
 

@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.recordings.clocks import Zero
 from suspnet.recordings.speed import (
-    SpeedTrack,
     _thinned,
     find_stuck,
     find_wrong_speeds,
     speed_at,
+    speed_track,
 )
 
 AT = np.arange(0, 100, 0.01)
@@ -21,7 +20,7 @@ def told(speeds, seconds=None, at=AT) -> tuple[np.ndarray, list[str]]:
     """Return the speed at some times and the faults in words."""
     speeds = np.asarray(speeds, dtype=float)
     seconds = np.arange(len(speeds)) * 1.0 if seconds is None else np.asarray(seconds, dtype=float)
-    track = SpeedTrack(seconds, speeds, Zero(), float(np.median(np.diff(seconds))), "")
+    track = speed_track(seconds, speeds, 0.0, None)
     found, faults = speed_at(None, track, 0.0, at)
     return found, [str(fault) for fault in faults]
 

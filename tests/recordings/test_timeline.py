@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.recordings import timeline
-from suspnet.recordings.manifest import TripError
-from suspnet.recordings.timeline import Timeline
+from suspnet.recordings import sources as timeline
+from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.sources import Timeline
 
 
 def even(times, values=None, block=1000, rate_hz=None) -> tuple[np.ndarray, Timeline]:

@@ -21,12 +21,13 @@ from trip_records import fleet as made_up
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.limits import DEFAULT_LIMITS, Severity
-from suspnet.ground.storage import read_arrays
+from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import LEAST_PERCENT
+from suspnet.recordings import manifest_files
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.reader_process import LIMIT, apart
+from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.report import output
 from suspnet.report.output import coverage_percent, errors_percent, summary, write_tables
 from suspnet.report.tensorboard import RunLog
@@ -190,16 +191,28 @@ def test_finished_trips_are_not_read_again(three, model, no_figures, monkeypatch
             np.testing.assert_array_equal(values, getattr(other.curves, name))
 
 
+def test_each_manifest_is_read_once(three, model, no_figures, monkeypatch, tmp_path):
+    seen = []
+    monkeypatch.setattr(
+        manifest_files,
+        "read_plain",
+        lambda path, *most: seen.append(path) or read_plain(path, *most),
+    )
+    found = read(three, [model], tmp_path / "out")
+    assert [r.status for r in found] == ["ok"] * 3
+    assert len(seen) == len(set(seen)) == 3
+
+
 def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
     three, manifests, model, no_figures, monkeypatch, tmp_path
 ):
     seen = []
 
-    def interrupted(path, *arguments, **options):
-        seen.append(path.stem)
+    def interrupted(file, *arguments, **options):
+        seen.append(file.path.stem)
         if seen == ["a", "b"]:
             raise KeyboardInterrupt("stop")
-        return evaluate_trip(path, *arguments, **options)
+        return evaluate_trip(file, *arguments, **options)
 
     monkeypatch.setattr(fleet, "evaluate_trip", interrupted)
     with pytest.raises(KeyboardInterrupt, match="stop"):
@@ -497,7 +510,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
 def test_file_that_kills_or_hangs_its_reader_costs_its_row(
     three, manifests, model, blank, monkeypatch
 ):
-    monkeypatch.setitem(READERS, ".mat", apart(open_dying))
+    monkeypatch.setitem(READERS, ".mat", in_own_process(open_dying))
     monkeypatch.setenv(LIMIT, "2")
     for what in ("exit", "crash:1", "hang"):
         (three / f"{what}.mat").write_text(what)
@@ -647,8 +660,8 @@ def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monk
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",
-        lambda path, *_, **__: replace(
-            evaluate_trip(path, [model], TRIPS), flags="odd" if path == manifests[1] else ""
+        lambda file, *_, **__: replace(
+            evaluate_trip(file, [model], TRIPS), flags="odd" if file.path == manifests[1] else ""
         ),
     )
     settings = replace(

@@ -44,10 +44,10 @@ def no_figures(monkeypatch):
 def made_up(monkeypatch):
     """Read no recording: a trip's name says how stiff its k_s is, in %."""
 
-    def read(path, *_):
-        k_s = float(path.stem.rpartition("_")[2]) / 100
+    def read(file, *_):
+        k_s = float(file.path.stem.rpartition("_")[2]) / 100
         result = trip(0, with_curves=False, half_widths=HALF_WIDTHS)
-        return replace(result, manifest=str(path), estimates=result.estimates | {"k_s": k_s})
+        return replace(result, manifest=str(file.path), estimates=result.estimates | {"k_s": k_s})
 
     monkeypatch.setattr(fleet, "evaluate_trip", read)
 

@@ -21,7 +21,7 @@ def test_folder_of_one_suspension_is_one_group(tmp_path):
     (group,) = find_groups(tmp_path)
     assert group.folder == tmp_path
     assert group.place == Place("car 7")
-    assert set(group.manifests) == {*paths, tmp_path / "broken.yaml"}
+    assert {file.path for file in group.manifests} == {*paths, tmp_path / "broken.yaml"}
     assert group.error == ""
 
 
@@ -32,7 +32,7 @@ def test_mixed_folder_is_split_by_suspension_bogie_and_side(tmp_path):
     write(tmp_path, "d", bogie="leading", side="left")
     write(tmp_path, "e", suspension="car 8")
     (tmp_path / "broken.yaml").write_text("<b>: [")
-    groups = {str(g.place): [p.stem for p in g.manifests] for g in find_groups(tmp_path)}
+    groups = {str(g.place): [f.path.stem for f in g.manifests] for g in find_groups(tmp_path)}
     assert groups == {
         "unknown": ["broken"],
         "car 7, leading bogie, left": ["a", "d"],
@@ -66,7 +66,7 @@ def test_subfolders_beside_manifests_are_told_not_read(tmp_path, caplog):
     write(tmp_path / "other", "b")
     with caplog.at_level("WARNING", logger="suspnet"):
         (group,) = find_groups(tmp_path)
-    assert [path.stem for path in group.manifests] == ["a"]
+    assert [file.path.stem for file in group.manifests] == ["a"]
     assert "so that its subfolders are not read: other" in caplog.text
 
 

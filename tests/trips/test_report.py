@@ -194,7 +194,7 @@ def test_hostile_names_are_escaped(tmp_path):
         ([trip(i) for i in range(12)], "Nothing stands out. No parameter is beyond its limits"),
         (
             [trip(i) if i > 4 else trip(i, estimates={"k_p": 1.0}) for i in range(12)],
-            "some parameters have too few trips to tell",
+            "some parameters have too few trips to find a change",
         ),
     ],
 )

@@ -119,7 +119,7 @@ def test_pair_needs_a_model_of_pairs(tmp_path, model):
     path = write_pairs(tmp_path, (0,) * 4)
     result = evaluate_trip(path, [one_sided], TripSettings())
     assert result.status == ERROR
-    assert "one sensor beside the middle: axle_box (1 m), body (0.9 m); give one" in result.reason
+    assert "one sensor off the middle: axle_box (1 m), body (0.9 m); give one" in result.reason
 
 
 # words

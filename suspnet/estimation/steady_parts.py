@@ -1,0 +1,317 @@
+"""Which segments of a recording are read together, and by which of some models.
+
+Checking, commissioning, reading and monitoring ask here, so that they agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.signal import get_window
+from torch import Tensor
+
+from suspnet.estimation.estimate import Estimate, Flags
+from suspnet.estimation.fitted import FittedMethod
+from suspnet.estimation.from_spectra import trip_settings
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import without_incoherent, without_loud
+from suspnet.spectra.speeds import SpeedRange, range_words, reading_range
+from suspnet.spectra.welch import SegmentSpectra
+
+
+def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
+    """Return which segments keep their speed (n_segments, n_samples) within 1 +- tolerance."""
+    return (speeds / speeds.mean(dim=1, keepdim=True) - 1).abs().amax(dim=1) <= tolerance
+
+
+def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]:
+    """Return groups of segments of like speed, the largest first, each bool (n_segments,).
+
+    A group's mean speeds lie within 1 +- tolerance of its middle. The most segments that one such
+    range holds are a group; then the most of the others, until none is left.
+
+    Parameters
+    ----------
+    speeds : tensor of shape (n_segments, n_samples), [m/s]
+    within : bool tensor of shape (n_segments,)
+        Segments that are grouped.
+    tolerance : float, [-]
+    """
+    means, left, groups = speeds.mean(dim=1), within.clone(), []
+    widest = (1 + tolerance) / (1 - tolerance)
+    while bool(left.any()):  # each round takes at least one segment
+        lowest = means[left][:, None]
+        inside = (means >= lowest) & (means <= lowest * widest * (1 + 1e-9)) & left
+        group = inside[int(inside.sum(dim=1).argmax())]
+        groups.append(group)
+        left = left & ~group
+    return groups
+
+
+def groups_to_read(
+    speeds: Tensor, tolerance: float, least_m_per_s: float, *, at_any_speed: bool = False
+) -> list[Tensor]:
+    """Return the groups of segments that are averaged, the largest first, each (n_segments,).
+
+    Parameters
+    ----------
+    speeds : tensor of shape (n_segments, n_samples), [m/s]
+    tolerance : float, [-]
+        The speed of a segment, and the mean speeds of a group, stay within 1 +- this.
+    least_m_per_s : float, [m/s]
+        Slower segments are left out.
+    at_any_speed : bool
+        The vehicle's responses do not depend on the speed: all segments are one group.
+    """
+    if at_any_speed:
+        group = (speeds >= least_m_per_s).all(dim=1)
+        return [group] if bool(group.any()) else []
+    groups = same_speed(speeds, steady_segments(speeds, tolerance), tolerance)
+    return [group for group in groups if group_speed(speeds, group) >= least_m_per_s]
+
+
+def group_speed(speeds: Tensor, group: Tensor) -> float:
+    """Return the mean speed of a group of segments, by which a model reads all of it, [m/s]."""
+    return float(speeds[group].mean())
+
+
+def reads_at_any_speed(method: FittedMethod) -> bool:
+    """Return whether a method's responses do not depend on the speed."""
+    return method.generator.speed_m_per_s is None
+
+
+def speed_range(method: FittedMethod) -> SpeedRange | None:
+    """Return the speeds that a method reads; None is any."""
+    speed = method.generator.speed_m_per_s
+    if speed is None:
+        return None
+    return SpeedRange.around(speed, trip_settings(method).speed_half_width)
+
+
+def groups_of(
+    method: FittedMethod, models: Sequence[FittedMethod], speeds: Tensor, groups: Sequence[Tensor]
+) -> list[Tensor]:
+    """Return the groups of segments that a method reads, where some models read the recording.
+
+    A group is read as a whole, by the model whose range holds its mean speed; by the nearest of
+    several. A group that no model reads is in none of the lists.
+
+    Parameters
+    ----------
+    method : FittedMethod
+    models : sequence of FittedMethod
+        All that read the recording, with the method itself.
+    speeds : tensor of shape (n_segments, n_samples), [m/s]
+    groups : sequence of bool tensors of shape (n_segments,)
+        From `groups_to_read`.
+    """
+    own = speed_range(method)
+    if own is None:
+        return list(groups)
+    ranges = [one for one in map(speed_range, models) if one is not None]
+    return [group for group in groups if reading_range(group_speed(speeds, group), ranges) == own]
+
+
+def readable_words(models: Sequence[FittedMethod]) -> str:
+    """Return which speeds some models read: "the models read 61.0 to 78.0 m/s"."""
+    ranges = [one for one in map(speed_range, models) if one is not None]
+    subject = "the model reads" if len(models) == 1 else "the models read"
+    return f"{subject} {range_words(ranges) if ranges else 'any speed'}"
+
+
+def _speeds_of(speeds: Tensor, groups: Sequence[Tensor], most: int = 3) -> str:
+    """Return the speeds of the largest groups: "69.1 and 50.0 m/s"."""
+    each = dict.fromkeys(f"{group_speed(speeds, group):.1f}" for group in groups[:most])
+    return f"{' and '.join(each)} m/s"
+
+
+def no_group_words(
+    speeds: Tensor,
+    groups: Sequence[Tensor],
+    models: Sequence[FittedMethod],
+    tolerance: float,
+    least_m_per_s: float,
+) -> str:
+    """Return why no group of segments can be read: none is steady, or none at a model's speed."""
+    n_segments, half = len(speeds), float(speeds.mean(dim=1).median())
+    if not groups:
+        rule = f"steady within {100 * tolerance:g} %"
+        if any(map(reads_at_any_speed, models)):
+            rule = f"at {least_m_per_s:g} m/s or faster throughout"
+        return (
+            f"0 of {n_segments} segments without faults are {rule} (half of the trip is run at "
+            f"{half:.1f} m/s or less)"
+        )
+    return (
+        f"the trip is run at {_speeds_of(speeds, groups)}, {readable_words(models)}: is the speed "
+        "in m/s? If so, train a model for it, speed_m_per_s=..."
+    )
+
+
+@dataclass(frozen=True)
+class GroupSpectra:
+    """What is left of a group of segments, and how certain its responses are.
+
+    Attributes
+    ----------
+    candidates : bool tensor of shape (n_segments,)
+        The group without segments that are far too loud.
+    chosen : bool tensor of shape (n_segments,)
+        Also without those of low coherence.
+    n_incoherent : int
+        Number of these.
+    n_averages : float
+        Independent averages of the chosen segments.
+    spectra : CrossSpectra or None
+        Average over the chosen segments; None if there are none.
+    coherences : list of 2 floats, [-]
+    deviation : float, [-]
+        As of `certainty_of`; NaN without spectra.
+    """
+
+    candidates: Tensor
+    chosen: Tensor
+    n_incoherent: int
+    n_averages: float
+    spectra: CrossSpectra | None
+    coherences: list[float]
+    deviation: float
+
+
+def group_spectra(
+    band: SegmentSpectra, group: Tensor, min_coherence: float, estimate: EstimateSettings
+) -> GroupSpectra:
+    """Return what can be used of a group of segments.
+
+    Parameters
+    ----------
+    band : SegmentSpectra
+        On the bins of an estimate, where loud and incoherent segments are left out.
+    group : bool tensor of shape (n_segments,)
+        Segments at one speed.
+    min_coherence : float, [-]
+        As of ``TripSettings``.
+    estimate : EstimateSettings
+        Bound to a vehicle.
+    """
+    candidates = without_loud(band, group)
+    chosen, n_incoherent = without_incoherent(band, candidates, min_coherence)
+    if not bool(chosen.any()):
+        nothing: list[float] = [math.nan, math.nan]
+        return GroupSpectra(candidates, chosen, n_incoherent, 0.0, None, nothing, math.nan)
+    n_averages = band.welch.n_averages(int(chosen.sum()))
+    spectra = band.average(chosen)
+    certainty = certainty_of(spectra, estimate, band.frequencies_hz)
+    return GroupSpectra(candidates, chosen, n_incoherent, n_averages, spectra, *certainty)
+
+
+def certainty_of(
+    spectra: CrossSpectra, settings: EstimateSettings, frequencies_hz: Tensor
+) -> tuple[list[float], float]:
+    """Return how certain the responses are on the bins that estimates use.
+
+    Parameters
+    ----------
+    spectra : CrossSpectra
+        Of shape (3, n_freq).
+    settings : EstimateSettings
+    frequencies_hz : tensor of shape (n_freq,), [Hz]
+
+    Returns
+    -------
+    coherences : list of 2 floats, [-]
+        Means over the bins, of G_p and G_s.
+    deviation : float, [-]
+        Standard deviation of the log-magnitudes: median over the bins, of the less certain one.
+    """
+    beyond = settings.beyond(frequencies_hz)
+    coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
+    deviations = spectra.deviations(settings.method).masked_fill(beyond, math.nan)
+    return coherences.tolist(), float(deviations.nanmedian(dim=1).values.amax())
+
+
+def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
+    """Return mean and deviation of the speeds in some segments, as the window weighs them."""
+    weights = torch.as_tensor(get_window(segments.welch.window, speeds.shape[1])) ** 2
+    weights = weights / (weights.sum() * len(speeds))
+    mean = float((speeds * weights).sum())
+    return mean, math.sqrt(max(0.0, float(((speeds - mean) ** 2 * weights).sum())))
+
+
+@dataclass(frozen=True)
+class SpeedBin:
+    """One method's estimate from a recording, with the spectra and segments behind it.
+
+    Attributes
+    ----------
+    method : FittedMethod
+    spectra : CrossSpectra
+        Average over the chosen segments on the method's bins, (3, n_freq).
+    segments : SegmentSpectra
+    chosen : bool tensor of shape (n_segments,)
+    speed_m_per_s : float, [m/s]
+        Mean over the chosen segments.
+    estimate : Estimate
+        Of one row.
+    noise_share : array of shape (n_outputs,), [-]
+        Share of the noise of the segments in the square of the intervals.
+    doubts : str
+        What could not be checked of the channels; empty if all could.
+    """
+
+    method: FittedMethod
+    spectra: CrossSpectra
+    segments: SegmentSpectra
+    chosen: Tensor
+    speed_m_per_s: float
+    estimate: Estimate
+    noise_share: FloatArray
+    doubts: str
+
+
+def largest(bins: Sequence[SpeedBin]) -> SpeedBin:
+    """Return the group of segments with the most averages."""
+    return max(bins, key=lambda b: b.spectra.n_averages)
+
+
+def combined(bins: Sequence[SpeedBin]) -> Estimate:
+    """Return one estimate from several groups of segments: means of the logarithms.
+
+    Weights are the inverse squares of the half widths, or the averages where there are none. The
+    noise of groups is independent, as they share no segment; the rest of their errors is taken to
+    be one and the same, for models may err alike.
+    """
+    if len(bins) == 1:
+        return bins[0].estimate
+    half = np.concatenate([b.estimate.half_widths for b in bins])  # (n_bins, n_outputs)
+    weights = np.ones_like(half) * np.array([[b.spectra.n_averages] for b in bins])
+    if (np.isfinite(half) & (half > 0)).all():
+        weights = 1 / half**2
+    weights = weights / weights.sum(axis=0)
+    share = np.stack([b.noise_share for b in bins])
+    noise = np.sum(weights**2 * share * half**2, axis=0)
+    lasting = np.sum(weights * np.sqrt(1 - share) * half, axis=0) ** 2
+    values = np.exp(np.sum(weights * np.log([b.estimate.values[0] for b in bins]), axis=0))
+    ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
+    first = bins[0].estimate
+    rows = values[None], ends[0][None], ends[1][None]
+    return Estimate(first.names, *rows, first.level, _flags(bins), first.healthy)
+
+
+def _flags(bins: Sequence[SpeedBin]) -> Flags:
+    """Return the flags of a trip's estimate: of several bins, those of the best one flagged.
+
+    Each bin puts the same into other numbers.
+    """
+    found = [b for b in bins if b.estimate.flags.flagged.any()]
+    if not found:
+        return Flags.none(1)
+    worst = largest(found)
+    at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
+    return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))

@@ -1,0 +1,262 @@
+"""How the keys of a manifest are described and checked: each once, where its field is defined.
+
+A key is the metadata of a field of a dataclass (`manifest`): its check, type, unit, default and
+meaning. Parsing, messages, writing and the tables of docs/recordings.md follow from that.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from suspnet.recordings.dates import date_problem, time_zone
+
+POSITIVE = math.ulp(0.0)
+"""Least number above 0."""
+
+LARGEST = 1e300
+"""Largest magnitude of a number in a manifest."""
+
+
+class TripError(ValueError):
+    """Something is wrong with one trip: its manifest, or the files that it names.
+
+    Its arguments are the problems, one sentence each; as text only the first is shown.
+    """
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Each thing that is wrong, in the order in which it was found."""
+        return tuple(map(str, self.args))
+
+    def __str__(self) -> str:
+        more = len(self.args) - 1
+        if more < 1:
+            return super().__str__()
+        return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
+
+
+def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
+    """Return what each of some functions returns.
+
+    Raises
+    ------
+    TripError
+        With `problems` and those of every function, each once, if there are any.
+    """
+    found, problems = [], list(problems)
+    for part in parts:
+        try:
+            found.append(part())
+        except TripError as error:
+            problems += error.problems
+    if problems:
+        raise TripError(*dict.fromkeys(problems))
+    return found
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value of a manifest that is to be checked, and where it stands.
+
+    Parameters
+    ----------
+    path : Path
+        The file, named in errors.
+    name : str
+        Keys that lead to the value, joined by dots; "" is the whole file.
+    content : Any
+        What was read there.
+    """
+
+    path: Path
+    name: str
+    content: Any
+
+    def at(self, key: object) -> Value:
+        """Return the value of a key of this mapping; of an index such as "[0]" of this list."""
+        if isinstance(key, int):
+            return Value(self.path, f"{self.name}[{key}]", self.content[key])
+        return Value(self.path, self._name_of(key), self.content.get(key))
+
+    def refuse(self, rule: str) -> TripError:
+        """Return the error that names file, key, rule and value."""
+        name = f"`{self.name}`" if self.name else "the manifest"
+        got = " ".join(reprlib.repr(self.content).split())
+        return TripError(f"{self.path}: {name} must be {rule}, got {got}")
+
+    def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
+        """Return the checked values of a mapping, without the optional ones that are null.
+
+        Raises
+        ------
+        TripError
+            If it is not a mapping; otherwise with every problem: unknown and missing keys, and
+            each value that its check refuses.
+        """
+        if not isinstance(self.content, dict):
+            raise self.refuse("a mapping")
+        required = [name for name, key in keys.items() if key.is_required]
+        allowed = (*required, *(name for name in keys if name not in required))
+        problems = [
+            f"{self.path}: `{self._name_of(name)}` is not known; allowed are {allowed}"
+            for name in self.content
+            if name not in allowed
+        ]
+        there = [name for name in keys if self.content.get(name) is not None]
+        problems += [
+            f"{self.path}: `{self._name_of(name)}` is missing"
+            for name in required
+            if name not in there
+        ]
+        found = all_of([partial(keys[name].check, self.at(name)) for name in there], problems)
+        return dict(zip(there, found, strict=True))
+
+    def _name_of(self, key: object) -> str:
+        return ".".join(filter(None, (self.name, str(key))))
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a mapping of a manifest.
+
+    Parameters
+    ----------
+    check : callable
+        Returns the checked content of a `Value`, or raises TripError.
+    type, meaning, unit, default : str
+        For the table in docs/recordings.md; a key whose default is "-" must be given.
+    """
+
+    check: Callable[[Value], Any]
+    type: str
+    meaning: str
+    unit: str = ""
+    default: str = "-"
+
+    @property
+    def is_required(self) -> bool:
+        """Whether the key must be given."""
+        return self.default == "-"
+
+    def row(self, name: str) -> str:
+        """Return the key's row of the table in docs/recordings.md."""
+        cells = f"| `{name}` | {self.type} | {self.unit} | {self.default} | {self.meaning} |"
+        return cells.replace("|  |", "| |")
+
+
+def key(*arguments: Any, **named: Any) -> dict[str, Key]:
+    """Return the metadata of a field that is a key; arguments are those of `Key`."""
+    return {"key": Key(*arguments, **named)}
+
+
+def optional(*arguments: Any, **named: Any) -> Any:
+    """Return a field that is a key whose value may be None; arguments are those of `Key`."""
+    return field(default=None, metadata=key(*arguments, **named))
+
+
+def keys_of(kind: type) -> dict[str, Key]:
+    """Return the keys of the mapping that a dataclass is read from."""
+    return {one.name: one.metadata["key"] for one in fields(kind) if "key" in one.metadata}
+
+
+# checks
+
+
+def text(value: Value) -> str:
+    """Return a text that is not blank."""
+    if not isinstance(value.content, str) or not value.content.strip():
+        raise value.refuse("text (put it in quotes if it looks like anything else)")
+    return value.content
+
+
+def stripped(value: Value) -> str:
+    """Return a text that is not blank, without blanks at its ends."""
+    return text(value).strip()
+
+
+def one_of(allowed: Sequence[Any]) -> Callable[[Value], Any]:
+    """Return a check for one of some values."""
+
+    def check(value: Value) -> Any:
+        if value.content not in list(allowed):
+            raise value.refuse(f"one of {list(allowed)}")
+        return value.content
+
+    return check
+
+
+def number(
+    rule: str = "a finite number", low: float = -LARGEST, high: float = LARGEST
+) -> Callable[[Value], float]:
+    """Return a check for a number from `low` to `high`; `rule` is what the message says of it."""
+
+    def check(value: Value) -> float:
+        if isinstance(value.content, bool) or not isinstance(value.content, int | float):
+            raise value.refuse(f"{rule} (written like 5000.0)")
+        if not low <= value.content <= high:  # neither is NaN
+            raise value.refuse(rule)
+        return float(value.content)
+
+    return check
+
+
+positive = number("a number > 0", POSITIVE)
+
+
+def sign(value: Value) -> int:
+    """Return 1 or -1."""
+    found = number("1 or -1")(value)
+    if found not in (1.0, -1.0):
+        raise value.refuse("1 or -1")
+    return int(found)
+
+
+def start(value: Value) -> datetime:
+    """Return the start of a trip from text, or from the datetime of a manifest to be written."""
+    given = value.content
+    try:
+        found = given if isinstance(given, datetime) else datetime.fromisoformat(given)
+    except (TypeError, ValueError) as error:
+        raise value.refuse("a time like 2015-08-03T08:00:00") from error
+    if problem := date_problem(found):
+        raise TripError(
+            f"{value.path}: `start` {found.isoformat()} {problem}; correct it, or leave it out if "
+            "it is not known"
+        )
+    return found
+
+
+def zone(value: Value) -> str:
+    """Return the name of a time zone that is known here."""
+    try:
+        time_zone(text(value))
+    except TripError:
+        raise
+    except ValueError as error:
+        raise value.refuse('one like "UTC", "+02:00" or "Europe/Berlin"') from error
+    return str(value.content)
+
+
+def header_line(value: Value) -> int:
+    """Return the number of a line, or 0."""
+    line = value.content
+    if isinstance(line, bool) or not isinstance(line, int) or line < 0:
+        raise value.refuse("a line counted from 1, or 0 if there are no names")
+    return line
+
+
+def encoding(value: Value) -> str:
+    """Return the name of an encoding that is known here."""
+    name = text(value)
+    try:
+        "a;1".encode(name)
+    except (LookupError, ValueError) as error:
+        raise value.refuse("one like utf-8, utf-16 or latin-1") from error
+    return name
