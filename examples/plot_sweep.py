@@ -49,7 +49,7 @@ for file in sorted(sweep.glob("*/config.yaml")):
     config = yaml.safe_load(file.read_text())
     events = EventAccumulator(str(file.parent)).Reload()
     scalars = {tag: events.Scalars(tag) for tag in events.Tags()["scalars"]}
-    name = config["model"]["_target_"].rpartition(".")[2]
+    name = config["model"]["kind"]
     runs.append((name, config["data"]["snr_db"], scalars))
 folder.cleanup()
 print("scalars of the first run:", *runs[0][2], sep="\n  ")
@@ -61,7 +61,7 @@ print("scalars of the first run:", *runs[0][2], sep="\n  ")
 
 figure, axes = plt.subplots(2, 1, figsize=(5, 6.5), sharex=True, layout="constrained")
 for axis, output in zip(axes, ("k_p", "c_p"), strict=True):
-    for method, style in (("MSVR", "o-"), ("MVGPR", "s--"), ("LinearRegression", "^-.")):
+    for method, style in (("msvr", "o-"), ("mvgpr", "s--"), ("linear", "^-.")):
         points = sorted(
             (snr_db, scalars[f"final/mape_percent_{output}"][-1].value)
             for name, snr_db, scalars in runs

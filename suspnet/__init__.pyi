@@ -1,8 +1,8 @@
 """The public names and their homes: the one table, which `__init__.py` and type checkers read."""
 
 from suspnet._version import __version__ as __version__
-from suspnet.cli.configs import read_protocol as read_protocol
-from suspnet.cli.configs import read_vehicles as read_vehicles
+from suspnet.cli.kinds import read_protocol as read_protocol
+from suspnet.cli.kinds import read_vehicles as read_vehicles
 from suspnet.dynamics.quarter_car import QuarterCar as QuarterCar
 from suspnet.dynamics.vehicle import Vehicle as Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle as VerticalVehicle

@@ -14,6 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from matplotlib.figure import Figure
 from omegaconf import open_dict
 
+from suspnet.cli import program
 from suspnet.cli.program import CONFIGS, DEBUG
 
 ROOT = Path(__file__).parents[1]
@@ -76,7 +77,7 @@ def typed(module, *arguments, cwd, **variables):
         for key, value in ({DEBUG: ""} | variables).items():  # the program sets it: set it back
             patch.setenv(key, value)
         try:
-            module.main()
+            program.main(name)
         except SystemExit as ended:
             code = ended.code or 0
             if isinstance(code, str):

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 import yaml
 from PIL import Image
 
-from suspnet.cli import evaluate, simulate, train
+from suspnet.cli import evaluate, program, simulate, train
 from suspnet.ground.storage import read_arrays, read_json
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.earlier import FOLDER
@@ -78,8 +78,9 @@ def start(module, arguments, folder):
         output = os.open("output.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         for stream in (1, 2):
             os.dup2(output, stream)
-        sys.argv = [f"{module.__name__.rpartition('.')[2]}.py", *arguments]
-        module.main()
+        name = module.__name__.rpartition(".")[2]
+        sys.argv = [f"{name}.py", *arguments]
+        program.main(name)
         code = 0
     except SystemExit as ended:
         if isinstance(ended.code, str):

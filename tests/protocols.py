@@ -4,8 +4,8 @@ from dataclasses import replace
 from functools import cache
 
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 
+from suspnet.cli.kinds import build
 from suspnet.cli.program import CONFIGS
 
 
@@ -17,4 +17,4 @@ def shipped_protocol(name, **changes):
 @cache
 def _shipped(name):
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        return instantiate(compose("train", overrides=[f"protocol={name}"]).protocol)
+        return build(compose("train", overrides=[f"protocol={name}"]), "protocol")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspnet.cli.configs import read_vehicles
+from suspnet.cli.kinds import read_vehicles
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import METHODS, LinearRegression
@@ -42,7 +42,7 @@ def errors_percent(problem, model):
 
 def test_vehicle_is_read(tmp_path):
     (tmp_path / "vehicle").mkdir()
-    code = example("yaml", "suspnet.dynamics.Vehicle")
+    code = example("yaml", "bogie_mass_kg")
     (tmp_path / "vehicle" / "mine.yaml").write_text(code)
     vehicle = read_vehicles(tmp_path)["mine"]
     assert vehicle.half_wheelbase_m == 1.05
@@ -61,9 +61,9 @@ def test_method_learns_and_is_stored(quarter_car, task, tmp_path, monkeypatch):
 
 
 def test_method_has_the_arguments_of_its_file():
-    given = re.findall(r"^(\w+): (\S+)$", example("yaml", "KernelRidge"), re.MULTILINE)
+    given = re.findall(r"^(\w+): (\S+)$", example("yaml", "kind: kernel_ridge"), re.MULTILINE)
     values = {key: None if text == "null" else float(text) for key, text in given[1:]}
-    assert given[0] == ("_target_", "suspnet.learning.KernelRidge")
+    assert given[0] == ("kind", "kernel_ridge")
     assert defined("KernelRidge")().get_params() == values
 
 

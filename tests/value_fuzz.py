@@ -82,7 +82,7 @@ def keys(node, path):
     """Yield the path of each value and mapping at or below a node, Hydra's block left out."""
     for key in node:
         name = f"{path}.{key}".lstrip(".")
-        if name == "hydra" or name.endswith("_target_") or name.endswith("_convert_"):
+        if name == "hydra" or name.endswith(".kind"):
             continue
         yield name
         plain = not OmegaConf.is_interpolation(node, key) and not OmegaConf.is_missing(node, key)

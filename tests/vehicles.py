@@ -1,5 +1,5 @@
 """The AM96 as shipped, for tests that need it at import; test_vehicle.py pins its numbers."""
 
-from suspnet.cli.configs import read_vehicles
+from suspnet.cli.kinds import read_vehicles
 
 AM96 = read_vehicles()["am96"]

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import Namespace
 from collections.abc import Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from suspnet.cli import program
-from suspnet.cli.configs import read_vehicles
-from suspnet.cli.named_runs import named_runs
+from suspnet.cli.kinds import named_runs, read_vehicles
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger, progress
 from suspnet.ground.checks import check_number
@@ -21,76 +18,6 @@ from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.check_page import summary, with_shared_data, write_checks
 from suspnet.report.check_records import PROBLEM, TripCheck
 from suspnet.trips.check import CheckSettings, Opened, check_trip
-
-DESCRIPTION = """\
-Read manifests and recordings, with a model or without. Show everything that is wrong with all of
-them at once, and what an estimate would have to work with: usable share, steady speeds, independent
-averages, coherence in the vehicle's band, pairs of sensors; for a known vehicle also whether units,
-signs and the order of the channels are plausible. A trip is ready if a model of its speed would
-read it; with --run if the models of that run do.
-
-The output folder gets check.html, check.json and a picture of each trip that could be read: its
-channels and speed, their spectra, and the coherence. Trips are not changed."""
-
-EPILOG = """\
-exit code: 0 if every trip could be read, 1 if there is any problem.
-
-  suspnet-check trips/car7                  all manifests of a folder, or of its subfolders
-  suspnet-check trip_001.yaml trip_002.yaml --no-pictures
-  suspnet-check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
-
-
-def parser() -> ArgumentParser:
-    """Return what the command line may hold."""
-    found = ArgumentParser(
-        "suspnet-check",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
-    found.add_argument(
-        "trips",
-        nargs="+",
-        type=Path,
-        metavar="DIR",
-        help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
-        "a manifest [one or more paths]",
-    )
-    found.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder of page, JSON and pictures: a new one, or that of an earlier check [path; "
-        "outputs/check/TIME if not given]",
-    )
-    found.add_argument(
-        "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
-    )
-    found.add_argument(
-        "--workers",
-        type=int,
-        default=1,
-        metavar="N",
-        help="number of trips that are read at the same time, each in a process [whole number; at "
-        "least 1; 1 if not given]",
-    )
-    found.add_argument(
-        "--config-dir",
-        type=Path,
-        metavar="DIR",
-        help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py [path; none if not "
-        "given]",
-    )
-    found.add_argument(
-        "--run",
-        type=Path,
-        action="append",
-        metavar="DIR",
-        help="folder of a training whose models must read the trips, as of evaluate.py; may be "
-        "given several times [path; none if not given]",
-    )
-    return found
 
 
 def check(arguments: Namespace) -> int:
@@ -115,7 +42,6 @@ def check(arguments: Namespace) -> int:
 
 
 def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> list[TripCheck]:
-    """Return the check of each manifest, in their order."""
     opened = Opened() if n_workers == 1 else None  # processes share nothing
     names = picture_names(paths)
     done = each(partial(_check_one, settings=settings, opened=opened), names.items(), n_workers)
@@ -128,7 +54,6 @@ def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> 
 
 
 def _check_one(item: tuple[Path, str], settings: CheckSettings, opened: Opened | None) -> TripCheck:
-    """Return the check of a manifest whose picture has a name."""
     return check_trip(item[0], settings, item[1], opened)
 
 
@@ -158,9 +83,3 @@ def _folder(wanted: Path | None) -> Path:
         wanted = new_folder(Path(f"outputs/check/{datetime.now():%Y-%m-%d_%H-%M-%S}"))
     ledger.begin(wanted)
     return wanted
-
-
-def main() -> None:
-    """Run the program."""
-    arguments = parser().parse_args()
-    program.run(lambda: sys.exit(check(arguments)))

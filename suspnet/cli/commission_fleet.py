@@ -198,7 +198,6 @@ class _Warnings(logging.Handler):
 
 
 def _row(run: Run) -> dict[str, Any]:
-    """Return what a finished run found."""
     healthy = read_json(run.folder / "commissioning.json")
     return {
         "suspension": run.group.name,
@@ -211,7 +210,6 @@ def _row(run: Run) -> dict[str, Any]:
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the rows as a table."""
     head = ["suspension", "trips", "misfit", *rows[0]["rms_percent"]]
     body = [
         [row["suspension"], row["n_trips"], row["misfit"], *row["rms_percent"].values()]

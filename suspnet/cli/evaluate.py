@@ -4,65 +4,41 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
-from suspnet.cli.named_runs import named_runs
+from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
+from suspnet.cli.kinds import build, named_runs, plain, read_vehicles
 from suspnet.estimation.checkpoint import load_model
+from suspnet.ground.checks import check_choice
 from suspnet.ground.limits import Severity
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
-from suspnet.maintenance.state import State
 from suspnet.report.overview import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate
+from suspnet.runs.identifiability import write_identifiability
+from suspnet.runs.maintenance import write_maintenance
+from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 
-FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
-"""Exit codes: nothing to tell; a user's mistake; a trip without an estimate, or a parameter that
-cannot be judged; and the alarms."""
-BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
-"""Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
-notice."""
 ALARMS = {
     Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE,
     Severity.NOTICE: NOTICE,
     Severity.ACT: ACT,
 }
-EXIT_CODE = "exit_code"
-"""Name of the file in the folder of each job of a multirun that holds its exit code."""
-
-
-def worst(codes: Iterable[int]) -> int:
-    """Return the most urgent of some exit codes; one that is not ours counts as a mistake."""
-    known = (code if code in BY_URGENCY else MISTAKE for code in codes)
-    return max(known, key=BY_URGENCY.index, default=FINE)
 
 
 def exit_code(done: Sequence[Evaluated]) -> int:
     """Return the exit code that some suspensions ask for."""
     codes = [ALARMS.get(one.severity, FINE) for one in done]
     return worst([*codes, *(SOME_WITHOUT_ESTIMATE for one in done if not one.is_complete)])
-
-
-class WorstExitCode(Callback):
-    """Ends a multirun with the worst exit code of its jobs."""
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Read what the jobs left in their folders, and exit."""
-        files = sorted(Path(config.hydra.sweep.dir).glob(f"*/{EXIT_CODE}"))
-        code = worst(int(file.read_text()) for file in files)
-        if code:
-            sys.exit(code)
 
 
 def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictConfig], None]:
@@ -89,7 +65,6 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
     return wrapped
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="evaluate")
 @ends_with_its_code
 @program.task
 def compose(config: DictConfig) -> int:
@@ -97,16 +72,12 @@ def compose(config: DictConfig) -> int:
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:
-        program.n_threads(config.threads)
-        program.save_config(config, program.run_folder())
-        found = program.build(config, "study", folder=program.run_folder())
-        severities = [one.severity for one in found if isinstance(one, State)]
-        return worst(ALARMS.get(one, FINE) for one in severities)
+        return run_study(config, program.run_folder())
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
         models = [load_model(folder, config.device) for folder in runs]
-        settings = program.build(config, "monitor", _convert_="all")
+        settings = build(config, "monitor")
         with ExitStack() as stack:
             store = config.store and stack.enter_context(History(config.store))
             trips = Path(config.trips)
@@ -120,7 +91,7 @@ def compose(config: DictConfig) -> int:
         seed=config.seed,
         n_test=config.data.n_test,
         snr_db=config.data.snr_db,
-        protocol=program.build(config, "protocol") if config.get("protocol") else None,
+        protocol=build(config, "protocol") if config.get("protocol") else None,
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
@@ -139,6 +110,44 @@ def compose(config: DictConfig) -> int:
     return FINE
 
 
-def main() -> None:
-    """Run the program."""
-    program.run(compose)
+def run_study(config: DictConfig, folder: Path) -> int:
+    """Run the study that is chosen; return the exit code that the states it found ask for."""
+    check_choice("study", config.study, ("identifiability", "maintenance", "reliability"))
+    program.n_threads(config.threads)
+    program.save_config(config, folder)
+    if config.study == "identifiability":
+        write_identifiability(
+            build(config, "generator"),
+            build(config, "protocol"),
+            build(config, "data"),
+            folder,
+            group=config.group,
+            n_vehicles=config.n_vehicles,
+            seed=config.seed,
+        )
+        return FINE
+    if config.study == "reliability":
+        write_reliability(
+            config.run,
+            read_vehicles(),
+            folder,
+            n_test=config.n_test,
+            n_odd=config.n_odd,
+            seed=config.seed,
+            threads=config.threads,
+            device=config.device,
+            progress=config.progress,
+        )
+        return FINE
+    states = write_maintenance(
+        config.store,
+        folder,
+        vehicles=read_vehicles(),
+        limits=plain(config.monitor.limits),
+        changes=build(config, "monitor.changes"),
+        sisters=build(config, "sisters"),
+        plan=build(config, "plan"),
+        today=config.today,
+        seed=config.seed,
+    )
+    return worst(ALARMS.get(one.severity, FINE) for one in states)

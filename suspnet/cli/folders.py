@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
+from suspnet.cli.kinds import KINDS
 from suspnet.ground import ledger
 from suspnet.ground.storage import new_folder, write_atomically
 
@@ -27,6 +29,14 @@ FINISHED = ("metrics.json", "speeds.json", FLEET)
 """Files of a training that are written last; the second is that of several speeds."""
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
 """Keys that change no number, so that a run that differs in them alone is the same."""
+FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
+"""Exit codes: nothing to tell; a user's mistake; a trip without an estimate, or a parameter that
+cannot be judged; and the alarms."""
+BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
+"""Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
+notice."""
+EXIT_CODE = "exit_code"
+"""Name of the file in the folder of each job of a multirun that holds its exit code."""
 _to_go_on: list[str] = []
 
 
@@ -77,6 +87,23 @@ class OwnFolder(Callback):
             sys.exit(1)
 
 
+class WorstExitCode(Callback):
+    """Ends a multirun with the worst exit code of its jobs."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Read what the jobs left in their folders, and exit."""
+        files = sorted(Path(config.hydra.sweep.dir).glob(f"*/{EXIT_CODE}"))
+        code = worst(int(file.read_text()) for file in files)
+        if code:
+            sys.exit(code)
+
+
+def worst(codes: Iterable[int]) -> int:
+    """Return the most urgent of some exit codes; one that is not ours counts as a mistake."""
+    known = (code if code in BY_URGENCY else MISTAKE for code in codes)
+    return max(known, key=BY_URGENCY.index, default=FINE)
+
+
 def how_to_go_on() -> str:
     """Return in words how to go on with the run that was interrupted."""
     if _to_go_on:
@@ -125,7 +152,6 @@ def _below_outputs(folder: Path) -> Path:
 
 
 def _quoted(value: str | None) -> str:
-    """Return a value as Hydra's command line takes it."""
     if value is None:
         return "null"
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
@@ -181,7 +207,6 @@ def start_again(folder: Path) -> None:
 
 
 def _is_finished(folder: Path) -> bool:
-    """Return whether a folder holds a training that ended."""
     return any((folder / name).is_file() for name in FINISHED)
 
 
@@ -199,11 +224,20 @@ def _wanted(config: DictConfig) -> Any:
 
 
 def _compared(content: Any) -> Any:
-    """Return a configuration without the keys that change no number."""
-    config = OmegaConf.create(content)
+    config = OmegaConf.create(_with_kinds(content, ""))
     for key in NOT_COMPARED:
         section, _, last = key.rpartition(".")
         node = OmegaConf.select(config, section) if section else config
         if isinstance(node, DictConfig):
             node.pop(last, None)
     return OmegaConf.to_container(config)
+
+
+def _with_kinds(content: Any, place: str) -> Any:
+    """Return a configuration of an earlier version as this one writes it: kinds, not targets."""
+    if not isinstance(content, dict):
+        return content
+    found = {key: _with_kinds(one, str(key)) for key, one in content.items() if key[:1] != "_"}
+    kinds = KINDS.get(place, {})
+    kind = next((kind for kind, home in kinds.items() if home == content.get("_target_")), "")
+    return {"kind": kind, **found} if kind else found

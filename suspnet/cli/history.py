@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import asdict
 from math import isfinite
@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 from tabulate import tabulate
 
-from suspnet.cli import program
 from suspnet.ground import ledger
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import PLACE, Place
@@ -21,68 +20,7 @@ from suspnet.ground.tables import write_table
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
-from suspnet.maintenance.series import KINDS, Event
-
-DESCRIPTION = """\
-The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance
-that was done, alarms and who has seen them, and all of it as tables."""
-
-EPILOG = """\
-  suspnet-history fleet.db list
-  suspnet-history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
-      --kind exchanged --words "new primary dampers"
-  suspnet-history fleet.db alarms
-  suspnet-history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
-      --parameter k_p --by "Kim Li" --words "spring ordered"
-  suspnet-history fleet.db export tables
-
-STORE is a file, or postgresql://user:password@host/database."""
-
-
-def parser() -> ArgumentParser:
-    """Return what the command line may hold."""
-    found = ArgumentParser(
-        "suspnet-history",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
-    found.add_argument("store", metavar="STORE", help="the store [path or URL]")
-    does = found.add_subparsers(
-        dest="does", required=True, metavar="list | event | alarms | acknowledge | export"
-    )
-    does.add_parser("list", help="each suspension with its trips and maintenance")
-    event = does.add_parser(
-        "event", help="add maintenance: tests for changes, and the report's words, begin anew there"
-    )
-    _add_suspension(event)
-    event.add_argument(
-        "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done [km]"
-    )
-    event.add_argument("--kind", choices=KINDS, default="other", help="[other if not given]")
-    event.add_argument("--words", default="", help="what was done [text]")
-    alarms = does.add_parser("alarms", help="open alarms, the worst first, and who has seen them")
-    alarms.add_argument("--all", action="store_true", help="also those that are over")
-    seen = does.add_parser("acknowledge", help="say that somebody has seen the open alarms")
-    _add_suspension(seen)
-    seen.add_argument("--parameter", choices=PARAMETERS, required=True, help="of these alarms")
-    seen.add_argument("--cause", choices=tuple(Cause), help="[all causes if not given]")
-    seen.add_argument("--by", required=True, metavar="NAME", help="who has seen them [text]")
-    seen.add_argument("--words", default="", help="what is done about it [text]")
-    export = does.add_parser("export", help="write all of it as Parquet and CSV")
-    export.add_argument(
-        "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
-    )
-    return found
-
-
-def _add_suspension(command: ArgumentParser) -> None:
-    """Add the arguments that say which suspension is meant."""
-    command.add_argument("--vehicle", required=True, help="as in the manifests [text]")
-    for name in PLACE:
-        command.add_argument(
-            f"--{name}", default="", help="as in the manifests, if it stands there [text]"
-        )
+from suspnet.maintenance.series import Event
 
 
 def history(arguments: Namespace) -> None:
@@ -104,7 +42,6 @@ def history(arguments: Namespace) -> None:
 
 
 def _listed(store: History, _: Namespace) -> str:
-    """Return a table of the suspensions."""
     rows = []
     for one in store.series():
         known = one.mileage_km[np.isfinite(one.mileage_km)]
@@ -116,7 +53,6 @@ def _listed(store: History, _: Namespace) -> str:
 
 
 def _event(store: History, arguments: Namespace) -> str:
-    """Keep maintenance and return it in words."""
     event = Event(arguments.at_km, arguments.kind, arguments.words)
     store.add_event(arguments.vehicle, _place(arguments), event)
     return f"{_place(arguments)}: {event}"
@@ -152,7 +88,6 @@ def _alarms(store: History, arguments: Namespace) -> str:
 
 
 def _acknowledge(store: History, arguments: Namespace) -> str:
-    """Keep acknowledgements of the open alarms of a parameter, and return them in words."""
     vehicle, place = arguments.vehicle, _place(arguments)
     causes = [arguments.cause] if arguments.cause else list(Cause)
     chosen = [
@@ -174,7 +109,6 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
 
 
 def _export(store: History, arguments: Namespace) -> str:
-    """Write all that is kept as tables and say where they are."""
     tables: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("trips", "events", "alarms", "acknowledgements")
     }
@@ -200,7 +134,6 @@ def _plain(kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
 
 
 def _place(arguments: Namespace) -> Place:
-    """Return which suspension is meant."""
     return Place(**{name: getattr(arguments, name) for name in PLACE})
 
 
@@ -217,9 +150,3 @@ COMMANDS: dict[str, Callable[[History, Namespace], str]] = {
     "export": _export,
 }
 """What does each command."""
-
-
-def main() -> None:
-    """Run the program."""
-    arguments = parser().parse_args()
-    program.run(lambda: history(arguments))

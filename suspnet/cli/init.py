@@ -2,56 +2,14 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from argparse import Namespace
 from functools import partial
-from pathlib import Path
 
-from suspnet.cli import program
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count
-from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
-
-DESCRIPTION = """\
-Write a manifest of one trip from its data files: their columns, with the rates and units that the
-files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
-right, speed; in English or German) and marked as a guess; where names do not tell, the columns
-stand there as comments to choose from. What is not known is marked FILL_IN."""
-
-EPILOG = """\
-  suspnet-init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
-  suspnet-check trip_7.yaml"""
-
-
-def parser() -> ArgumentParser:
-    """Return what the command line may hold."""
-    found = ArgumentParser(
-        "suspnet-init",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
-    found.add_argument(
-        "files",
-        nargs="+",
-        type=Path,
-        metavar="FILE",
-        help=f"data file of one trip [one or more paths with {', '.join(sorted(READERS))}]",
-    )
-    found.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="the manifest that is written [path that ends with .yaml; FIRST.yaml beside the first "
-        "data file if not given]",
-    )
-    found.add_argument(
-        "--force", action="store_true", help="replace the manifest if there is one [switch]"
-    )
-    return found
 
 
 def init(arguments: Namespace) -> None:
@@ -85,7 +43,5 @@ def init(arguments: Namespace) -> None:
     )
 
 
-def main() -> None:
-    """Run the program."""
-    arguments = parser().parse_args()
-    program.run(lambda: init(arguments))
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}{'s' * (n != 1)}"

@@ -6,11 +6,10 @@ import logging
 from contextlib import closing
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from suspnet.cli import program
-from suspnet.cli.named_runs import named_runs
+from suspnet.cli.kinds import build, named_runs
 from suspnet.estimation.checkpoint import load_model
 from suspnet.history import History
 from suspnet.live.journal import Journal
@@ -21,7 +20,6 @@ from suspnet.live.suspension import read_suspensions
 log = logging.getLogger(__name__)
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="monitor")
 @program.task
 def compose(config: DictConfig) -> None:
     """Load models and manifests, and read the source until it ends."""
@@ -32,10 +30,10 @@ def compose(config: DictConfig) -> None:
     program.n_threads(config.threads)
     program.save_config(config, program.run_folder())
     models = [load_model(run, config.device) for run in named_runs(config.run)]
-    settings = program.build(config, "monitor", _convert_="all")
-    live = program.build(config, "live")
+    settings = build(config, "monitor")
+    live = build(config, "live")
     suspensions = read_suspensions(Path(config.suspensions), models, settings, live)
-    source = program.build(config, "source")
+    source = build(config, "source")
     events = None if config.tensorboard is None else Path(config.tensorboard)
     with (
         History(config.store) as store,
@@ -56,8 +54,3 @@ def words(counts: dict[str, int]) -> str:
     """Return counts in words, the largest first."""
     largest = sorted(counts.items(), key=lambda one: -one[1])
     return ", ".join(f"{n} {name}" for name, n in largest) or "none"
-
-
-def main() -> None:
-    """Run the program."""
-    program.run(compose)

@@ -5,42 +5,42 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import re
 import signal
 import sys
 import threading
 import traceback
-import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr, redirect_stdout
+from importlib import import_module
 from pathlib import Path
+from string import Template
 from tempfile import TemporaryDirectory
-from typing import Any
+from types import ModuleType
+from typing import Any, TextIO, cast
 
-import torch
+import hydra
 import yaml
 from hydra._internal import hydra as hydra_application
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
-from sklearn.exceptions import ConvergenceWarning
 
-from suspnet.cli import configs, folders, naming, reference
-from suspnet.cli.terminal import visible
+from suspnet.cli import folders, naming, reference, start
+from suspnet.cli.config_files import CONFIGS, store_tables
+from suspnet.cli.config_values import read_values
 from suspnet.cli.trusted import CheckedLoader, check_configuration
-from suspnet.cli.values import read_values
 from suspnet.ground import progress
 from suspnet.ground.checks import check_number
 from suspnet.ground.limits import DEFAULT_LIMITS, read_limits
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
-from suspnet.learning import ranks
 
-CONFIGS = configs.CONFIGS
-"""Absolute path of the folder that Hydra composes from."""
+WITH_OPTIONS = ("check", "history", "init")
+"""Programs that read no configuration."""
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (
     ValueError,
@@ -54,11 +54,42 @@ MISTAKES = (
 )
 NO_SLURM = 'Could not detect "srun"'
 """Begin of submitit's message where there is no Slurm cluster."""
+MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
+"""What progress bars write alone to move the cursor: to the start of a line, and lines up."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
-configs.store_tables()
+store_tables()
 naming.register()
 reference.register()
+
+
+def main(name: str) -> None:
+    """Run a program as the command line says.
+
+    What it needs takes seconds to import, and is imported only once there is something to do.
+    """
+    if name in WITH_OPTIONS:
+        options = import_module("suspnet.cli.options")
+        arguments = options.PARSERS[name]().parse_args()
+        run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
+        return
+    compose = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
+    with start.until_it_listens() if name == "serve" else nullcontext():
+        run(compose, unwinds=name != "serve")
+
+
+def _task_of(name: str) -> Callable[[DictConfig], None]:
+    def compose(config: DictConfig) -> None:
+        _imported(name).compose(config)
+
+    compose.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
+    return compose
+
+
+def _imported(name: str) -> ModuleType:
+    """Return the module of a program; a signal while it is imported ends the process at once."""
+    with start.until_it_listens():
+        return import_module(f"suspnet.cli.{name}")
 
 
 def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
@@ -146,20 +177,25 @@ def _checked_loader() -> Iterator[None]:
     """Let Hydra compose trusted configurations only, and read no pickle."""
     if get_args_parser().parse_known_args()[0].experimental_rerun is not None:
         raise ValueError("--experimental-rerun reads a pickle, which can run any code: not allowed")
-    names = vars(hydra_application)
-    loader = names["ConfigLoaderImpl"]
-    names["ConfigLoaderImpl"] = CheckedLoader
+    application: Any = hydra_application
+    loader, get_help = application.ConfigLoaderImpl, application.Hydra.get_help
+    application.ConfigLoaderImpl, application.Hydra.get_help = CheckedLoader, _help
     try:
         yield
     finally:
-        names["ConfigLoaderImpl"] = loader
+        application.ConfigLoaderImpl, application.Hydra.get_help = loader, get_help
+
+
+def _help(self: Any, help_cfg: DictConfig, *_: Any, **__: Any) -> str:
+    """Return the help of a configuration; Hydra's own way lists all groups first, for seconds."""
+    return Template(help_cfg.template).safe_substitute()
 
 
 @contextmanager
 def _one_writer() -> Iterator[None]:
     """Let only the first of the processes that torchrun started write files and print."""
     with ExitStack() as stack:
-        stack.callback(ranks.stop)
+        stack.callback(_leave_ranks)
         if int(os.environ.get("RANK", "0")) > 0:
             nowhere = stack.enter_context(TemporaryDirectory())
             stack.enter_context(redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
@@ -182,9 +218,10 @@ def _without_words() -> Iterator[None]:
         raise SystemExit(1 if isinstance(error.code, str) else error.code) from None
 
 
-def join_ranks(device: str) -> None:
-    """Join the other processes if torchrun started this one; no multirun comes so far."""
-    ranks.start(device)
+def _leave_ranks() -> None:
+    """Leave the other processes that torchrun started, if this one has joined them."""
+    if "suspnet.learning.ranks" in sys.modules:
+        sys.modules["suspnet.learning.ranks"].stop()
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
@@ -195,7 +232,6 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> Any:
-        warnings.simplefilter("always", ConvergenceWarning)
         end_with_parent()
         try:
             check_configuration(config)
@@ -287,20 +323,6 @@ def one_line(error: BaseException) -> str:
     return printable("error: " + " ".join(words.split()))
 
 
-def build(config: DictConfig, key: str, **options: Any) -> Any:
-    """Return the object that a configuration describes below a key; `options` are of Hydra.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
-    node = config[key]
-    if not isinstance(node, DictConfig) or "_target_" not in node:
-        raise ValueError(f"`{key}` must be an option of the group {key}, got {node!r}")
-    return instantiate(node, **options)
-
-
 def run_folder() -> Path:
     """Return the folder that Hydra made for this run."""
     return Path(HydraConfig.get().runtime.output_dir)
@@ -314,6 +336,8 @@ def n_threads(wanted: int | None) -> int:
     ValueError
         If `wanted` is not a positive whole number or null.
     """
+    import torch  # takes seconds
+
     if wanted is None:
         return torch.get_num_threads()
     check_number("threads", wanted, low=1, most=1024, whole=True, optional=True)
@@ -334,3 +358,34 @@ def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:
     plain = OmegaConf.to_container(config, resolve=True)
     assert isinstance(plain, dict)
     return {str(key): value for key, value in plain.items()}
+
+
+class _Visible:
+    """A text stream to which control characters are written as escapes, such as x1b.
+
+    A carriage return at the start of what is written, by which a progress bar replaces its line,
+    is written as it is.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text and return its length."""
+        if not MOVES.fullmatch(text):
+            begin = "\r" * text.startswith("\r")
+            self._stream.write(begin + printable(text[len(begin) :]))
+        else:
+            self._stream.write(text)
+        return len(text)
+
+
+@contextmanager
+def visible() -> Iterator[None]:
+    """Write control characters in what is printed and logged as escapes."""
+    out, err = (cast(TextIO, _Visible(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        yield

@@ -15,8 +15,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from suspnet.cli.comments import Comments, Keys, phrase, read_comments
-from suspnet.cli.configs import CONFIGS, TABLES
+from suspnet.cli.config_files import CONFIGS, TABLES, Comments, Keys, phrase, read_comments
+from suspnet.cli.kinds import KINDS
 
 COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
 """Width of the help, and of its first column where it tells options and keys."""
@@ -151,18 +151,16 @@ class Reference:
         return found
 
     def _keys(self, path: Keys, value: Any) -> list[Key]:
-        """Return the keys at or below a value."""
         own = self._sentence(path)
         if isinstance(value, dict) and value:
             below = [
                 key
                 for name, one in value.items()
-                if not str(name).startswith("_")
+                if name != "kind"
                 for key in self._keys((*path, str(name)), one)
             ]
             if not own or any(key.sentence for key in below):
                 return below
-            value = value.get("_target_", value)
         return [Key(".".join(path), self._text(path, value), own)]
 
     def _text(self, path: Keys, value: Any) -> str:
@@ -183,17 +181,15 @@ class Reference:
             if path[:n] == package and path[n:] in comments.above:
                 return comments.above[path[n:]]
         for n in range(len(path) - 1, 0, -1):
-            target = self._target(path[:n])
-            if target is not None:
-                return _of_classes().get((target, path[n:]), "")
+            if path[n - 1] in KINDS:
+                return _of_kinds().get((path[n - 1], self._kind(path[:n]), path[n:]), "")
         return ""
 
-    def _target(self, path: Keys) -> str | None:
-        """Return the `_target_` of the mapping at a path, if it has one."""
+    def _kind(self, path: Keys) -> Any:
         node: Any = self._plain
         for name in path:
             node = node.get(name) if isinstance(node, dict) else None
-        return node.get("_target_") if isinstance(node, dict) else None
+        return node.get("kind", "") if isinstance(node, dict) else ""
 
     def _purpose(self, group: str) -> str:
         """Return what a group is for: the comment behind it in a list of defaults."""
@@ -202,7 +198,6 @@ class Reference:
         return next(filter(None, said), "")
 
     def _options(self, group: str) -> dict[str, str]:
-        """Return the options of a group with a phrase on each."""
         files = {f.stem: f for folder in self._folders for f in (folder / group).glob("*.yaml")}
         found = {name: phrase(file) for name, file in sorted(files.items())}
         if group in TABLES:
@@ -230,16 +225,20 @@ def changes(entry: Any, path: Keys = ()) -> Iterator[str]:
 
 
 @functools.cache
-def _of_classes() -> dict[tuple[str, Keys], str]:
-    """Return the sentence on each key of the objects of all configurations, by their `_target_`."""
-    found: dict[tuple[str, Keys], str] = {}
+def _of_kinds() -> dict[tuple[str, Any, Keys], str]:
+    """Return the sentence on each setting of all objects, by their place and kind."""
+    found: dict[tuple[str, Any, Keys], str] = {}
+    tables = {file: group for group, (file, _) in TABLES.items()}
     for file in sorted(Path(CONFIGS).rglob("*.yaml")):
         comments = read_comments(file)
-        for place, target in comments.objects.items():
-            n = len(place)
-            for path, sentence in comments.above.items():
-                if path[:n] == place:
-                    found.setdefault((target, path[n:]), sentence)
+        folder = file.parent.name
+        group = file.stem if folder == "base" else tables.get(file.name, folder)
+        for keys, sentence in comments.above.items():
+            path = (group, *keys[file.name in tables :])  # after the name of an entry of a table
+            for n, place in enumerate(path[:-1]):
+                if place in KINDS:
+                    kind = comments.kinds.get(path[1 : n + 1], "")
+                    found.setdefault((place, kind, path[n + 1 :]), sentence)
     return found
 
 
@@ -253,7 +252,6 @@ def _two_columns(left: str, right: str, width: int) -> list[str]:
 
 
 def _wrapped(words: str, indent: int) -> list[str]:
-    """Return a text in lines of at most ``COLUMNS``."""
     return textwrap.wrap(
         words,
         COLUMNS,

@@ -6,24 +6,23 @@ import sys
 import time
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from suspnet.cli import program
+from suspnet.cli.kinds import build
 from suspnet.ground.progress import bar
 from suspnet.ground.wording import count
 from suspnet.live.replay import Pace, Replay
 from suspnet.live.sinks import Sink
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="replay")
 @program.task
 def compose(config: DictConfig) -> None:
     """Send the frames of all trips of a folder; tell on standard error what was done."""
     begin_s = time.monotonic()
     pace = Pace(config.times)
     replay = Replay(Path(config.trips), config.frame_s, config.start, config.zone)
-    sink: Sink = program.build(config, "sink")
+    sink: Sink = build(config, "sink")
     sink.open()
     n_frames = n_samples = 0
     frames = replay.frames()
@@ -43,8 +42,3 @@ def compose(config: DictConfig) -> None:
     print(words, file=sys.stderr)  # standard output may hold the frames
     if replay.problems:
         raise ValueError(f"{len(replay.problems)} trips are missing or not whole, see above")
-
-
-def main() -> None:
-    """Run the program."""
-    program.run(compose)

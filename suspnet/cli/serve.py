@@ -15,14 +15,14 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program, start
+from suspnet.cli.kinds import build, plain, read_vehicles
 from suspnet.ground.checks import check_number
 from suspnet.history import History
 from suspnet.history.database import BusyError
-from suspnet.report.board import LOOK_S, Board
+from suspnet.report.board import LOOK_S, Board, BoardSettings
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
@@ -33,7 +33,6 @@ ANY = "0.0.0.0"
 """Stands for all addresses of this computer."""
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="serve")
 @program.task
 def compose(config: DictConfig) -> None:
     """Check the settings and serve the pages until Ctrl-C."""
@@ -47,7 +46,16 @@ def compose(config: DictConfig) -> None:
     check_number("threads", config.threads, low=1, most=64, whole=True)
     _check_store(config.store)
     _check_address(config)
-    serve(Board(config.store, program.build(config, "board", _convert_="all")), config)
+    settings = BoardSettings(
+        vehicles=read_vehicles(),
+        limits=plain(config.limits),
+        changes=build(config, "changes"),
+        sisters=build(config, "sisters"),
+        plan=build(config, "plan"),
+        today=config.today,
+        seed=config.seed,
+    )
+    serve(Board(config.store, settings), config)
 
 
 def serve(board: Board, config: DictConfig) -> None:
@@ -143,14 +151,3 @@ def _check_address(config: DictConfig) -> None:
         config.host,
         config.port,
     )
-
-
-def main() -> None:
-    """Run the program; until it listens, a signal ends it at once: nothing can be half done."""
-    before = {number: signal.getsignal(number) for number in start.SIGNALS}
-    start.end_at_once()
-    try:
-        program.run(compose, unwinds=False)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

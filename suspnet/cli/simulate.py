@@ -6,11 +6,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from suspnet.cli import program
+from suspnet.cli.kinds import build
 from suspnet.ground.checks import check_number
 from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
@@ -19,15 +19,13 @@ from suspnet.simulation.writing import Simulation, write_fleet, write_trains
 log = logging.getLogger(__name__)
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="simulate")
 @program.task
 def compose(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
     check_number("workers", config.workers, low=1, most=1024, whole=True)
     trains = _trains(config)
-    fleet, scenario, generator = (
-        program.build(config, key) for key in ("fleet", "scenario", "generator")
-    )
+    parts = [build(config, key) for key in ("fleet", "scenario", "generator")]
+    fleet, scenario, generator = parts
     simulation = Simulation(fleet, scenario, generator, config.seed, config.scatter)
     options: dict[str, Any] = {"n_jobs": config.workers, "progress": config.progress}
     try:
@@ -78,8 +76,3 @@ def _tell_of_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
         config.scenario.name,
         ", ".join(wearing) or "none",
     )
-
-
-def main() -> None:
-    """Run the program."""
-    program.run(compose)

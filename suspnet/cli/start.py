@@ -1,4 +1,4 @@
-"""Starts of the programs: a signal that comes while they are imported ends them in one line."""
+"""Start of the programs: a signal that comes while they are imported ends them in one line."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import importlib
 import os
 import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """What the line of a program says that ends by a signal."""
@@ -14,16 +17,31 @@ SIGNALS = tuple(VERBS)
 
 
 def start(name: str) -> None:
-    """Import a program of this package, which takes seconds, and run it."""
+    """Import what all programs share, and run one of them."""
     end_at_once()
-    main = importlib.import_module(f"suspnet.cli.{name}").main
+    program = importlib.import_module("suspnet.cli.program")
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        main()
+        program.main(name)
     except KeyboardInterrupt:  # before the program listens, or after it has ended
         sys.exit(128 + signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # the end of Python prints nothing of it
+
+
+@contextmanager
+def until_it_listens() -> Iterator[None]:
+    """Let a signal end the process at once, but where other threads or programs handle signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    end_at_once()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def end_at_once() -> None:
@@ -33,7 +51,6 @@ def end_at_once() -> None:
 
 
 def _end(number: int, frame: object) -> None:
-    """End the process at once."""
     os.write(sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode())
     os._exit(128 + number)
 

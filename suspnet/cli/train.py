@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig, ListConfig
+from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.cli import folders, naming, program
 from suspnet.cli.commission_fleet import several_suspensions, train_fleet
+from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
 from suspnet.ground.checks import check_number
+from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.commissioning_page import training_notes, write_outcome
 from suspnet.runs.commissioning import check_generator, commission_folder
@@ -37,7 +40,6 @@ FIRST_M_PER_S = 70.0
 """Speed of the line until the healthy trips have shown theirs; only leakage depends on it."""
 
 
-@hydra.main(version_base="1.3", config_path=program.CONFIGS, config_name="train")
 @program.one_of_many
 @program.task
 def compose(config: DictConfig) -> None:
@@ -46,7 +48,8 @@ def compose(config: DictConfig) -> None:
     A range of speeds is several models, each in a folder of its own, and so are the healthy trips
     of several suspensions.
     """
-    program.join_ranks(config.device)
+    warnings.simplefilter("always", ConvergenceWarning)
+    ranks.start(config.device)
     folder = program.run_folder()
     finished = folders.finished_run(config, folder)
     may_have_grown = (folder / folders.FLEET).is_file()  # by another suspension
@@ -57,7 +60,7 @@ def compose(config: DictConfig) -> None:
     if groups:
         one = _at_a_speed(config)
         _check_healthy(one)
-        check_generator(program.build(one, "generator"))
+        check_generator(build(one, "generator"))
         train_fleet(config, folder, groups, _run)
         return
     folders.start_again(folder)
@@ -126,13 +129,12 @@ def _ranges(config: DictConfig, speeds: Sequence[float]) -> list[SpeedRange]:
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED)
     ranges = speed_ranges(list(speeds), config.data.speed_half_width)
-    if program.build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
+    if build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
     return ranges
 
 
 def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
-    """Return a configuration with the speed of one range."""
     found = config.copy()
     found.speed_m_per_s = one.trained_m_per_s
     found.data.speed_half_width = one.half_width
@@ -151,7 +153,7 @@ class _Healthy:
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
     """Return what is measured of healthy trips; ValueError if a configuration reads none."""
-    settings = program.build(config, "data")
+    settings = build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
     check_number("n_healthy", config.n_healthy, low=LEAST_TRIPS, whole=True, optional=True)
@@ -167,7 +169,7 @@ def _commissioned(
     settings = _check_healthy(config)
     found, outcome = commission_folder(
         Path(config.healthy),
-        program.build(config, "generator"),
+        build(config, "generator"),
         settings,
         TripSettings(),
         paths=paths,
@@ -181,7 +183,7 @@ def _commissioned(
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
     """Return the source of training curves: as configured, or as its healthy trips show it."""
-    plain: ResponseGenerator = program.build(config, "generator")
+    plain: ResponseGenerator = build(config, "generator")
     if healthy is None or plain.speed_m_per_s is None:
         return plain
     return replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
@@ -198,14 +200,14 @@ def _train(
     """Train what a configuration names and fill a folder; config.yaml is as `given`, if it is."""
     problem = Problem(
         generator=_generator(config, healthy),
-        task=program.build(config, "protocol").task(config.group),
-        settings=program.build(config, "data"),
+        task=build(config, "protocol").task(config.group),
+        settings=build(config, "data"),
         seed=config.seed,
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
-    model = program.build(config, "model")
-    search = program.build(config, "search") if config.get("search") else None
+    model = build(config, "model")
+    search = build(config, "search") if config.get("search") else None
     resolved = program.save_config(given or config, folder)
     return train(
         problem,
@@ -222,8 +224,3 @@ def _train(
             residual=healthy.residual if healthy else None,
         ),
     )
-
-
-def main() -> None:
-    """Run the program."""
-    program.run(compose)

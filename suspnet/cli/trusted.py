@@ -1,4 +1,4 @@
-"""What a configuration may do: build our own objects at their places, and choose among settings.
+"""What a configuration may do: choose kinds and settings of ours, and a few of Hydra's.
 
 A configuration may come from someone else (`--config-dir`), so nothing in it is trusted. Hydra
 itself builds callbacks, launcher and sweeper and sets up logging before a program's function is
@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import functools
 import re
-from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -30,66 +29,14 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.configs import CONFIGS, check_file, walk
-from suspnet.cli.typed import check_typed
+from suspnet.cli.config_files import CONFIGS, check_file, walk
+from suspnet.cli.config_values import check_typed
+from suspnet.cli.kinds import KINDS, check_kind, new_name
 
-OBSERVATIONS = (
-    "suspnet.spectra.curves.CurveSettings",
-    "suspnet.spectra.estimates.EstimateSettings",
-)
-TARGETS: Mapping[str, tuple[str, ...]] = {
-    "vehicle": ("suspnet.dynamics.Vehicle",),
-    "generator": (
-        "suspnet.dynamics.QuarterCar",
-        "suspnet.dynamics.VerticalVehicle",
-        "suspnet.dynamics.best_generator",
-    ),
-    "data": OBSERVATIONS,
-    "settings": OBSERVATIONS,
-    "protocol": ("suspnet.estimation.protocols.Protocol",),
-    "model": (
-        "suspnet.learning.MSVR",
-        "suspnet.learning.MVGPR",
-        "suspnet.learning.SVR",
-        "suspnet.learning.CurveFit",
-        "suspnet.learning.LinearRegression",
-    ),
-    "search": ("suspnet.learning.search.GridSearch",),
-    "fleet": ("suspnet.simulation.fleet.Fleet",),
-    "scenario": ("suspnet.simulation.fleet.Scenario",),
-    "monitor": ("suspnet.trips.fleet.FleetSettings",),
-    "changes": ("suspnet.maintenance.change.ChangeSettings",),
-    "trips": ("suspnet.estimation.from_recording.TripSettings",),
-    "study": (
-        "suspnet.runs.identifiability.write_identifiability",
-        "suspnet.runs.reliability.write_reliability",
-        "suspnet.runs.maintenance.write_maintenance",
-    ),
-    "live": ("suspnet.live.suspension.LiveSettings",),
-    "order": ("suspnet.recordings.assembler.OrderSettings",),
-    "board": ("suspnet.report.board.BoardSettings",),
-    "plan": ("suspnet.maintenance.plan_inputs.PlanSettings",),
-    "sisters": ("suspnet.maintenance.sisters.SisterSettings",),
-    "costs": ("suspnet.maintenance.visit_costs.Costs",),
-    "source": (
-        "suspnet.live.pipe.Pipe",
-        "suspnet.live.drop_folder.DropFolder",
-        "suspnet.live.mqtt.Mqtt",
-    ),
-    "sink": (
-        "suspnet.live.sinks.StandardOutput",
-        "suspnet.live.sinks.Folder",
-        "suspnet.live.sinks.MqttSink",
-    ),
-    "broker": ("suspnet.live.broker.Broker",),
-    "others": ("suspnet.cli.configs.read_vehicles",),
-    "vehicles": ("suspnet.cli.configs.read_vehicles",),
-}
-"""All that a configuration may build, by the key below which it may stand."""
 OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (
-    "suspnet.cli.evaluate.WorstExitCode",
     OWN_FOLDER,
+    "suspnet.cli.folders.WorstExitCode",
     "suspnet.runs.sweeps.Ablation",
     "suspnet.runs.sweeps.Comparison",
     "suspnet.runs.sweeps.Jobs",
@@ -255,20 +202,16 @@ def _check_values(value: Any, path: str) -> None:
 
 
 def _check_key(key: str, name: str, value: Any) -> None:
-    """Raise ValueError unless a key is plain, or a target that is trusted at its place."""
-    if not SPECIAL.fullmatch(key) or (key == "_convert_" and value == "all"):
-        return
-    if key != "_target_":
+    """Raise ValueError unless a key is plain: special ones make Hydra call or import something."""
+    if key in ("_target_", "_convert_"):
+        place = name.split(".")[-2] if "." in name else ""
+        way = new_name(place, value) if key == "_target_" else "delete this line"
+        raise ValueError(f"`{name}` is not allowed, and {value!r} is not trusted: {way}")
+    if SPECIAL.fullmatch(key):
         raise ValueError(f"`{name}` is not allowed in a configuration of suspnet")
-    place = name.split(".")[-2] if "." in name else ""
-    trusted = TARGETS.get(place, ())
-    if not isinstance(value, str) or value not in trusted:
-        allowed = " or ".join(trusted) or "nothing: no object is built here"
-        raise ValueError(f"`{name}` must be {allowed}; got {value!r}, which is not trusted")
 
 
 def _check_resolvers(name: str, text: str) -> None:
-    """Raise ValueError if a text calls a resolver other than ours."""
     for resolver in _resolvers(text):
         if resolver not in RESOLVERS:
             raise ValueError(
@@ -315,11 +258,13 @@ def _check_resolved(config: DictConfig) -> None:
                 continue
             name = f"{path}.{key}" if path else str(key)
             _check_key(str(key), name, value)
+            if not path and key in KINDS and isinstance(value, DictConfig):
+                if "kind" in value or key != "data":  # evaluate.py has `data` of no kind
+                    check_kind(key, value)
             stack.append((name, value, depth + 1))
 
 
 def _check_cluster(config: DictConfig) -> None:
-    """Raise ValueError if a file names a cluster, as written or as resolved."""
     group, _, key = CLUSTER.partition(".")
     written = [value for name, _, value in walk(OmegaConf.to_container(config), "") if name == key]
     monitor = config.get(group)
@@ -419,7 +364,6 @@ def _check_launcher(launcher: Any) -> None:
 
 
 def _shipped_launcher(target: str) -> dict[str, Any]:
-    """Return the settings of an installed launcher as its plugin ships them."""
     store = ConfigStore.instance()
     for file in store.list("hydra/launcher"):
         content = OmegaConf.to_container(store.load(f"hydra/launcher/{file}").node)
@@ -458,7 +402,6 @@ def _block(name: str, value: Any) -> dict[str, Any]:
 
 
 def _check_choice(name: str, value: Any, trusted: tuple[str, ...]) -> None:
-    """Raise ValueError unless a target is one of those trusted."""
     if not isinstance(value, str) or value not in trusted:
         raise ValueError(f"`{name}` must be one of {', '.join(trusted)}; got {value!r}")
 
@@ -472,7 +415,6 @@ def _check_plain(name: str, key: str, value: Any) -> None:
 
 
 def _check_number(name: str, value: Any) -> None:
-    """Raise ValueError unless a changed setting of Hydra's is a number, a boolean or null."""
     if value is not None and not isinstance(value, int | float):
         raise ValueError(f"`{name}` must be as shipped, or a number; got {value!r}")
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.ground.checks import LARGEST, check_number
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
+from suspnet.ground.settings import Setting, check_settings, setting
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 
@@ -35,27 +35,6 @@ class Vehicle:
 
     On a road vehicle the tyre takes the place of the primary suspension.
 
-    Parameters
-    ----------
-    name : str
-        What the vehicle is called in files and plots.
-    bogie_mass_kg, body_mass_kg : float, [kg]
-        M_p and M_s, a quarter of the bogie frame's and of the car body's share.
-    primary_stiffness_n_per_m, secondary_stiffness_n_per_m : float, [N/m]
-        k_p between wheel and bogie, k_s between bogie and car body.
-    primary_damping_ns_per_m, secondary_damping_ns_per_m : float, [N s/m]
-        c_p and c_s.
-    source : str
-        Where the numbers come from.
-    half_wheelbase_m, half_pivot_distance_m : float, optional, [m]
-        From a bogie's centre to its axles, from the body's centre to the bogies' centres.
-    bogie_gyration_m, body_gyration_m : float, optional, [m]
-        Radii of gyration in pitch. ``VerticalVehicle`` needs these four as well.
-    limits : mapping, optional
-        When maintenance is to look or to act: from a parameter to its `notice`, `act` and `why`, or
-        to None if it has no limits; see ``Limits``. Parameters that are not there have
-        ``DEFAULT_LIMITS``. Vehicles that differ in limits alone are equal.
-
     Raises
     ------
     TypeError
@@ -71,27 +50,88 @@ class Vehicle:
     1.67
     """
 
-    name: str
-    bogie_mass_kg: float
-    body_mass_kg: float
-    primary_stiffness_n_per_m: float
-    primary_damping_ns_per_m: float
-    secondary_stiffness_n_per_m: float
-    secondary_damping_ns_per_m: float
-    source: str = ""
-    half_wheelbase_m: float | None = None
-    half_pivot_distance_m: float | None = None
-    bogie_gyration_m: float | None = None
-    body_gyration_m: float | None = None
-    limits: Mapping[str, Any] | None = field(default=None, compare=False)
+    name: Annotated[
+        str,
+        Setting("Name of the vehicle, which the manifests of its trips must state", rule="text"),
+    ]
+    bogie_mass_kg: Annotated[
+        float, Setting("Mass of the bogie frame that one bogie side carries, M_p", "kg", above=0)
+    ]
+    body_mass_kg: Annotated[
+        float,
+        Setting(
+            "Mass of the car body that one bogie side carries, M_s, a quarter of a rail vehicle",
+            "kg",
+            above=0,
+        ),
+    ]
+    primary_stiffness_n_per_m: Annotated[
+        float,
+        Setting(
+            "Stiffness of the primary suspension of one bogie side, k_p; sqrt(k_p / M_p) / 2π must "
+            "lie in 0.2 to 50 Hz",
+            "N/m",
+            above=0,
+        ),
+    ]
+    primary_damping_ns_per_m: Annotated[
+        float,
+        Setting(
+            "Damping of the primary suspension of one bogie side, c_p; c_p / (2 sqrt(k_p M_p)) "
+            "must "
+            "lie in 0.001 to 10",
+            "N s/m",
+            above=0,
+        ),
+    ]
+    secondary_stiffness_n_per_m: Annotated[
+        float,
+        Setting(
+            "Stiffness of the secondary suspension of one bogie side, k_s; sqrt(k_s / M_s) / 2π "
+            "must "
+            "lie in 0.2 to 50 Hz",
+            "N/m",
+            above=0,
+        ),
+    ]
+    secondary_damping_ns_per_m: Annotated[
+        float,
+        Setting(
+            "Damping of the secondary suspension of one bogie side, c_s; c_s / (2 sqrt(k_s M_s)) "
+            "must lie in 0.001 to 10",
+            "N s/m",
+            above=0,
+        ),
+    ]
+    source: str = setting("", "Where the numbers come from", rule="text")
+    half_wheelbase_m: float | None = setting(
+        None,
+        "Distance from a bogie's centre to its axles; without the geometry, these four numbers, "
+        "a vehicle cannot pitch: generator=quarter_car",
+        "m",
+        above=0,
+        most=100,
+    )
+    half_pivot_distance_m: float | None = setting(
+        None, "Distance from the car body's centre to the bogies' centres", "m", above=0, most=100
+    )
+    bogie_gyration_m: float | None = setting(
+        None, "Radius of gyration of a bogie in pitch", "m", above=0
+    )
+    body_gyration_m: float | None = setting(
+        None, "Radius of gyration of the car body in pitch", "m", above=0
+    )
+    limits: Annotated[
+        Mapping[str, Any] | None,
+        Setting(
+            "When to look (notice) and when to act: (lower, upper) of each parameter relative to "
+            "healthy, and why; null raises no alarm; without limits, these numbers hold",
+            rule="lower at least 0 and below 1; upper above 1; notice within act",
+        ),
+    ] = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if one.name not in ("name", "source", "limits"):
-                most = 100 if one.name.startswith("half_") else LARGEST  # lengths of a vehicle
-                optional = one.name in GEOMETRY
-                check_number(one.name, value, above=0, optional=optional, most=most)
+        check_settings(self)
         if self.limits is not None:
             known = self.known_limits
             own = {name: known[name].to_dict() if name in known else None for name in self.limits}

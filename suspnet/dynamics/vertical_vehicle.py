@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -31,6 +31,7 @@ from suspnet.dynamics.vehicle import (
 from suspnet.dynamics.vertical_motion import vertical_motion
 from suspnet.dynamics.vertical_response import bounced, rolled, wheels_of
 from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
 SIDES = ("leading", "trailing")
@@ -48,51 +49,65 @@ _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=
 class VerticalVehicle:
     """Frequency responses axle box -> frame -> body of a vehicle with two pitching bogies.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The healthy vehicle; it must have its four numbers of geometry.
-    device : str
-        Torch device of the tensors that come back.
-    speed_m_per_s : float, [m/s]
-    bogie, axle : {"leading", "trailing"}
-        Which bogie, and which of its axle boxes, is measured.
-    frame_sensor : {"axle", "centre"}
-        Sensor on the frame above the measured axle, or at the bogie's centre.
-    body_sensor_m : float, [m]
-        Sensor on the body, ahead of the bogie's centre.
-    other_bogie : {"healthy", "same"}
-        The bogie that is not measured: healthy, or as degraded as the measured one.
-    parts : sequence of str
-        From ``PARTS``: what the vehicle has beyond rigid bodies on linear springs and dampers.
-    sensor_lateral_m : sequence of 3 floats, [m]
-        Lateral place of the sensors on axle box, frame and body; 0 for the mean of a left and a
-        right one, which does not see roll.
-    nominal : mapping, optional
-        Nominal values of quantities of ``QUANTITIES`` that have one, instead of theirs, SI units.
-    distribution : LogNormal or mapping or "prior", optional
-        Of uncertain numbers, which training curves sample; a mapping from names of ``UNMEASURED``
-        to standard deviations of their logarithms. Its median is what five columns of ratios stand
-        for. None: nominal.
-
     Raises
     ------
     TypeError, ValueError
         If the vehicle's geometry is missing or a setting is out of range.
     """
 
-    vehicle: Vehicle
-    device: str = "cpu"
-    speed_m_per_s: float = 70.0
-    bogie: Literal["leading", "trailing"] = "leading"
-    axle: Literal["leading", "trailing"] = "leading"
-    frame_sensor: Literal["axle", "centre"] = "axle"
-    body_sensor_m: float = 0.0
-    other_bogie: Literal["healthy", "same"] = "healthy"
-    parts: tuple[str, ...] = ()
-    sensor_lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    nominal: Mapping[str, float] | None = None
-    distribution: LogNormal | None = None
+    vehicle: Annotated[
+        Vehicle,
+        Setting(
+            "The vehicle, as the group vehicle gives it; with its four numbers of geometry",
+            rule="set by the group",
+        ),
+    ]
+    device: str = setting("cpu", "Device on which curves are made", rule="cpu or cuda")
+    speed_m_per_s: float = setting(
+        70.0,
+        "Speed, as the line's: wheelsets meet the same track one after the other",
+        "m/s",
+        above=0,
+    )
+    bogie: Literal["leading", "trailing"] = setting("leading", "Bogie that is measured")
+    axle: Literal["leading", "trailing"] = setting(
+        "leading", "Axle box of that bogie that is measured"
+    )
+    frame_sensor: Literal["axle", "centre"] = setting(
+        "axle",
+        "Place of the sensor on the bogie frame: above the measured axle, or at the bogie's centre",
+    )
+    body_sensor_m: float = setting(
+        0.0, "Place of the sensor on the body, ahead of the bogie's centre", "m", low=-100, most=100
+    )
+    other_bogie: Literal["healthy", "same"] = setting(
+        "healthy", "The bogie that is not measured: healthy, or as degraded as the measured one"
+    )
+    parts: tuple[str, ...] = setting(
+        (),
+        "What the vehicle has beyond rigid bodies on linear springs and dampers",
+        rule="list of bushings, rubber, guidance, longitudinal, bending, roll, air_spring",
+    )
+    sensor_lateral_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "Lateral places of the sensors on axle box, frame and body; 0 is the mean of a left and "
+        "a right one",
+        "m",
+        low=-2,
+        high=2,
+    )
+    nominal: Mapping[str, float] | None = setting(
+        None,
+        "Nominal values of quantities of the parts in place of the usual ones, "
+        "{bending_frequency: 9.0}",
+        rule="mapping, SI units; above 0",
+    )
+    distribution: LogNormal | None = setting(
+        None,
+        "Uncertain numbers that training curves sample: prior, or standard deviations of "
+        "logarithms, {speed: 0.01}",
+        rule="prior, or a mapping to numbers; at least 0 and below 10",
+    )
 
     def __post_init__(self) -> None:
         check_vehicle(self.vehicle)
@@ -103,12 +118,7 @@ class VerticalVehicle:
                 f"vehicle {self.vehicle.name!r} lacks {missing}, which `VerticalVehicle` needs; "
                 "give them or use generator=quarter_car"
             )
-        check_choice("bogie", self.bogie, SIDES)
-        check_choice("axle", self.axle, SIDES)
-        check_choice("frame_sensor", self.frame_sensor, ("axle", "centre"))
-        check_choice("other_bogie", self.other_bogie, ("healthy", "same"))
-        check_number("speed_m_per_s", self.speed_m_per_s, above=0)
-        check_number("body_sensor_m", self.body_sensor_m, most=100)
+        check_settings(self)
         for part in self.parts:
             check_choice("parts", part, PARTS)
         object.__setattr__(self, "parts", tuple(p for p in PARTS if p in self.parts))
@@ -121,8 +131,6 @@ class VerticalVehicle:
             raise ValueError(
                 f"`sensor_lateral_m` must be three places, got {self.sensor_lateral_m}"
             )
-        for i, place in enumerate(self.sensor_lateral_m):
-            check_number(f"sensor_lateral_m[{i}]", place, low=-2, high=2)
         object.__setattr__(self, "sensor_lateral_m", tuple(map(float, self.sensor_lateral_m)))
 
     def _check_nominal(self) -> None:

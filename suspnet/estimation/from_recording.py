@@ -27,7 +27,7 @@ from suspnet.estimation.steady_parts import (
     speed_of,
 )
 from suspnet.estimation.trip_flags import delay_words, with_sides
-from suspnet.ground.checks import check_flag, check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
@@ -48,55 +48,58 @@ from suspnet.spectra.welch import SegmentSpectra, Welch
 class TripSettings:
     """How trips are read, and the conditions for an estimate.
 
-    Parameters
-    ----------
-    rate_hz : float, [Hz]
-        Common rate of the three channels.
-    speed_tolerance : float, [-]
-        The speeds of a segment stay within 1 +- this of its mean, and segments that are averaged
-        within 1 +- this of each other's middle.
-    min_speed_m_per_s : float, [m/s]
-        Least speed for models that do not depend on it.
-    min_coherence : float, [-]
-        Segments of lower coherence with the trip's response are left out if it is also much lower
-        than that of the other segments.
-    min_averages : float
-        Below this many independent averages in a bin there is no estimate from it.
-    max_deviation : float, [-]
-        If the log-magnitudes are less certain than this (standard deviation, median over the bins
-        in use) there is no estimate.
-    level : float
-        Probability that an interval holds the truth.
-    check_channels : bool
-        Look for wrong units, signs and swapped channels.
-
     Raises
     ------
     ValueError
         If a number is out of range.
     """
 
-    rate_hz: float = 100.0
-    speed_tolerance: float = 0.02
-    min_speed_m_per_s: float = 10.0
-    min_coherence: float = 0.3
-    min_averages: float = 10.0
-    max_deviation: float = 0.3
-    level: float = 0.9
-    check_channels: bool = True
+    rate_hz: float = setting(
+        100.0, "Rate to which the three channels are resampled", "Hz", low=20, high=1000
+    )
+    speed_tolerance: float = setting(
+        0.02,
+        "Largest deviation of the speed within a segment from its mean, and of segments that are "
+        "averaged from their middle, relative to it",
+        low=0,
+        high=0.5,
+    )
+    min_speed_m_per_s: float = setting(
+        10.0,
+        "Lowest speed that is used, for models that do not depend on the speed",
+        "m/s",
+        low=0,
+        high=200,
+    )
+    min_coherence: float = setting(
+        0.3,
+        "Coherence with the trip's response below which a segment is left out, if it is also "
+        "much lower than that of the others",
+        low=0,
+        high=1,
+    )
+    min_averages: float = setting(
+        10.0,
+        "Number of independent averages of a frequency bin below which it gives no estimate",
+        low=3,
+        high=1e6,
+    )
+    max_deviation: float = setting(
+        0.3,
+        "Standard deviation of the measured log-magnitudes, median over the bins, above which "
+        "there is no estimate",
+        low=0,
+        high=10,
+    )
+    level: float = setting(
+        0.9, "Probability with which an interval holds the truth", low=0.01, high=0.999
+    )
+    check_channels: bool = setting(
+        True, "Whether to look for wrong units (the speed's too), wrong signs and swapped channels"
+    )
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("rate_hz", 20, 1000),
-            ("speed_tolerance", 0, 0.5),
-            ("min_speed_m_per_s", 0, 200),
-            ("min_coherence", 0, 1),
-            ("min_averages", 3, 1e6),
-            ("max_deviation", 0, 10),
-            ("level", 0.01, 0.999),
-        ):
-            check_number(f"trips.{name}", getattr(self, name), low=low, high=high)
-        check_flag("trips.check_channels", self.check_channels)
+        check_settings(self, "trips")
 
 
 def estimate_recording(

@@ -6,13 +6,14 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy.stats import qmc
 
 from suspnet.dynamics.vehicle import PARAMETERS
 from suspnet.ground.checks import check_choice, check_flag, check_number
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
@@ -197,28 +198,8 @@ class Protocol:
 
     Parameters
     ----------
-    name : str
-    groups : mapping from group name to a mapping
-        Keys `outputs`, `responses` and `peaks`: names from ``PARAMETERS``, ``RESPONSES`` and
-        ``PEAK_NAMES``; the feature set `curve` needs no peaks.
-    sampling : {"grid", "sobol"}
-        Table IV's grid, or Sobol points in all five parameters.
-    lower, upper, step, mass_step : float
-        Range and grid steps of the ratios to healthy, [-].
-    mass_lower, mass_upper : float, optional
-        Range of the car-body mass ratio if it is another one, [-].
-    mass_known : bool
-        Give the model the measured car-body mass ratio as one more input.
-    estimate_mass : bool
-        Ask for the car-body mass ratio as one more output.
-    log_ratios : bool
-        Give the model logarithms of the ratios to healthy, inputs and outputs alike; False is the
-        paper's relative changes.
-    feature_set : {"peaks", "curve"}
     features : mapping, optional
         Further arguments of ``PeakFeatures``.
-    curve : mapping, optional
-        Arguments of ``CurveFeatures``.
 
     Raises
     ------
@@ -226,31 +207,73 @@ class Protocol:
         If a name is unknown or a setting is out of range.
     """
 
-    name: str
-    groups: Mapping[str, Mapping[str, Sequence[str]]]
-    sampling: Literal["grid", "sobol"] = "grid"
-    lower: float = 0.5
-    upper: float = 2.0
-    step: float = 0.01
-    mass_step: float = 0.1
-    mass_lower: float | None = None
-    mass_upper: float | None = None
-    mass_known: bool = False
-    estimate_mass: bool = False
-    log_ratios: bool = True
-    feature_set: Literal["peaks", "curve"] = "peaks"
+    name: Annotated[str, Setting("Name of the protocol in tables and model files", rule="text")]
+    groups: Annotated[
+        Mapping[str, Mapping[str, Sequence[str]]],
+        Setting(
+            "For each group the parameters that vary and are estimated (outputs: k_p, c_p, k_s, "
+            "c_s), the curves that may be used (responses: G_p, G_s), and their peaks (secondary, "
+            "primary_lower, primary_upper, primary_largest)",
+            rule="mapping",
+        ),
+    ]
+    sampling: Literal["grid", "sobol"] = setting(
+        "grid",
+        "How vehicles are drawn: from the grid of Table IV, or as Sobol points over the whole "
+        "range",
+    )
+    lower: float = setting(
+        0.5, "Lower end of the range of stiffness and damping relative to healthy", above=0, below=1
+    )
+    upper: float = setting(2.0, "Upper end of that range", above=1, most=100)
+    step: float = setting(
+        0.01, "Step of the grid in stiffness and damping relative to healthy", above=0, most=100
+    )
+    mass_step: float = setting(
+        0.1, "Step of the grid in the car body's mass relative to the vehicle's", above=0, most=100
+    )
+    mass_lower: float | None = setting(
+        None,
+        "Lower end of the range of the car body's mass relative to the vehicle's; null is `lower`",
+        above=0,
+        below=1,
+    )
+    mass_upper: float | None = setting(
+        None, "Upper end of that range; null is `upper`", above=1, most=100
+    )
+    mass_known: bool = setting(
+        False,
+        "Whether the measured mass of the car body is one more input; such a model cannot read "
+        "trips",
+    )
+    estimate_mass: bool = setting(
+        False, "Whether the mass of the car body is one more output; not together with mass_known"
+    )
+    log_ratios: bool = setting(
+        True,
+        "Whether inputs and outputs are logarithms of the ratios to healthy, or the ratios "
+        "themselves",
+    )
+    feature_set: Literal["peaks", "curve"] = setting(
+        "peaks",
+        "Inputs of the model: position, height and width of peaks, or principal components of "
+        "the whole curves",
+    )
     features: Mapping[str, Any] = field(default_factory=dict)
-    curve: Mapping[str, Any] = field(default_factory=dict)
+    curve: Annotated[
+        Mapping[str, Any],
+        Setting(
+            "Settings of feature_set=curve: n_components, explained, low_hz, high_hz, as "
+            "protocol=trips lists them",
+            rule="mapping",
+        ),
+    ] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_choice("feature_set", self.feature_set, ("peaks", "curve"))
-        check_number("lower", self.lower, above=0, below=1)
-        check_number("upper", self.upper, above=1, most=100)
+        check_settings(self)
         low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
         check_number("mass_upper", high, above=1, most=100)
-        check_flag("mass_known", self.mass_known)
-        check_flag("estimate_mass", self.estimate_mass)
         if self.mass_known and self.estimate_mass:
             raise ValueError("the car-body mass is either known or estimated, not both")
         for group in self.groups:

@@ -20,7 +20,7 @@ from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings, check_values
 from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 
@@ -74,6 +74,28 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         If `tol` was not reached.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "C": Setting("Penalty of residuals outside the tube, as tuned for the group", above=0),
+        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+        "epsilon": Setting(
+            "Half width of the tube within which residuals cost nothing", "scaled outputs", low=0
+        ),
+        "tol": Setting("Stopping tolerance of libsvm", above=0),
+        "max_iter": Setting(
+            "Number of libsvm's iterations for each output after which it gives up", low=1
+        ),
+        "cache_size_mb": Setting("Size of libsvm's kernel cache for each output", "MB", above=0),
+        "n_jobs": Setting(
+            "Number of outputs that are fitted at the same time, in threads; -1 is one for each "
+            "core",
+            rule="whole number; not 0",
+        ),
+        "callback": Setting(
+            "Function called after each output, which train.py sets itself", rule="null"
+        ),
+    }
+    """What each argument means and which values it takes."""
+
     works_on_curves: ClassVar[bool] = False
     distributable: ClassVar[bool] = False
     gives_deviations: ClassVar[bool] = False
@@ -100,10 +122,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit one machine for each column of `y`, (n_samples,) or (n_samples, n_outputs)."""
-        for name in ("C", "sigma", "tol"):
-            check_number(name, getattr(self, name), above=0)
-        check_number("epsilon", self.epsilon, low=0)
-        check_number("max_iter", self.max_iter, low=1, whole=True)
+        check_settings(self)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         samples, targets = np.asarray(X), np.asarray(y, dtype=np.float64)
         self._single_output = targets.ndim == 1
@@ -220,29 +239,30 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
 class CurveFit(BaseEstimator):  # type: ignore[misc]
     """Fit a model's curves directly, starting from the nearest of a set of scattered curves.
 
-    Parameters
-    ----------
-    n_starts : int, default=512
-        Sobol points in the range of the parameters; the one with the nearest curves is the start.
-    max_iter : int, default=100
-        Levenberg-Marquardt iterations.
-    tol : float, default=1e-8
-        Stop when no log-parameter moves by more.
-
     Raises
     ------
     TypeError, ValueError
         If a parameter is out of range.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "n_starts": Setting(
+            "Number of points scattered over the parameter range; the one with the nearest curves "
+            "is "
+            "the start of the fit",
+            low=1,
+        ),
+        "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
+        "tol": Setting("Change of every log-parameter below which the fit has converged", above=0),
+    }
+    """What each argument means and which values it takes."""
+
     works_on_curves: ClassVar[bool] = True
     distributable: ClassVar[bool] = False
     gives_deviations: ClassVar[bool] = False
 
     def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
-        check_number("n_starts", n_starts, low=1, whole=True)
-        check_number("max_iter", max_iter, low=1, whole=True)
-        check_number("tol", tol, above=0)
+        check_values(CurveFit, n_starts=n_starts, max_iter=max_iter, tol=tol)
         self.n_starts = n_starts
         self.max_iter = max_iter
         self.tol = tol

@@ -18,7 +18,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import Setting, check_settings
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
@@ -130,6 +130,52 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     >>> model.converged_, bool(np.abs(model.predict(X) - Y).mean() < 0.01)
     (True, True)
     """
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "C": Setting("Penalty of residuals outside the tube, as tuned for the group", above=0),
+        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+        "epsilon": Setting(
+            "Radius of the tube within which residuals cost nothing", "scaled outputs", low=0
+        ),
+        "feature_map": Setting(
+            "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
+            "landmarks, Fourier modes on a grid (at most three inputs), or the kernel itself "
+            "(memory "
+            "grows with the square of data.n_train)"
+        ),
+        "n_components": Setting(
+            "Number of features of rff and orf (rounded up to an even number), and largest number "
+            "of "
+            "nystroem",
+            low=1,
+        ),
+        "kernel_tol": Setting(
+            "Error of the kernel that equispaced may make, and at which nystroem stops adding "
+            "landmarks",
+            above=0,
+        ),
+        "fit_intercept": Setting("Whether to fit an intercept, which is not penalised"),
+        "max_iter": Setting(
+            "Number of iterations after which the solver warns that it has not converged", low=1
+        ),
+        "tol": Setting(
+            "Relative distance of the objective from its minimum, proven, at which the solver "
+            "stops",
+            low=0,
+        ),
+        "random_state": Setting(
+            "Seed of the random features or landmarks", rule="whole number; 0 to 4294967295"
+        ),
+        "dtype": Setting("Precision of the features of rff and orf; the other maps need float64"),
+        "device": Setting("Device of the fit; equispaced runs on the CPU only", rule="cpu or cuda"),
+        "distributed": Setting(
+            "Whether processes of torchrun share one fit, which train.py sets itself"
+        ),
+        "callback": Setting(
+            "Function called after each iteration, which train.py sets itself", rule="null"
+        ),
+    }
+    """What each argument means and which values it takes."""
 
     works_on_curves: ClassVar[bool] = False
     distributable: ClassVar[bool] = True
@@ -304,17 +350,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return solver.minimise(design, targets, self.callback)
 
     def _check_parameters(self) -> None:
-        check_number("C", self.C, above=0)
-        check_number("sigma", self.sigma, above=0)
-        check_number("epsilon", self.epsilon, low=0)
-        check_number("tol", self.tol, low=0)
-        check_number("kernel_tol", self.kernel_tol, above=0)
-        check_number("max_iter", self.max_iter, low=1, whole=True)
-        check_number("n_components", self.n_components, low=1, whole=True)
+        check_settings(self)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
-        check_choice("feature_map", self.feature_map, sorted(MAPS))
-        check_choice("dtype", self.dtype, ("float64", "float32"))
         kind = MAPS[self.feature_map]
         if self.dtype == "float32" and not kind.float32:
             raise ValueError(

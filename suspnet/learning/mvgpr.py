@@ -18,7 +18,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import Setting, check_settings
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.feature_maps import rbf_kernel, squared_distances
@@ -105,6 +105,41 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     ConvergenceWarning
         If the optimiser of the best start did not converge.
     """
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "length_scale": Setting(
+            "Length scale l of the kernel, or the optimiser's first start", "scaled inputs", above=0
+        ),
+        "signal_variance": Setting(
+            "Variance of the signal, sigma_f², or the optimiser's first start",
+            "scaled outputs²",
+            above=0,
+        ),
+        "noise_variance": Setting(
+            "Variance of the noise, sigma_n², or the optimiser's first start",
+            "scaled outputs²",
+            above=0,
+        ),
+        "optimizer": Setting(
+            "Whether to maximise the marginal likelihood over the three values above; null takes "
+            "them as they are"
+        ),
+        "n_restarts": Setting("Number of further random starts of the optimiser", low=0),
+        "n_optimize": Setting(
+            "Number of training curves on which the likelihood is maximised; the fit uses all",
+            low=2,
+        ),
+        "max_iter": Setting("Largest number of L-BFGS iterations of each start", low=1),
+        "random_state": Setting(
+            "Seed of the starts and of the curves of the optimisation",
+            rule="whole number; 0 to 4294967295",
+        ),
+        "device": Setting("Device of the fit", rule="cpu or cuda"),
+        "callback": Setting(
+            "Function called after each evaluation, which train.py sets itself", rule="null"
+        ),
+    }
+    """What each argument means and which values it takes."""
 
     _kept_factor: Tensor | None
 
@@ -235,12 +270,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return self
 
     def _check_parameters(self) -> None:
-        for name in ("length_scale", "signal_variance", "noise_variance"):
-            check_number(name, getattr(self, name), above=0)
-        check_number("n_restarts", self.n_restarts, low=0, whole=True)
-        check_number("n_optimize", self.n_optimize, low=2, whole=True)
-        check_number("max_iter", self.max_iter, low=1, whole=True)
-        check_choice("optimizer", self.optimizer, ("marginal_likelihood", None))
+        check_settings(self)
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
         """Return K of two sets of samples, without the noise."""

@@ -13,7 +13,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from sklearn.base import clone
@@ -21,7 +21,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import root_mean_squared_error
 from sklearn.model_selection import KFold, ParameterGrid
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning.msvr import MSVR, SAME_GRAM_PARAMETERS
 from suspnet.learning.scaling import Scaling
@@ -67,19 +67,6 @@ class GridSearch:
     A widening adds one value beyond each edge that the optimum is on, by the ratio of the last two
     values, and tries what is within one step of the optimum.
 
-    Parameters
-    ----------
-    grids : mapping
-        From method name to a mapping from hyperparameter to the values to try.
-    n_folds : int, default=5
-    seed : int, default=0
-        Shuffles the samples before they are split.
-    widen : int, default=0
-        Largest number of widenings.
-    caps : mapping, optional
-        From method name to a mapping from hyperparameter to {`low`: .., `high`: .., `reason`: ..}:
-        values that no widening exceeds, and why.
-
     Raises
     ------
     TypeError, ValueError
@@ -87,15 +74,28 @@ class GridSearch:
         a grid.
     """
 
-    grids: Mapping[str, Mapping[str, Sequence[Any]]]
-    n_folds: int = 5
-    seed: int = 0
-    widen: int = 0
-    caps: Mapping[str, Mapping[str, Mapping[str, Any]]] = field(default_factory=dict)
+    grids: Annotated[
+        Mapping[str, Mapping[str, Sequence[Any]]],
+        Setting(
+            "Values of each setting of each method that are tried first", rule="mapping to lists"
+        ),
+    ]
+    n_folds: int = setting(5, "Number of folds of the cross-validation", low=2)
+    seed: int = setting(0, "Seed of the folds", low=0, high=4294967295)
+    widen: int = setting(
+        0, "Largest number of times the grid is widened where the optimum is on its edge", low=0
+    )
+    caps: Annotated[
+        Mapping[str, Mapping[str, Mapping[str, Any]]],
+        Setting(
+            "Values that no widening exceeds: for each method and setting low or high, and a "
+            "reason",
+            rule="mapping",
+        ),
+    ] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_number("n_folds", self.n_folds, low=2, whole=True)
-        check_number("widen", self.widen, low=0, whole=True)
+        check_settings(self)
         for name, caps in self.caps.items():
             for key, cap in caps.items():
                 if "reason" not in cap or set(cap) - {"low", "high", "reason"}:
@@ -260,12 +260,12 @@ def _neighbours(levels: Levels, best: Mapping[str, Any]) -> list[dict[str, Any]]
 def _groups(estimator: Any, settings: Sequence[Mapping[str, Any]]) -> list[list[int]]:
     """Return the indices of the settings, grouped by the Gram matrix or fit they need."""
     groups: dict[str, list[int]] = {}
-    for k, setting in enumerate(settings):
-        candidate = clone(estimator).set_params(**setting)
-        shared: Any = setting
+    for k, chosen in enumerate(settings):
+        candidate = clone(estimator).set_params(**chosen)
+        shared: Any = chosen
         if isinstance(candidate, MSVR) and candidate.shares_gram:
             shared = {
-                key: value for key, value in setting.items() if key not in SAME_GRAM_PARAMETERS
+                key: value for key, value in chosen.items() if key not in SAME_GRAM_PARAMETERS
             }
         groups.setdefault(repr(shared), []).append(k)
     return list(groups.values())

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from suspnet.ground.checks import check_flag, check_number
+from suspnet.ground.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -38,42 +38,48 @@ MOST_PER_REQUEST = 100
 class Broker:
     """Where an MQTT 5 broker is and how to connect to it.
 
-    Parameters
-    ----------
-    host : str, optional
-        None: that of the environment variable ``SUSPNET_MQTT_HOST``, else this machine.
-    port : int
-    prefix : str
-        First part of all topics; it may contain "/".
-    user : str, optional
-        With it, a password is read from the environment.
-    password_env : str
-        Name of the environment variable, which begins with "SUSPNET_".
-    tls : bool
-        Encrypted; the broker's certificate must be valid and name `host`.
-    ca_file, cert_file, key_file : str, optional
-        With `tls`: certificates of authorities (None: the system's), our certificate, which is
-        sent, and its key, which is not.
-
     Raises
     ------
     TypeError, ValueError
         If a setting is out of range.
     """
 
-    host: str | None = None
-    port: int = 1883
-    prefix: str = "suspnet"
-    user: str | None = None
-    password_env: str = "SUSPNET_MQTT_PASSWORD"
-    tls: bool = False
-    ca_file: str | None = None
-    cert_file: str | None = None
-    key_file: str | None = None
+    host: str | None = setting(
+        None,
+        "Name or address of the broker's machine; null is what the environment variable "
+        "SUSPNET_MQTT_HOST says, else this machine. Only the command line and that variable can "
+        "name another",
+        rule="name",
+    )
+    port: int = setting(1883, "Port of the broker; 8883 is usual with TLS", low=1, high=65535)
+    prefix: str = setting("suspnet", "First part of all topics", rule="text without + and #")
+    user: str | None = setting(
+        None,
+        "Name of a user, whose password an environment variable holds; null is nobody",
+        rule="text",
+    )
+    password_env: str = setting(
+        "SUSPNET_MQTT_PASSWORD",
+        "Name of that environment variable",
+        rule="name that begins with SUSPNET_",
+    )
+    tls: bool = setting(
+        False, "Whether the connection is encrypted, and the broker's certificate checked"
+    )
+    ca_file: str | None = setting(
+        None,
+        "File of the certificates of authorities that are trusted; null is the system's",
+        rule="path",
+    )
+    cert_file: str | None = setting(
+        None, "File of a certificate that says who we are, which is sent to the broker", rule="path"
+    )
+    key_file: str | None = setting(
+        None, "File of the key of that certificate, which stays here", rule="path"
+    )
 
     def __post_init__(self) -> None:
-        check_number("port", self.port, low=1, high=65535, whole=True)
-        check_flag("tls", self.tls)
+        check_settings(self)
         if self.host is None:
             object.__setattr__(self, "host", os.environ.get(HOST_VARIABLE) or LOCAL)
         if not isinstance(self.host, str) or not HOST.fullmatch(self.host):

@@ -7,15 +7,15 @@ import os
 import stat
 import time
 from collections import Counter, deque
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import BinaryIO, ClassVar, Literal
 
 import pyarrow as pa
 
-from suspnet.ground.checks import check_choice, check_flag, check_number
 from suspnet.ground.ledger import free_name
+from suspnet.ground.settings import Setting, check_values
 from suspnet.live.source import CONTINUATION, Kind, Splitter, print_result
 from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 
@@ -55,21 +55,21 @@ class DropFolder:
 
     Memory is bounded by one batch of frames, 8 MiB, one frame, and the names of the files.
 
-    Parameters
-    ----------
-    folder : str or Path
-    then : {"move", "delete"}
-        What happens to a file that was read and confirmed.
-    poll_s : float, [s]
-        Time between two looks into the folder.
-    once : bool
-        End when all files were read.
-
     Raises
     ------
     TypeError, ValueError
         If a setting is out of range.
     """
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "folder": Setting("Folder into which files are renamed once they are whole", rule="path"),
+        "then": Setting(
+            "What happens to a file that was read and is kept: moved to taken/, or deleted"
+        ),
+        "poll_s": Setting("Time between two looks into the folder", "s", low=0.01, high=60),
+        "once": Setting("Whether to end when all files were read"),
+    }
+    """What each argument means and which values it takes."""
 
     def __init__(
         self,
@@ -78,9 +78,7 @@ class DropFolder:
         poll_s: float = 0.5,
         once: bool = False,
     ) -> None:
-        check_choice("then", then, ("move", "delete"))
-        check_number("poll_s", poll_s, low=0.01, high=60)
-        check_flag("once", once)
+        check_values(DropFolder, then=then, poll_s=poll_s, once=once)
         self.folder, self.then, self.poll_s, self.once = Path(folder), then, poll_s, once
         self._counts: Counter[str] = Counter()
         self._suspensions: frozenset[str] = frozenset()

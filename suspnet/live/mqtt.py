@@ -10,10 +10,10 @@ import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_values
 from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
 from suspnet.live.source import Kind, plain_json
 from suspnet.recordings.frames import MOST_BYTES
@@ -45,20 +45,35 @@ class Mqtt:
     Parameters
     ----------
     broker : Broker, optional
-    client_id : str
-        Name of the session at the broker; that of the part is added.
-    part : str
-        "K/N" for the Kth of N processes that share a broker, see `is_in_part`.
-    in_flight : int
-        Number of frames that may be on the way to the monitor.
-    session_h : float, [h]
-        How long the broker stores the session of a monitor that is away.
 
     Raises
     ------
     TypeError, ValueError
         If a setting is out of range, or paho-mqtt is not installed.
     """
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "client_id": Setting(
+            "Name by which the broker knows the monitor and keeps what it missed", rule="text"
+        ),
+        "part": Setting(
+            'Which of several monitors that share a broker this is: "2/4" takes the suspensions of '
+            "the second of four parts",
+            rule="text; K/N with K at most N",
+        ),
+        "in_flight": Setting(
+            "Number of frames that may be on the way to the monitor, in its memory",
+            low=1,
+            high=65535,
+        ),
+        "session_h": Setting(
+            "Time for which the broker keeps frames for a monitor that is away",
+            "h",
+            above=0,
+            high=10000,
+        ),
+    }
+    """What each argument means and which values it takes."""
 
     def __init__(
         self,
@@ -68,8 +83,7 @@ class Mqtt:
         in_flight: int = 2000,
         session_h: float = 24.0,
     ) -> None:
-        check_number("in_flight", in_flight, low=1, high=65535, whole=True)
-        check_number("session_h", session_h, above=0, high=10_000)
+        check_values(Mqtt, in_flight=in_flight, session_h=session_h)
         self.broker = Broker() if broker is None else broker
         self.part, self.n_parts = read_part(part)
         self.client_id = f"{client_id}-{self.part}-of-{self.n_parts}"

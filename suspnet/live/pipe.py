@@ -7,9 +7,10 @@ import select
 import sys
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_values
 from suspnet.live.source import Kind, Splitter, print_result
 
 PIECE_BYTES = 2**16
@@ -22,19 +23,24 @@ class Pipe:
     What was read cannot be read again: after a kill, the sender must send again what was not yet
     stored. Reading stops while the buffer is full: a sender that is too fast waits.
 
-    Parameters
-    ----------
-    buffer_mb : float, [MB]
-        Frames that wait for the monitor.
-
     Raises
     ------
     TypeError, ValueError
         If it is out of range.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "buffer_mb": Setting(
+            "Size of the frames that wait for the monitor; the sender waits beyond it",
+            "MB",
+            low=1,
+            high=4096,
+        ),
+    }
+    """What each argument means and which values it takes."""
+
     def __init__(self, buffer_mb: float = 16.0) -> None:
-        check_number("buffer_mb", buffer_mb, low=1, high=4096)
+        check_values(Pipe, buffer_mb=buffer_mb)
         self.buffer_mb = buffer_mb
         self._inbox = Inbox(round(buffer_mb * 1e6))
         self._splitter = Splitter()

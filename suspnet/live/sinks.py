@@ -7,10 +7,11 @@ import re
 import sys
 import threading
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_values
 from suspnet.ground.storage import write_atomically
 from suspnet.live.broker import KEEPALIVE_S, Broker
 from suspnet.live.drop_folder import TAKEN
@@ -78,21 +79,20 @@ class Folder:
 
     A file appears whole. It holds at most ``MOST_FILE_BYTES`` and one frame.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Made if it is not there.
-    file_s : float, [s]
-        Time that a file covers.
-
     Raises
     ------
     TypeError, ValueError
         If `file_s` is out of range.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "folder": Setting("Folder of the files, made if it is not there", rule="path"),
+        "file_s": Setting("Time that a file covers, of all sensors", "s", above=0, high=86400),
+    }
+    """What each argument means and which values it takes."""
+
     def __init__(self, folder: str | Path, file_s: float = 10.0) -> None:
-        check_number("file_s", file_s, above=0, high=86400)
+        check_values(Folder, file_s=file_s)
         self.counts: Counter[str] = Counter()
         self.folder, self.file_s = Path(folder), file_s
         self._held: list[bytes] = []
@@ -138,7 +138,6 @@ class MqttSink:
     Parameters
     ----------
     broker : Broker, optional
-    in_flight : int
 
     Raises
     ------
@@ -146,12 +145,21 @@ class MqttSink:
         If a setting is out of range, or paho-mqtt is not installed.
     """
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "in_flight": Setting(
+            "Number of frames that the broker may not yet have acknowledged; then the replay waits",
+            low=1,
+            high=65535,
+        ),
+    }
+    """What each argument means and which values it takes."""
+
     def __init__(
         self,
         broker: Broker | None = None,
         in_flight: int = 100,
     ) -> None:
-        check_number("in_flight", in_flight, low=1, high=65535, whole=True)
+        check_values(MqttSink, in_flight=in_flight)
         self.broker = Broker() if broker is None else broker
         self.in_flight = in_flight
         self._counts: Counter[str] = Counter()

@@ -16,6 +16,7 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
 from suspnet.ground.records import TripResult
+from suspnet.ground.settings import check_settings, setting
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
@@ -40,18 +41,6 @@ class LiveSettings:
 
     Parameters
     ----------
-    section_s : int, [s]
-        Largest length of a section, which is a trip of its own in the history.
-    every_s : float, optional, [s]
-        After each such length of signal, an estimate of the open section is reported; None: only
-        at its end.
-    pause_s : float, [s]
-        Without a frame for so long a trip has ended; the next one starts a section.
-    late_s : float, [s]
-        A section stays open for frames that come so much later than others.
-    idle_s : float, [s]
-        After so long without any frame, by the computer's clock, open sections are reported as if
-        they were over. They go on, and are reported again, if more comes after all.
     order : OrderSettings
 
     Raises
@@ -60,19 +49,44 @@ class LiveSettings:
         If a setting is out of range.
     """
 
-    section_s: int = 1200
-    every_s: float | None = 600.0
-    pause_s: float = 300.0
-    late_s: float = 60.0
-    idle_s: float = 3600.0
+    section_s: int = setting(
+        1200,
+        "Largest length of a section, which is a trip of its own in the history; a longer trip "
+        "becomes several, of which the last one takes in what is shorter than a quarter of it",
+        "s",
+        low=60,
+        high=86400,
+    )
+    every_s: float | None = setting(
+        600.0,
+        "After so much signal of a section an estimate from it so far is published; null is at "
+        "its end only",
+        "s",
+        low=60,
+        high=86400,
+    )
+    pause_s: float = setting(
+        300.0, "Without a frame for so long a trip has ended", "s", low=60, high=3600
+    )
+    late_s: float = setting(
+        60.0,
+        "A section stays open for frames that come so much later than others",
+        "s",
+        low=0,
+        high=3600,
+    )
+    idle_s: float = setting(
+        3600.0,
+        "After so long without a frame a section is told as if it were over",
+        "s",
+        low=1,
+        high=1e7,
+    )
     order: OrderSettings = field(default_factory=OrderSettings)
 
     def __post_init__(self) -> None:
-        check_number("live.section_s", self.section_s, low=60, high=86400, whole=True)
-        check_number("live.every_s", self.every_s, low=60, high=86400, optional=True)
-        check_number("live.pause_s", self.pause_s, low=60, high=3600)
+        check_settings(self, "live")
         check_number("live.late_s", self.late_s, low=0, high=self.pause_s)
-        check_number("live.idle_s", self.idle_s, low=1, high=1e7)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
-from suspnet.ground.checks import LARGEST, check_number
+from suspnet.ground.checks import LARGEST
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.cusum import CLIP, MAX_CORRELATION, Residuals, cusum, residuals, threshold
 
@@ -31,38 +32,40 @@ VARIES = 0.01
 class ChangeSettings:
     """How changes are looked for.
 
-    Parameters
-    ----------
-    km_per_false_alarm : float, [km]
-        Mileage of a healthy suspension in which one false alarm is expected at most, over all its
-        parameters.
-    n_reference : int
-        Number of first trips that are the reference; with fewer nothing is looked for.
-    correlation : float, [-]
-        Largest correlation of successive trips for which that rate holds, 0 to 0.6.
-    least_percent : float, [% of healthy]
-        Minimum reportable change.
-    seed : int
-        Of the simulation that gives the thresholds.
-
     Raises
     ------
     ValueError
         If a setting is out of range.
     """
 
-    km_per_false_alarm: float = 1e6
-    n_reference: int = 20
-    correlation: float = 0.5
-    least_percent: float = 0.1
-    seed: int = 0
+    km_per_false_alarm: float = setting(
+        1e6,
+        "Mileage of a healthy suspension in which one false alarm of a change is expected at "
+        "most, over all its parameters",
+        "km",
+        low=1000,
+        high=1e9,
+    )
+    n_reference: int = setting(
+        20,
+        "Number of first trips that say what is usual; before there are so many there are no "
+        "alarms of changes",
+        low=8,
+        high=1000,
+    )
+    correlation: float = setting(
+        0.5,
+        "Largest correlation of successive trips for which that mileage holds",
+        low=0,
+        high=MAX_CORRELATION,
+    )
+    least_percent: float = setting(
+        0.1, "Size of a change below which it is none", "% of healthy", low=0, below=100
+    )
+    seed: int = setting(0, "Seed of the simulation that gives the thresholds", low=0)
 
     def __post_init__(self) -> None:
-        check_number("km_per_false_alarm", self.km_per_false_alarm, low=1e3, high=1e9)
-        check_number("n_reference", self.n_reference, low=8, high=1000, whole=True)
-        check_number("correlation", self.correlation, low=0, high=MAX_CORRELATION)
-        check_number("least_percent", self.least_percent, low=0, below=100)
-        check_number("seed", self.seed, low=0, whole=True)
+        check_settings(self)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from suspnet.ground.checks import check_number
 from suspnet.ground.limits import Severity
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.visit_costs import Costs
 
@@ -30,25 +31,8 @@ class PlanSettings:
 
     Parameters
     ----------
-    visit : float
-        Cost of taking a train out of service once, in the currency of `costs`.
     costs : Costs or mapping of parameter to Costs
         Of the parts behind each parameter.
-    lead_days : float
-        From today until the first possible visit.
-    horizon_days : float
-        From today until the last date that is planned.
-    step_days : float
-        Between possible dates.
-    notice_days : float
-        Within which a notice is looked at where no passing of a limit is predicted.
-    km_per_day : float
-        Of trains whose trips do not show it.
-    plan_again_risk : float
-        A part without a visit is planned again before the probability that its limit is passed
-        exceeds this.
-    level : float
-        Of the interval of the passing of a limit that is reported.
 
     Raises
     ------
@@ -56,24 +40,46 @@ class PlanSettings:
         If one is out of range, or there are more than ``MAX_DATES`` dates.
     """
 
-    visit: float = 1.0
+    visit: float = setting(
+        1.0, "Cost of taking a train out of service once, in the currency of the other costs", low=0
+    )
     costs: Costs | Mapping[str, Costs] = field(default_factory=Costs)
-    lead_days: float = 14.0
-    horizon_days: float = 730.0
-    step_days: float = 7.0
-    notice_days: float = 90.0
-    km_per_day: float = 500.0
-    plan_again_risk: float = 0.01
-    level: float = 0.8
+    lead_days: float = setting(
+        14.0, "Days from today until the first possible visit", "days", low=0
+    )
+    horizon_days: float = setting(
+        730.0,
+        "Days from today until the last date that is planned",
+        above=0,
+        high=MOST_DAYS,
+        rule="days; above lead_days, at most 36525",
+    )
+    step_days: float = setting(7.0, "Days between possible dates", "days", above=0)
+    notice_days: float = setting(
+        90.0,
+        "Days within which a notice is looked at where no passing of a limit is predicted",
+        "days",
+        low=0,
+    )
+    km_per_day: float = setting(
+        500.0, "Mileage of a day of trains whose trips do not tell it", "km", above=0
+    )
+    plan_again_risk: float = setting(
+        0.01,
+        "Probability that a limit is passed at which a part without a visit is planned again at "
+        "the latest",
+        above=0,
+        below=1,
+    )
+    level: float = setting(
+        0.8,
+        "Probability of the interval in which a part passes its limit, as it is shown",
+        above=0,
+        below=1,
+    )
 
     def __post_init__(self) -> None:
-        for name in ("visit", "lead_days", "notice_days"):
-            check_number(name, getattr(self, name), low=0)
-        check_number("horizon_days", self.horizon_days, above=0, high=MOST_DAYS)
-        for name in ("step_days", "km_per_day"):
-            check_number(name, getattr(self, name), above=0)
-        for name in ("plan_again_risk", "level"):
-            check_number(name, getattr(self, name), above=0, below=1)
+        check_settings(self)
         if self.horizon_days <= self.lead_days:
             raise ValueError(
                 f"`horizon_days` must be > `lead_days` ({self.lead_days:g}), "

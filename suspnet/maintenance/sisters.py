@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from scipy import stats
@@ -24,6 +25,7 @@ from scipy import stats
 from suspnet.ground.checks import check_number
 from suspnet.ground.limits import Severity
 from suspnet.ground.records import Key
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.alarms import Alarm, Cause
 from suspnet.maintenance.judge import N_LAST
@@ -46,32 +48,38 @@ LEAST_PERCENT = {"k_p": 2.0, "c_p": 5.0, "k_s": 2.0, "c_s": 5.0}
 class SisterSettings:
     """How sister suspensions are compared.
 
-    Parameters
-    ----------
-    km_per_false_alarm : float, [km]
-        Mileage of a suspension in which one false alarm is expected at most, over all parameters.
-    least_percent : mapping of float, [% of healthy]
-        Least difference of each parameter that is reported; others are not compared.
-    max_apart_km : float, [km]
-        A sister whose newest trip is further behind is not compared.
-    level : float
-        Probability of the intervals.
-
     Raises
     ------
     TypeError, ValueError
         If a setting is out of range.
     """
 
-    km_per_false_alarm: float = 1e7
-    least_percent: Mapping[str, float] = field(default_factory=lambda: dict(LEAST_PERCENT))
-    max_apart_km: float = 20_000.0
-    level: float = 0.9
+    km_per_false_alarm: float = setting(
+        1e7,
+        "Mileage of a healthy suspension in which one false alarm of a sister is expected at "
+        "most, over all its parameters",
+        "km",
+        above=0,
+    )
+    least_percent: Annotated[
+        Mapping[str, float],
+        Setting(
+            "Least difference from the sisters of each parameter that is told",
+            rule="%; at least 0 and below 100",
+        ),
+    ] = field(default_factory=lambda: dict(LEAST_PERCENT))
+    max_apart_km: float = setting(
+        20_000.0, "Mileage by which a sister's newest trip may be behind", "km", above=0
+    )
+    level: float = setting(
+        0.9,
+        "Probability with which the intervals of the trips hold the truth",
+        low=0.01,
+        most=0.999,
+    )
 
     def __post_init__(self) -> None:
-        check_number("km_per_false_alarm", self.km_per_false_alarm, above=0)
-        check_number("max_apart_km", self.max_apart_km, above=0)
-        check_number("level", self.level, low=0.01, most=0.999)
+        check_settings(self)
         for name, least in self.least_percent.items():
             check_number(f"least_percent.{name}", least, low=0, below=100)
 

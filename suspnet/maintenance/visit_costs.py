@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
 
 REPLACE, INSPECT = 0, 1
@@ -29,35 +29,29 @@ SCALE = 1e4
 class Costs:
     """What a part costs, in any currency.
 
-    Parameters
-    ----------
-    replacement, inspection : float
-        At a visit, which costs extra.
-    failure : float
-        Of a limit that is passed in service, on top of the visit and the replacement that follow.
-    reach_km : float, [km]
-        An inspection finds the parts that would pass their limit within this mileage.
-    usual_life_km : float, [km]
-        How long a new part lasts if it is used until its limit. Replacing a part with this mileage
-        still to go wastes the whole price of `replacement`, with half of it half.
-
     Raises
     ------
     TypeError, ValueError
         If one is not a number >= 0, or one of the mileages not > 0.
     """
 
-    replacement: float = 2.0
-    inspection: float = 0.2
-    failure: float = 20.0
-    reach_km: float = 50_000.0
-    usual_life_km: float = 600_000.0
+    replacement: float = setting(2.0, "Cost of a part that is replaced, besides the visit", low=0)
+    inspection: float = setting(0.2, "Cost of an inspection of a part, besides the visit", low=0)
+    failure: float = setting(
+        20.0, "Cost of an act limit that is passed in service, besides visit and replacement", low=0
+    )
+    reach_km: float = setting(
+        50_000.0,
+        "Mileage within which an inspection finds the parts that would pass their limit",
+        "km",
+        above=0,
+    )
+    usual_life_km: float = setting(
+        600_000.0, "Mileage that a new part lasts if it is used until its limit", "km", above=0
+    )
 
     def __post_init__(self) -> None:
-        for name in ("replacement", "inspection", "failure"):
-            check_number(name, getattr(self, name), low=0)
-        for name in ("reach_km", "usual_life_km"):
-            check_number(name, getattr(self, name), above=0)
+        check_settings(self)
 
 
 @dataclass(frozen=True, eq=False)

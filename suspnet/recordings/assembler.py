@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError, decode, encode
@@ -35,31 +35,32 @@ what quartz is off. Times then drift away from the stated rate without a gap."""
 class OrderSettings:
     """How frames are put in order.
 
-    Parameters
-    ----------
-    window : int
-        A frame may come after at most this many later ones; then it counts as missing.
-    jitter_s : float, [s]
-        A frame begins no more than this before or after the end of the one before, as its rate
-        says; half a sample if that is longer. All together may drift by ``MOST_DRIFT``.
-    longest_gap_s : float, [s]
-        A frame that lies further ahead is taken only after `window` others that did: one wrong
-        time does not begin a gap that takes the place of the samples to come.
-
     Raises
     ------
     TypeError, ValueError
         If a setting is out of range.
     """
 
-    window: int = 16
-    jitter_s: float = 0.001
-    longest_gap_s: float = 60.0
+    window: int = setting(
+        16, "A frame may come after at most so many later ones of its sensor", low=0, high=1024
+    )
+    jitter_s: float = setting(
+        0.001,
+        "A frame begins no more than this before or after the end of the one before",
+        "s",
+        low=0,
+        high=1,
+    )
+    longest_gap_s: float = setting(
+        60.0,
+        "A frame further ahead is taken only after `window` others that were",
+        "s",
+        low=0,
+        high=1800,
+    )
 
     def __post_init__(self) -> None:
-        check_number("window", self.window, low=0, high=1024, whole=True)
-        check_number("jitter_s", self.jitter_s, low=0, high=1)
-        check_number("longest_gap_s", self.longest_gap_s, low=0, high=1800)
+        check_settings(self)
 
 
 class Assembler:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.track_spectra import track_spectrum
-from suspnet.ground.checks import check_choice, check_flag, check_number
-from suspnet.ground.records import HIGHEST_KM, Place
+from suspnet.ground.checks import check_number
+from suspnet.ground.records import Place
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.signals import Journey, Sensor, service_journey, steady_journey
@@ -29,27 +30,8 @@ class Fleet:
 
     Parameters
     ----------
-    n_trips : int
-    last_mileage_km : float, [km]
-        Of the last trip; the others lie evenly before it.
-    minutes : float, [min]
-        Length of a trip.
-    speed_m_per_s : float, [m/s]
-        Steady or cruising speed.
-    journey : {"steady", "service"}
-        At one speed throughout, or with start, stops and slower stretches.
-    n_stops : int
-        Of a service journey.
-    track : str
-        A name of ``suspnet.dynamics.track_spectra.TRACKS``.
-    short_waves : bool
     sensors : mapping
         A `Sensor`'s arguments for each of axle_box, bogie and body.
-    sides : {"both", "left"}, optional
-        At each place one sensor on the left and one on the right, each with noise of its own, or
-        one alone, where the generator places it. None: both if the generator has roll.
-    suspension : str
-        Free text for the manifests.
 
     Raises
     ------
@@ -57,31 +39,34 @@ class Fleet:
         If a setting is out of range.
     """
 
-    n_trips: int = 30
-    last_mileage_km: float = 308_000.0
-    minutes: float = 20.0
-    speed_m_per_s: float = 70.0
-    journey: Literal["steady", "service"] = "steady"
-    n_stops: int = 1
-    track: str = "german_low"
-    short_waves: bool = False
+    n_trips: int = setting(
+        30, "Number of trips, which lie evenly over the mileage", low=1, most=100000
+    )
+    last_mileage_km: float = setting(308_000.0, "Mileage of the last trip", "km", above=0, most=2e7)
+    minutes: float = setting(20.0, "Length of a trip", "min", above=0, most=10000)
+    speed_m_per_s: float = setting(
+        70.0, "Steady or cruising speed, as the line's", "m/s", above=0, most=200
+    )
+    journey: Literal["steady", "service"] = setting(
+        "steady",
+        "Speed along a trip: the same throughout, or with start, stops and slower stretches",
+    )
+    n_stops: int = setting(1, "Number of stops of a service journey", low=0, most=1000)
+    track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
+    short_waves: bool = setting(
+        False,
+        "Whether to add the short waves of a rail head to the track, below 2.5 m; not on roads",
+    )
     sensors: Mapping[str, Mapping[str, Any]] | None = None
-    sides: Literal["both", "left"] | None = None
-    suspension: str = "simulated"
+    sides: Literal["both", "left"] | None = setting(
+        None,
+        "Sensors at each place: one on the left and one on the right, or one alone; null is both "
+        "if the vehicle has roll",
+    )
+    suspension: str = setting("simulated", "Name of the suspension in the manifests", rule="text")
 
     def __post_init__(self) -> None:
-        check_number("n_trips", self.n_trips, low=1, most=100_000, whole=True)
-        check_number("n_stops", self.n_stops, low=0, most=1000, whole=True)
-        check_flag("short_waves", self.short_waves)
-        for name, most in (
-            ("last_mileage_km", HIGHEST_KM),
-            ("minutes", 1e4),
-            ("speed_m_per_s", 200),
-        ):
-            check_number(name, getattr(self, name), above=0, most=most)
-        check_choice("journey", self.journey, ("steady", "service"))
-        if self.sides is not None:
-            check_choice("sides", self.sides, ("both", "left"))
+        check_settings(self)
         track_spectrum(self.track, self.short_waves)
         self.loggers()
 
@@ -112,33 +97,36 @@ class Fleet:
 class Scenario:
     """Ratios to healthy as functions of the mileage.
 
-    Parameters
-    ----------
-    name : str
-    changes : mapping
-        From a name of ``PARAMETERS`` to `from_km`, `to_km` and `ratio`: 1 before, in a straight
-        line between, `ratio` after. A step where the two mileages are equal.
-    spread : float, [-]
-        On each trip k_p, c_p, k_s and c_s are also multiplied by a factor uniform in 1 +- spread.
-    mass_low, mass_high : float, [-]
-        The car-body mass is uniform between these on each trip: payload.
-
     Raises
     ------
     TypeError, ValueError
         If a name is unknown or a number is out of range.
     """
 
-    name: str
-    changes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    spread: float = 0.0
-    mass_low: float = 0.9
-    mass_high: float = 1.2
+    name: Annotated[str, Setting("Name of the scenario in folders and manifests", rule="text")]
+    changes: Annotated[
+        Mapping[str, Mapping[str, float]],
+        Setting(
+            "For each parameter that wears from_km, to_km and the ratio to healthy: 1 before, in a "
+            "straight line between, ratio after",
+            rule="mapping; from_km at most to_km; ratio above 0",
+        ),
+    ] = field(default_factory=dict)
+    spread: float = setting(
+        0.0, "Half width of factors drawn for stiffness and damping of each trip", low=0, below=1
+    )
+    mass_low: float = setting(
+        0.9,
+        "Least mass of the car body relative to the vehicle's, drawn for each trip; at most "
+        "mass_high",
+        above=0,
+    )
+    mass_high: float = setting(
+        1.2, "Largest mass of the car body relative to the vehicle's", above=0
+    )
 
     def __post_init__(self) -> None:
-        check_number("scenario.spread", self.spread, low=0, below=1)
-        check_number("scenario.mass_low", self.mass_low, above=0)
-        check_number("scenario.mass_high", self.mass_high, above=0)
+        check_settings(self, "scenario")
         if not self.mass_low <= self.mass_high:
             raise ValueError(f"need mass_low <= mass_high, got {self.mass_low}, {self.mass_high}")
         for name, change in self.changes.items():

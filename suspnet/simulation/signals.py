@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
 from suspnet.dynamics.track import TrackProfile
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
 
 BLOCK = 1 << 18
@@ -209,49 +210,50 @@ def service_journey(
 class Sensor:
     """One accelerometer and its data logger.
 
-    Parameters
-    ----------
-    rate_hz : float, [Hz]
-        Sampling rate; Table II: 5000 at the axle box, 2000 elsewhere.
-    snr_db : float, optional, [dB]
-        White noise relative to the rms of the signal; 34 dB is 2 % (section III-E).
-    range_g : float, optional, [g]
-        The signal is cut off beyond; Table VII: 2. None never saturates.
-    precision : float, [-]
-        White noise relative to the range; Table VII: 0.001.
-    offset_m_per_s2 : float, [m/s^2]
-    drift_m_per_s2_per_h : float, [m/s^2/h]
-    dropouts_per_h : float, [1/h]
-        Drop-outs of `dropout_s` each: the logger holds the last value or gives NaN, in turn.
-    dropout_s : float, [s]
-    clock_offset_s : float, [s]
-        Delay of the logger's clock, which the manifest does not state.
-
     Raises
     ------
     ValueError
         If a number is out of range.
     """
 
-    rate_hz: float
-    snr_db: float | None = 34.0
-    range_g: float | None = None
-    precision: float = 0.0
-    offset_m_per_s2: float = 0.0
-    drift_m_per_s2_per_h: float = 0.0
-    dropouts_per_h: float = 0.0
-    dropout_s: float = 2.0
-    clock_offset_s: float = 0.0
+    rate_hz: Annotated[
+        float, Setting("Sampling rate of the axle box's sensor", "Hz", above=0, most=1e6)
+    ]
+    snr_db: float | None = setting(
+        34.0, "White noise relative to the signal; null is none", "dB", low=-20, high=200
+    )
+    range_g: float | None = setting(
+        None,
+        "Acceleration beyond which the signal is cut off, 2 in Table VII; null is no limit",
+        "g",
+        above=0,
+        most=1e6,
+    )
+    precision: float = setting(
+        0.0, "White noise relative to range_g, 0.001 in Table VII", low=0, most=100000
+    )
+    offset_m_per_s2: float = setting(0.0, "Constant offset", "m/s²", low=-1e6, most=1e6)
+    drift_m_per_s2_per_h: float = setting(
+        0.0, "Drift of the offset", "m/s² per h", low=-1e6, most=1e6
+    )
+    dropouts_per_h: float = setting(
+        0.0,
+        "Mean number of drop-outs, in which the last value is held or is NaN, in turn",
+        "per h",
+        low=0,
+        most=100000,
+    )
+    dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, most=1e6)
+    clock_offset_s: float = setting(
+        0.0,
+        "Delay of the sensor's clock, which the manifest does not tell",
+        "s",
+        low=-1e6,
+        most=1e6,
+    )
 
     def __post_init__(self) -> None:
-        for name in ("rate_hz", "dropout_s"):
-            check_number(f"sensor.{name}", getattr(self, name), above=0, most=1e6)
-        for name in ("precision", "dropouts_per_h"):
-            check_number(f"sensor.{name}", getattr(self, name), low=0, most=1e5)
-        check_number("sensor.range_g", self.range_g, above=0, most=1e6, optional=True)
-        check_number("sensor.snr_db", self.snr_db, low=-20, high=200, optional=True)
-        for name in ("offset_m_per_s2", "drift_m_per_s2_per_h", "clock_offset_s"):
-            check_number(f"sensor.{name}", getattr(self, name), most=1e6)
+        check_settings(self, "sensor")
         if self.precision > 0 and self.range_g is None:
             raise ValueError("sensor `precision` is relative to `range_g`, which is not given")
 

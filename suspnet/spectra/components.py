@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureTable, PeakFeatures
 
@@ -72,13 +72,6 @@ class CurveFeatures:
 
     Parameters
     ----------
-    n_components : int, optional
-        Their number; None takes as many as `explained` asks for.
-    explained : float, [-]
-        Share of the noise-free variance (in units of the noise) that is kept, if `n_components`
-        is None.
-    low_hz, high_hz : float, optional, [Hz]
-        Band; None is all of the estimate's.
     basis : CurveBasis, optional
         What `fitted` has learnt.
 
@@ -88,10 +81,29 @@ class CurveFeatures:
         If a setting is out of range.
     """
 
-    n_components: int | None = None
-    explained: float = 0.9999
-    low_hz: float | None = None
-    high_hz: float | None = None
+    n_components: int | None = setting(
+        None,
+        "Number of principal components of the curves; null is as many as `explained` asks for",
+        low=1,
+        most=10000,
+    )
+    explained: float = setting(
+        0.9999,
+        "Share of the variance of noise-free curves that the components keep, where n_components "
+        "is null",
+        above=0,
+        below=1,
+    )
+    low_hz: float | None = setting(
+        None,
+        "Lower end of the band of the curves; null is that of the estimate",
+        "Hz",
+        above=0,
+        most=10000,
+    )
+    high_hz: float | None = setting(
+        None, "Upper end of that band; null is that of the estimate", "Hz", above=0, most=10000
+    )
     basis: CurveBasis | None = field(default=None, compare=False)
 
     kind: ClassVar[str] = "curve"
@@ -104,12 +116,7 @@ class CurveFeatures:
         return ("curve",)
 
     def __post_init__(self) -> None:
-        check_number(
-            "n_components", self.n_components, low=1, most=10_000, whole=True, optional=True
-        )
-        check_number("explained", self.explained, above=0, below=1)
-        for name in ("low_hz", "high_hz"):
-            check_number(name, getattr(self, name), above=0, optional=True, most=1e4)
+        check_settings(self)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.spectra.observation import Directions, Observer, check_counts, directions
 
 MOST_BINS = 100_000
@@ -27,19 +27,6 @@ MOST_BINS = 100_000
 class CurveSettings:
     """Frequency bins, noise and numbers of curves.
 
-    Parameters
-    ----------
-    n_train, n_test : int or "all"
-        Curves for training and testing; "all" is the whole grid of the protocol.
-    n_calibrate : int, optional
-        Fresh curves from which intervals and thresholds are learnt; None gives the model neither.
-    snr_db : float, [dB]
-        Signal-to-noise ratio of each curve.
-    low_hz, high_hz, step_hz : float, [Hz]
-        Frequency bins from low_hz up to high_hz.
-    cache_dir : str or None
-        Where feature tables are stored between runs; None stores none.
-
     Raises
     ------
     TypeError, ValueError
@@ -48,20 +35,46 @@ class CurveSettings:
 
     kind: ClassVar[str] = "curves"
 
-    n_train: int | str = 20_000
-    n_test: int | str = 4_000
-    n_calibrate: int | None = 30_000
-    snr_db: float = 34.0
-    low_hz: float = 0.1
-    high_hz: float = 20.0
-    step_hz: float = 0.02
-    cache_dir: str | None = ".cache/suspnet"
+    n_train: int | str = setting(
+        20_000,
+        "Number of training curves, or all for the whole grid of the protocol",
+        rule="whole number; 1 to 1e8",
+    )
+    n_test: int | str = setting(
+        4_000, "Number of test curves, or all", rule="whole number; 1 to 1e8"
+    )
+    n_calibrate: int | None = setting(
+        30_000,
+        "Number of fresh curves that intervals and thresholds are learnt from; null gives the "
+        "model neither",
+        low=100,
+        high=1e8,
+    )
+    snr_db: float = setting(
+        34.0,
+        "Signal-to-noise ratio of each curve; 34 dB is noise of 2 % of its rms",
+        "dB",
+        low=-20,
+        high=200,
+    )
+    low_hz: float = setting(0.1, "First frequency bin, at least step_hz", "Hz", above=0, most=10000)
+    high_hz: float = setting(20.0, "Upper end of the bins, above low_hz", "Hz", above=0, most=10000)
+    step_hz: float = setting(
+        0.02,
+        "Distance of the bins; at most 100,000 of them up to high_hz",
+        "Hz",
+        above=0,
+        most=10000,
+    )
+    cache_dir: str | None = setting(
+        ".cache/suspnet",
+        "Folder where features of curves are kept between runs; null keeps none",
+        rule="path",
+    )
 
     def __post_init__(self) -> None:
         check_counts(self)
-        check_number("data.snr_db", self.snr_db, low=-20, high=200)
-        for name in ("step_hz", "low_hz", "high_hz"):
-            check_number(f"data.{name}", getattr(self, name), above=0, most=1e4)
+        check_settings(self, "data")
         if not self.step_hz <= self.low_hz < self.high_hz:
             raise ValueError(
                 "need data.step_hz <= data.low_hz < data.high_hz, got "

@@ -19,10 +19,9 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track_spectra import track_spectrum
-from suspnet.ground.checks import check_choice, check_flag, check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import (
-    METHODS,
     CrossSpectra,
     Method,
     moving_average_with,
@@ -58,35 +57,9 @@ class EstimateSettings:
 
     Parameters
     ----------
-    n_train, n_test : int or "all"
-        Curves for training and testing.
-    n_calibrate : int, optional
-        Fresh curves from which intervals and thresholds are learnt; None gives the model neither.
-    speed_m_per_s : float, [m/s]
-    speed_half_width : float, [-]
-        Trips are read whose speed lies within 1 +- this of it.
-    track : str
-        A name of ``suspnet.dynamics.track_spectra.TRACKS``.
-    short_waves : bool
-    snr_db : float, [dB]
-        White noise of each sensor, relative to the rms of the healthy vehicle's signal over the
-        sensor's whole band.
-    minutes : float, [min]
-        Usable recording.
-    method : {"H1", "H2", "Hv", "IV"}
     segment_s, overlap, window
         Of ``Welch``. A segment must be long against the ringing of the body: with 20 s the
         leakage modelled here is that of recordings, with 10 s no more (AM96, c_s at 80 %).
-    low_hz, high_hz : float, optional, [Hz]
-        Band; None is 0.45 times the vehicle's first natural frequency, 3.8 times its second, at
-        most 25 Hz.
-    body_high_hz : float, optional, [Hz]
-        Up to which G_s is used; None is 2.4 times the second natural frequency, or `high_hz` where
-        that is lower.
-    rates_hz : sequence of 3 floats, [Hz]
-        Sampling rates of axle box, bogie and body.
-    cache_dir : str or None
-        Where feature tables are stored between runs.
 
     Raises
     ------
@@ -96,42 +69,108 @@ class EstimateSettings:
 
     kind: ClassVar[str] = "trips"
 
-    n_train: int | str = 20_000
-    n_test: int | str = 4_000
-    n_calibrate: int | None = 30_000
-    speed_m_per_s: float = 70.0
-    speed_half_width: float = SPEED_HALF_WIDTH
-    track: str = "german_low"
-    short_waves: bool = False
-    snr_db: float = 34.0
-    minutes: float = 20.0
-    method: Method = "IV"
-    segment_s: float = 20.0
-    overlap: float = 0.5
-    window: str = "hann"
-    low_hz: float | None = None
-    high_hz: float | None = None
-    body_high_hz: float | None = None
-    rates_hz: tuple[float, float, float] = (5000.0, 2000.0, 2000.0)
-    cache_dir: str | None = ".cache/suspnet"
+    n_train: int | str = setting(
+        20_000,
+        "Number of training curves, or all for the whole grid of the protocol",
+        rule="whole number; 1 to 1e8",
+    )
+    n_test: int | str = setting(
+        4_000, "Number of test curves, or all", rule="whole number; 1 to 1e8"
+    )
+    n_calibrate: int | None = setting(
+        30_000,
+        "Number of fresh curves that intervals and thresholds are learnt from; null gives the "
+        "model neither",
+        low=100,
+        high=1e8,
+    )
+    speed_m_per_s: float = setting(
+        70.0, "Speed of the trips that the model reads, as the line's", "m/s", above=0.1, below=200
+    )
+    speed_half_width: float = setting(
+        SPEED_HALF_WIDTH,
+        "Half width of the range of speeds that one model reads, relative to its middle",
+        low=0,
+        below=0.5,
+    )
+    track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
+    short_waves: bool = setting(
+        False,
+        "Whether to add the short waves of a rail head to the track, below 2.5 m; not on roads",
+    )
+    snr_db: float = setting(
+        34.0,
+        "Noise of each sensor, relative to the healthy vehicle's signal over the sensor's whole "
+        "band",
+        "dB",
+        above=-20,
+        below=200,
+    )
+    minutes: float = setting(
+        20.0,
+        "Usable recording of a trip; at least four independent averages of segment_s",
+        "min",
+        above=0,
+        below=100000,
+    )
+    method: Method = setting(
+        "IV",
+        "Estimator of the transfer functions; IV, with the third sensor as instrument, has no "
+        "bias by independent noise",
+        rule="IV, H1, H2 or Hv",
+    )
+    segment_s: float = setting(
+        20.0,
+        "Length of a segment of Welch's method, the inverse of the distance of the bins, of "
+        "which there are at most 100,000",
+        "s",
+        above=0,
+    )
+    overlap: float = setting(0.5, "Share of a segment that the next one has too", low=0, below=1)
+    window: str = setting(
+        "hann", "Window of a segment, by its name in scipy.signal.get_window", rule="name"
+    )
+    low_hz: float | None = setting(
+        None,
+        "Lower end of the band; null is 0.45 times the vehicle's first natural frequency",
+        "Hz",
+        above=0,
+        below=10000,
+    )
+    high_hz: float | None = setting(
+        None,
+        "Upper end of the band; null is 3.8 times the second natural frequency, at most 25 Hz",
+        "Hz",
+        above=0,
+        below=10000,
+    )
+    body_high_hz: float | None = setting(
+        None,
+        "Frequency up to which G_s is used; null is 2.4 times the second natural frequency, at "
+        "most high_hz",
+        "Hz",
+        above=0,
+        below=10000,
+    )
+    rates_hz: tuple[float, float, float] = setting(
+        (5000.0, 2000.0, 2000.0),
+        "Sampling rates of axle box, bogie and body",
+        "Hz",
+        above=0,
+        most=1e6,
+    )
+    cache_dir: str | None = setting(
+        ".cache/suspnet",
+        "Folder where features of curves are kept between runs; null keeps none",
+        rule="path",
+    )
 
     def __post_init__(self) -> None:
         check_counts(self)
-        check_number("data.speed_m_per_s", self.speed_m_per_s, above=0.1, below=200)
-        check_number("data.speed_half_width", self.speed_half_width, low=0, below=0.5)
-        check_number("data.snr_db", self.snr_db, above=-20, below=200)
-        check_number("data.minutes", self.minutes, above=0, below=1e5)
-        check_number("data.low_hz", self.low_hz, above=0, below=1e4, optional=True)
-        check_number("data.high_hz", self.high_hz, above=0, below=1e4, optional=True)
-        check_number("data.body_high_hz", self.body_high_hz, above=0, below=1e4, optional=True)
-        check_choice("data.method", self.method, METHODS)
+        check_settings(self, "data")
         if len(self.rates_hz) != 3:
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
-        for i, rate_hz in enumerate(self.rates_hz):
-            check_number(f"data.rates_hz[{i}]", rate_hz, above=0, most=1e6)
-        check_flag("data.short_waves", self.short_waves)
         track_spectrum(self.track, self.short_waves)
-        check_number("data.segment_s", self.segment_s, above=0)
         highest = HIGHEST_HZ if self.high_hz is None else self.high_hz
         if highest * self.segment_s > MOST_BINS:
             raise ValueError(

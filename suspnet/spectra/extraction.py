@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, Protocol, Self
 import torch
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.peaks import PeakFit, PeakReason, Peaks, SmoothedCurves, check_grid, findpeaks
 
@@ -128,14 +128,6 @@ class PeakFeatures(FeatureSet):
     peaks : sequence of str
         From ``PEAK_NAMES``. `secondary` is the peak of abs(G_s); `primary_lower` and
         `primary_upper` those of abs(G_p) below and above it; `primary_largest` the paper's.
-    shape : {"lorentzian", "gaussian"}
-        Shape fitted to the top of each peak.
-    smoothing_hz : float, [Hz]
-        Length of the moving average.
-    low_hz, high_hz : float, [Hz]
-        Band in which peaks are searched.
-    window : float
-        Factor on the windows of all fits, > 0; the smaller, the closer to the top and the noisier.
 
     Raises
     ------
@@ -144,20 +136,36 @@ class PeakFeatures(FeatureSet):
     """
 
     peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
-    shape: Literal["lorentzian", "gaussian"] = "lorentzian"
-    smoothing_hz: float = 0.2
-    low_hz: float = 0.2
-    high_hz: float = 15.0
-    window: float = 1.0
+    shape: Literal["lorentzian", "gaussian"] = setting(
+        "lorentzian", "Shape fitted to the top of each peak, of feature_set=peaks"
+    )
+    smoothing_hz: float = setting(
+        0.2,
+        "Length of the moving average that finds the maximum of a peak",
+        "Hz",
+        above=0,
+        most=10000,
+    )
+    low_hz: float = setting(
+        0.2,
+        "Lower end of the band in which peaks are searched; below high_hz",
+        "Hz",
+        above=0,
+        most=10000,
+    )
+    high_hz: float = setting(15.0, "Upper end of that band", "Hz", above=0, most=10000)
+    window: float = setting(
+        1.0,
+        "Factor on the windows of the fits; a smaller one is closer to the top and noisier",
+        above=0,
+        most=100,
+    )
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.peaks if name not in PEAK_NAMES]
         if unknown or not self.peaks:
             raise ValueError(f"`peaks` must be chosen from {PEAK_NAMES}, got {list(self.peaks)}")
-        check_choice("shape", self.shape, ("lorentzian", "gaussian"))
-        check_number("smoothing_hz", self.smoothing_hz, above=0, most=1e4)
-        for name, most in (("low_hz", 1e4), ("high_hz", 1e4), ("window", 100)):
-            check_number(name, getattr(self, name), above=0, most=most)
+        check_settings(self)
         if not self.low_hz < self.high_hz:
             raise ValueError(f"need low_hz < high_hz, got {self.low_hz} and {self.high_hz}")
 

@@ -14,12 +14,12 @@ from typing import Any, Literal
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.limits import TIGHTEST, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
 from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.history import History
@@ -75,21 +75,12 @@ class FleetSettings:
     Parameters
     ----------
     trips : TripSettings
-    reference : {"vehicle", "first_trips"}
-        Healthy values: the vehicle's parameters, or the median of its first trips.
-    n_reference : int
-        Number of first trips.
     limits : mapping, optional
         In place of the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
         relative to healthy, and `why`. What is not there or None is as the vehicle's; a parameter
         that is None raises no alarm.
     changes : ChangeSettings
         How changes are looked for.
-    workers : int
-        Local processes.
-    cluster : str, optional
-        Address of a dask scheduler, e.g. tcp://host:8786, or "local" for one on this machine;
-        None uses local processes.
 
     Raises
     ------
@@ -98,17 +89,27 @@ class FleetSettings:
     """
 
     trips: TripSettings
-    reference: Literal["vehicle", "first_trips"] = "vehicle"
-    n_reference: int = 5
-    workers: int = 1
-    cluster: str | None = None
+    reference: Literal["vehicle", "first_trips"] = setting(
+        "vehicle",
+        "What counts as healthy: the parameters of the vehicle, or what its first trips show",
+    )
+    n_reference: int = setting(
+        5, "Number of first trips, for reference=first_trips", low=1, most=1024
+    )
+    workers: int = setting(
+        1, "Number of processes on this machine that read trips", low=1, most=1024
+    )
+    cluster: str | None = setting(
+        None,
+        "Address of a dask scheduler that reads trips instead, tcp://host:8786, or local; null "
+        "is none",
+        rule="text",
+    )
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
 
     def __post_init__(self) -> None:
-        check_choice("reference", self.reference, ("vehicle", "first_trips"))
-        for name in ("n_reference", "workers"):
-            check_number(name, getattr(self, name), low=1, most=1024, whole=True)
+        check_settings(self)
         any_limits = dict.fromkeys(PARAMETERS, TIGHTEST)
         read_limits(self.limits or {}, any_limits)  # whatever the vehicle's are
         if self.cluster is not None and not HAS_DASK:

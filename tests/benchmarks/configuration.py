@@ -10,8 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from suspnet.cli import program  # makes our resolvers and tables known to Hydra
-from suspnet.cli.comments import read_comments
-from suspnet.cli.configs import TABLES
+from suspnet.cli.config_files import TABLES, read_comments
 from suspnet.cli.reference import Group, Key, Reference, changes, text
 
 CONFIGS = Path(program.CONFIGS)
@@ -105,12 +104,12 @@ def of_group(group: Group, configs: Mapping[str, Reference]) -> str:
     for name, rows in found.items():
         if not rows:
             continue
-        class_ = OmegaConf.select(configs[name].config, f"{group.name}._target_")
+        kind = OmegaConf.select(configs[name].config, f"{group.name}.kind")
         leader = name
         for other in alike:
             shown = {told(key) for key in found[other]}
-            same = OmegaConf.select(configs[other].config, f"{group.name}._target_") == class_
-            if same or {told(key) for key in rows} <= shown:
+            same = OmegaConf.select(configs[other].config, f"{group.name}.kind") == kind
+            if group.name != "study" and (same or {told(key) for key in rows} <= shown):
                 leader, rows = other, [key for key in rows if told(key) not in shown]
                 break
         alike.setdefault(leader, []).append(name)

@@ -20,9 +20,9 @@ from pathlib import Path
 import torch
 from cells import Parser, Row, at_least
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from tabulate import tabulate
 
+from suspnet.cli.kinds import build
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.problem import Problem
 from suspnet.runs.reliability import IN_RANGE, Reliability, measure
@@ -48,12 +48,12 @@ def reliability(model: str, protocol: str, group: str, options: argparse.Namespa
     ]
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         config = compose("train", overrides)
-    task = instantiate(config.protocol).task(group)
+    task = build(config, "protocol").task(group)
     problem = Problem(
-        instantiate(config.generator), task, instantiate(config.data), config.seed, options.threads
+        build(config, "generator"), task, build(config, "data"), config.seed, options.threads
     )
     with tempfile.TemporaryDirectory() as folder:
-        train(problem, instantiate(config.model), Path(folder), figures=False)
+        train(problem, build(config, "model"), Path(folder), figures=False)
         trained = load_model(folder)
     settings = replace(trained.settings, n_test=options.n_test)
     fresh = Problem(trained.generator, trained.task, settings, options.seed, options.threads)

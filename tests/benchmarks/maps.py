@@ -13,6 +13,7 @@ import itertools
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import joblib
@@ -35,8 +36,8 @@ MAPS = [
 def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
     """Write scaled training and test data, made as train.py does."""
     from hydra import compose, initialize_config_dir
-    from hydra.utils import instantiate
 
+    from suspnet.cli.kinds import build
     from suspnet.estimation.problem import TEST, TRAIN, Problem
     from suspnet.runs.fit import scalings
 
@@ -49,12 +50,10 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
                 f"data.cache_dir={ROOT / '.cache' / 'suspnet'}",
             ],
         )
-    task = instantiate(config.protocol).task(group)
+    task = build(config, "protocol").task(group)
     n_train = "all" if n >= task.grid_size else n
-    settings = instantiate(config.data, n_train=n_train, n_test=4000)
-    problem = Problem(
-        instantiate(config.generator), task, settings, config.seed, joblib.cpu_count()
-    )
+    settings = replace(build(config, "data"), n_train=n_train, n_test=4000)
+    problem = Problem(build(config, "generator"), task, settings, config.seed, joblib.cpu_count())
     train = problem.features(TRAIN).complete()
     test = problem.features(TEST).complete()
     inputs, outputs = scalings(task, train)

@@ -22,8 +22,9 @@ import numpy as np
 import torch
 from cells import Parser, Row, at_least
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from tabulate import tabulate
+
+from suspnet.cli.kinds import build
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -128,7 +129,7 @@ def made(options, case: Case, folder: Path) -> Trips:
         write_train_trips(folder, train, ratios, fleet, options.seed, sides)
         return Trips(case, find_manifests(folder), truth, options.healthy)
     config = configuration(options, case)
-    settings = instantiate(config.data).bound(instantiate(config.generator).vehicle)
+    settings = build(config, "data").bound(build(config, "generator").vehicle)
     drawn = drawn_estimates(train, ratios, settings, options.seed, case.sides)
     parts = zip(drawn.auto, drawn.cross, strict=True)
     return Trips(case, [CrossSpectra(*p, drawn.n_averages) for p in parts], truth, options.healthy)
@@ -136,7 +137,7 @@ def made(options, case: Case, folder: Path) -> Trips:
 
 def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     """Return the vehicle that the healthy trips show."""
-    generator, settings = instantiate(config.generator), instantiate(config.data)
+    generator, settings = build(config, "generator"), build(config, "data")
     if isinstance(trips.given[0], Path):
         n_first = trips.n_healthy
         return commission_folder(folder, generator, settings, TripSettings(), n_first=n_first)[1]
@@ -156,12 +157,12 @@ def trained(
 
     A commissioned vehicle's model knows what its healthy trips leave unexplained.
     """
-    task, settings = instantiate(config.protocol).task(config.group), instantiate(config.data)
+    task, settings = build(config, "protocol").task(config.group), build(config, "data")
     problem = Problem(generator, task, settings, seed=config.seed)
     start = time.process_time()
     problem.features(TRAIN)
     model = calibrated(
-        problem, replace(fit(problem, instantiate(config.model), None), refined=refined)
+        problem, replace(fit(problem, build(config, "model"), None), refined=refined)
     )
     if vehicle is not None:
         model = with_unexplained(problem, model, vehicle.residual)
@@ -247,7 +248,7 @@ def nominal(options, case: Case) -> tuple[TrainedModel, float]:
     """Return the model of the vehicle file's numbers, the same one for cases of the same sides."""
     if case.sides not in _NOMINAL:
         config = configuration(options, Case(), "generator.parts=[]")
-        _NOMINAL[case.sides] = trained(config, instantiate(config.generator), False)
+        _NOMINAL[case.sides] = trained(config, build(config, "generator"), False)
     return _NOMINAL[case.sides]
 
 

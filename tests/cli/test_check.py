@@ -19,8 +19,9 @@ from dying_readers import open_dying
 from matplotlib.image import imread
 from trip_fixtures import changed, signal, small_fleet
 
-from suspnet.cli import check, init
-from suspnet.cli.configs import CONFIGS, read_vehicles
+from suspnet.cli import check, options
+from suspnet.cli.config_files import CONFIGS
+from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.ledger import LEDGER
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import find_trips, read_manifest
@@ -332,7 +333,7 @@ def test_program_explains_itself():
 
 
 def test_commands_of_the_docs_are_understood():
-    parsers = {"suspnet-check": check.parser(), "suspnet-init": init.parser()}
+    parsers = {"suspnet-check": options.check_parser(), "suspnet-init": options.init_parser()}
     found = []
     for page in (ROOT / "docs").glob("*.md"):
         for line in page.read_text(encoding="utf-8").splitlines():

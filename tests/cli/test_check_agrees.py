@@ -11,7 +11,7 @@ from cli_runner import typed
 from trip_fixtures import changed, model_at, write_trips
 
 from suspnet.cli import check
-from suspnet.cli.configs import read_vehicles
+from suspnet.cli.kinds import read_vehicles
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.records import NO_ESTIMATE, OK

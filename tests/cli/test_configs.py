@@ -1,15 +1,16 @@
 """Every configuration composes, instantiates and agrees with its class."""
 
 import inspect
+import re
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.utils import get_object, instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli.configs import TABLES, read_protocol, read_vehicles
+from suspnet.cli.config_files import TABLES
+from suspnet.cli.kinds import KINDS, PARTS, build, class_of, read_protocol, read_vehicles
 from suspnet.cli.trusted import check_configuration
 from suspnet.dynamics import Vehicle, VerticalVehicle, best_generator
 from suspnet.dynamics.vehicle import GEOMETRY
@@ -45,11 +46,17 @@ OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""
 
 
-def targets(node):
-    """Return every mapping with a `_target_` at or below a node."""
-    found = [node] if isinstance(node, dict) and "_target_" in node else []
-    parts = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
-    return found + [target for part in parts for target in targets(part)]
+def objects(config):
+    """Return place and settings of every object that is configured."""
+    found = [(key, node) for key, node in config.items() if key in KINDS and isinstance(node, dict)]
+    found = [one for one in found if one[0] != "data" or "kind" in one[1]]  # evaluate.py's has none
+    parts = [
+        (key, node[key])
+        for place, node in found
+        for key in PARTS.get(place, ())
+        if isinstance(node.get(key), dict)
+    ]
+    return found + parts
 
 
 def composed(*overrides, name="train"):
@@ -62,10 +69,10 @@ def composed(*overrides, name="train"):
 @pytest.mark.parametrize("protocol", NAMES["protocol"])
 def test_every_model_instantiates_under_every_protocol(name, protocol):
     config = composed(f"model={name}", f"protocol={protocol}")
-    groups = instantiate(config.protocol).groups
+    groups = build(config, "protocol").groups
     for group in groups:
         config.group = group
-        assert type(instantiate(config.model)) is METHODS[name.removesuffix("_table5")]
+        assert type(build(config, "model")) is METHODS[name.removesuffix("_table5")]
 
 
 @pytest.mark.parametrize(("group", "name"), OPTIONS)
@@ -80,20 +87,17 @@ def test_programs_and_bases_show_the_same_defaults():
     check_arguments(OmegaConf.to_container(composed(name="serve"), resolve=False))
     base = OmegaConf.to_container(OmegaConf.load(CONFIGS / "base" / "protocol.yaml"))
     first = OmegaConf.to_container(OmegaConf.load(CONFIGS / "scenarios.yaml")).pop("healthy")
-    for node in (base, first):
-        check_arguments(node, of_the_option=())
+    check_arguments({"protocol": base, "scenario": first}, of_the_option=())
 
 
 def check_arguments(config, of_the_option=OF_THE_OPTION):
     """Assert that every object of a configuration has the arguments and defaults of its class."""
-    for node in targets(config):
-        target = get_object(node.pop("_target_"))
-        node.pop("_convert_", None)
+    for place, settings in objects(config):
+        node = dict(settings)
+        target = class_of(place, node.pop("kind", None))
         if target is best_generator:
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
-        if "folder" not in node:
-            parameters.pop("folder", None)  # which the program gives a study
         optional = (*GEOMETRY, "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:
@@ -104,7 +108,7 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
                 continue
             if isinstance(value, dict) and not defaults[key]:
                 continue  # spelled out; nothing stands for the same, see the next tests
-            if isinstance(value, dict) and "_target_" in value:
+            if key in PARTS.get(place, ()):
                 continue  # an object of its own, which is checked by itself
             if target is VerticalVehicle and key == "parts" and value:
                 continue  # what generator=family is there to change, see below
@@ -131,7 +135,7 @@ def plain(value):
 
 def test_mappings_that_are_spelled_out_say_what_their_class_does_without():
     config = composed(name="simulate")
-    fleet = instantiate(config.fleet)
+    fleet = build(config, "fleet")
     assert fleet.loggers() == replace(fleet, sensors=None).loggers()
 
 
@@ -156,23 +160,21 @@ def test_protocol_file_shows_every_setting_of_peaks_and_its_default(name):
 def test_every_ablation_composes_with_trusted_targets(name):
     config = composed("experiment=ablation", f"ablation={name}")
     check_configuration(config)
-    assert instantiate(config.protocol).task(config.group).outputs
-    assert type(instantiate(config.model)) is METHODS["msvr"]
-    assert instantiate(config.data).n_calibrate is None
+    assert build(config, "protocol").task(config.group).outputs
+    assert type(build(config, "model")) is METHODS["msvr"]
+    assert build(config, "data").n_calibrate is None
 
 
 def test_vehicles_are_read_from_their_files():
     vehicles = read_vehicles()
     assert list(vehicles) == NAMES["vehicle"]
     for name in ("am96", "sedan"):
-        assert vehicles[name] == instantiate(composed(f"vehicle={name}").vehicle)
-    found = instantiate(composed("study=reliability", "run=x", name="evaluate").study.others)
-    assert found == vehicles
+        assert vehicles[name] == build(composed(f"vehicle={name}"), "vehicle")
 
 
 @pytest.mark.parametrize("name", NAMES["vehicle"])
 def test_every_vehicle_is_valid_and_names_its_source(name):
-    vehicle = instantiate(composed(f"vehicle={name}").vehicle)
+    vehicle = build(composed(f"vehicle={name}"), "vehicle")
     assert vehicle.name == name
     assert vehicle.source
 
@@ -180,7 +182,7 @@ def test_every_vehicle_is_valid_and_names_its_source(name):
 @pytest.mark.parametrize("name", NAMES["protocol"])
 def test_every_protocol_has_tuned_values_for_its_groups(name):
     config = composed(f"protocol={name}")
-    protocol = instantiate(config.protocol)
+    protocol = build(config, "protocol")
     assert isinstance(protocol, Protocol)
     assert protocol.name == name
     assert set(config.tuned) == set(protocol.groups) == set(config.groups.split(","))
@@ -203,7 +205,7 @@ def test_tuned_values_lie_in_table_v_or_in_the_widened_box(protocol):
 
 
 def test_widened_search_tells_why_a_cap_is_one():
-    search = instantiate(composed("search=widened").search)
+    search = build(composed("search=widened"), "search")
     assert search.widen > 0
     assert set(search.grids) == {"msvr", "svr", "mvgpr"}
     assert all(cap["reason"] for caps in search.caps.values() for cap in caps.values())
@@ -233,10 +235,29 @@ def test_command_line_beats_experiment():
     assert composed("experiment=table6", "data.n_train=77").data.n_train == 77
 
 
-def test_foreign_target_is_rejected():
-    config = composed("model._target_=os.system")
-    with pytest.raises(ValueError, match=r"got 'os\.system', which is not trusted"):
-        check_configuration(config)
+def test_target_is_refused_with_the_kind_that_replaces_it():
+    for target, way in {
+        "model._target_=os.system": "write `kind: ...` with one of curve_fit, linear, msvr",
+        "model._target_=suspnet.learning.MSVR": "write `kind: msvr` instead",
+        "+vehicle._target_=suspnet.dynamics.Vehicle": "delete this line",
+        "+protocol._convert_=all": "delete this line",
+        "+seed_of._target_=os.system": "nothing is built here",
+    }.items():
+        config = composed(f"+{target}".replace("++", "+"))
+        with pytest.raises(ValueError, match=rf"not trusted: {re.escape(way)}"):
+            check_configuration(config)
+
+
+@pytest.mark.parametrize("kind", ["svm", "null", "[msvr]", "suspnet.learning.MSVR"])
+def test_unknown_kind_is_refused_with_those_there_are(kind):
+    with pytest.raises(ValueError, match=r"`model\.kind` must be one of curve_fit, linear, msvr"):
+        check_configuration(composed(f"model.kind={kind}"))
+
+
+def test_every_kind_is_a_class_or_function_of_ours():
+    for place, kinds in KINDS.items():
+        for kind in kinds:
+            assert class_of(place, kind).__module__.startswith("suspnet.")
 
 
 def test_evaluate_composes_with_and_without_a_protocol():
@@ -255,7 +276,7 @@ def test_slurm_preset_asks_for_modest_jobs():
 
 @pytest.mark.parametrize("name", NAMES["protocol"])
 def test_protocol_by_name_is_that_of_the_command_line(name):
-    protocol, composed_one = read_protocol(name), instantiate(composed(f"protocol={name}").protocol)
+    protocol, composed_one = read_protocol(name), build(composed(f"protocol={name}"), "protocol")
     assert vars(protocol) == vars(composed_one)
     assert all(protocol.task(group) == composed_one.task(group) for group in protocol.groups)
 

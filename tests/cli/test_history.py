@@ -4,7 +4,9 @@ import pyarrow.parquet as pq
 import pytest
 from trip_records import fleet, trip
 
-from suspnet.cli.history import history, main, parser
+from suspnet.cli import program
+from suspnet.cli.history import history
+from suspnet.cli.options import history_parser
 from suspnet.ground.limits import Severity
 from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
@@ -25,7 +27,7 @@ def path(tmp_path):
 
 
 def run(path, *arguments):
-    history(parser().parse_args([str(path), *arguments]))
+    history(history_parser().parse_args([str(path), *arguments]))
 
 
 def test_list_names_each_suspension_with_trips_and_maintenance(path, capsys):
@@ -121,6 +123,6 @@ def test_a_mistake_is_one_line_and_makes_no_file(tmp_path, monkeypatch, capsys):
     path = tmp_path / "nothing.db"
     monkeypatch.setattr("sys.argv", ["suspnet-history", str(path), "list"])
     with pytest.raises(SystemExit) as ended:
-        main()
+        program.main("history")
     assert "there is no such file; evaluate.py" in str(ended.value.code)
     assert not path.exists()

@@ -57,7 +57,7 @@ def program(built, tmp_path_factory):
     def run(name, *arguments, cwd):
         return ran([site / "bin" / name, *arguments], cwd, PYTHONPATH=str(site))
 
-    where = "import suspnet.cli.configs as c; print(c.CONFIGS)"
+    where = "import suspnet.cli.config_files as c; print(c.CONFIGS)"
     found = ran([sys.executable, "-c", where], site, PYTHONPATH=str(site))
     assert found.strip() == str(site / "suspnet" / "configs")
     return run
@@ -85,7 +85,7 @@ def test_wheel_and_source_distribution_hold_every_file(built):
 
 
 def test_installed_program_finds_its_configuration(program, tmp_path):
-    assert "_target_: suspnet.learning.MSVR" in program("suspnet-train", "--cfg=job", cwd=tmp_path)
+    assert "kind: msvr" in program("suspnet-train", "--cfg=job", cwd=tmp_path)
     assert not list(tmp_path.iterdir())
 
 

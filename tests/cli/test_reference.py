@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 from cli_runner import typed
 from hydra import compose, initialize_config_dir
-from hydra.errors import InstantiationException
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from suspnet.cli import check, evaluate, init, simulate, train
-from suspnet.cli.comments import phrase, read_comments
-from suspnet.cli.configs import CONFIGS
+from suspnet.cli import check, evaluate, init, options, simulate, train
+from suspnet.cli.config_files import CONFIGS, phrase, read_comments
+from suspnet.cli.config_values import SWITCHES
+from suspnet.cli.kinds import KINDS, build, class_of
 from suspnet.cli.program import n_threads
-from suspnet.cli.reference import COLUMNS, Reference
-from suspnet.cli.values import SWITCHES
+from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
+from suspnet.ground.settings import settings_of
 from suspnet.simulation.scatter import scattered
+from suspnet.simulation.signals import Sensor
+from suspnet.spectra.components import CurveFeatures
+from suspnet.spectra.extraction import PeakFeatures
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import configuration
@@ -49,6 +51,8 @@ BUILT = {
     ("evaluate", "run=x"): ("monitor",),
     ("simulate", "scenario=healthy"): ("fleet", "scenario"),
     ("replay", "sink=mqtt"): ("sink",),
+    ("monitor", "run=x"): ("live", "source", "monitor"),
+    ("serve", "store=x"): ("plan", "sisters", "changes"),
 }
 """Command lines with the beginnings of keys that the objects of their sections check."""
 UNCHECKED = {"cache_size_mb", "n_jobs", "random_state", "nominal", "distribution", "limits", "seed"}
@@ -183,6 +187,25 @@ def test_switches_are_those_called_so():
             assert is_switch == (key.limits == "true or false"), key
 
 
+def declared():
+    """Yield place, kind, path and class of everything that declares settings."""
+    for place, kinds in KINDS.items():
+        for kind in kinds:
+            if (
+                place not in ("generator",) or kind == "vertical_vehicle"
+            ):  # the others hand theirs on
+                yield place, kind, (), class_of(place, kind)
+    yield "protocol", "", ("features",), PeakFeatures
+    yield "protocol", "", ("curve",), CurveFeatures
+    yield "fleet", "", ("sensors", "axle_box"), Sensor
+
+
+@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declared()], ids=str)
+def test_comments_of_configurations_are_those_of_the_declaration(place, kind, path, class_):
+    for name, one in settings_of(class_).items():
+        assert _of_kinds()[place, kind, (*path, name)] == one.text, (place, kind, name)
+
+
 def refused(config, section, key, value):
     """Return what an object says of a value of a key, if it says that it must be another one."""
     config = copy.deepcopy(config)
@@ -190,10 +213,10 @@ def refused(config, section, key, value):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            built = instantiate(config[section])
+            built = build(config, section)
             if hasattr(built, "fit"):
                 built.fit(np.arange(8.0)[:, None], np.arange(16.0).reshape(8, 2))
-    except (ValueError, TypeError, InstantiationException) as error:
+    except (ValueError, TypeError) as error:
         name = key.name.rpartition(".")[2]
         found = re.search(rf"`(?:\w+\.)*{name}(?:\[\d\])?` must be ([^\n]*)", str(error))
         return found and found[1]
@@ -203,8 +226,8 @@ def refused(config, section, key, value):
 def points(limits):
     """Return values at the ends of a range, and values beyond them."""
     parts = limits.split("; ")
-    step = 1 if "whole number" in parts else 1e-6
-    kind = int if "whole number" in parts else float
+    is_whole = limits.startswith("whole number")
+    step, kind = (1, int) if is_whole else (1e-6, float)
     inside, outside = [], []
     for part in parts:
         found = RANGE.fullmatch(part)
@@ -243,6 +266,7 @@ def test_ranges_are_those_of_the_checks(line, sections):
         inside, outside = points(key.limits)
         words = choices(key.limits)
         is_checked = any(key.name.startswith(f"{one}.") for one in sections)
+        is_checked = is_checked and not key.value.startswith("{")
         if not is_checked or name in UNCHECKED or not (outside or words):
             continue
         n_checked += 1
@@ -273,7 +297,7 @@ def test_ranges_of_the_programs_are_those_of_their_checks(quarter_car):
 
 @pytest.mark.parametrize("module", [check, init], ids=lambda one: one.__name__)
 def test_options_of_plain_programs_tell_unit_or_range(module):
-    for action in module.parser()._actions:
+    for action in options.PARSERS[module.__name__.rpartition(".")[2]]()._actions:
         if action.dest != "help":
             assert re.fullmatch(r".* \[[^\[\]]+\]", action.help), action
     assert "[" in typed(module, "--help", cwd=".").stdout

@@ -15,14 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 from cli_runner import ROOT, command, python, run_program, typed
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from trip_fixtures import RATES_HZ, changed, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, simulate, train
-from suspnet.cli.named_runs import named_runs
+from suspnet.cli.kinds import build, named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
 from suspnet.ground.limits import Severity
@@ -214,7 +213,7 @@ def test_fleet_unless_told_otherwise_is_a_scattered_vehicle_with_sensors_on_both
     assert columns == 3 * [["left", "right"]]
     truth = json.loads((trips / "truth.json").read_text())
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        generator = instantiate(compose("simulate").generator)
+        generator = build(compose("simulate"), "generator")
     assert (
         truth["parts"] == list(generator.parts) == [part for part in PARTS if part != "air_spring"]
     )
@@ -499,7 +498,7 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             ["trips={trips}", "monitor.trips.min_averages=x"],
             r"`trips\.min_averages` must be a finite num",
         ),
-        (["trips={trips}", "monitor._target_=os.system"], "got 'os.system', which is not trusted"),
+        (["trips={trips}", "+monitor._target_=os.system"], "'os.system' is not trusted"),
     ],
 )
 def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, message):
@@ -546,7 +545,7 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["fleet.sides=up"], r"`sides` must be one of \('both', 'left'\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
-        (["fleet._target_=os.system"], "got 'os.system', which is not trusted"),
+        (["+fleet._target_=os.system"], "'os.system' is not trusted"),
         (["cars=2"], "cars=2 is of a fleet of trains: give trains= too"),
         (["n_wearing=0"], "n_wearing=0 is of a fleet of trains: give trains= too"),
         (["trains=0"], "`trains` must be a whole number >= 1"),

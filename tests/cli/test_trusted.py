@@ -13,12 +13,13 @@ from hydra.types import RunMode
 from hydra.utils import get_object
 
 from suspnet.cli import evaluate, simulate, train, trusted
+from suspnet.cli.kinds import KINDS
 
 RUNSTRING = (
     "{_target_: suspnet.estimation.checkpoint.np.testing.runstring, "
     "astr: \"open('MARKER', 'w')\", dict: {}}"
 )
-TOUCH = "{_target_: suspnet.cli.configs.Path.touch, _args_: [MARKER]}"
+TOUCH = "{_target_: suspnet.cli.config_files.Path.touch, _args_: [MARKER]}"
 UNLINK = "{_target_: suspnet.simulation.writing.Path.unlink, _args_: [VICTIM]}"
 LOAD = "{_target_: suspnet.ground.tensors.torch.load, _args_: [PICKLE], weights_only: false}"
 WRITE = (
@@ -130,13 +131,13 @@ PAYLOADS = [
     ),
     in_experiment(
         "created_from_text",
-        'model: "${oc.create:{_target_:suspnet.cli.configs.Path.touch,_args_:[MARKER]}}"',
+        'model: "${oc.create:{_target_:suspnet.cli.config_files.Path.touch,_args_:[MARKER]}}"',
     ),
     in_experiment("decoded", f'payload: "{TOUCH}"\nmodel: ${{oc.decode:${{payload}}}}'),
     in_experiment("hidden_resolver", f'r: oc\np: "{TOUCH}"\nmodel: ${{${{r}}.create:${{p}}}}'),
     in_experiment(
         "target_elsewhere",
-        "t: suspnet.cli.configs.Path.touch\nmodel: {_target_: '${t}', _args_: [MARKER]}",
+        "t: suspnet.cli.config_files.Path.touch\nmodel: {_target_: '${t}', _args_: [MARKER]}",
     ),
     in_experiment(
         "target_in_parts",
@@ -352,7 +353,7 @@ def is_refused(ended, folder, cwd):
 def test_payload_is_refused_before_anything_is_done(payload, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     arguments, cwd = laid_out(payload, tmp_path)
-    evil = {"EVIL": "suspnet.cli.configs.Path.touch"}
+    evil = {"EVIL": "suspnet.cli.config_files.Path.touch"}
     small = SMALL if payload.program == "train" else []
     ended = typed(PROGRAMS[payload.program], *arguments, *small, cwd=cwd, **evil)
     is_refused(ended, tmp_path, cwd)
@@ -375,9 +376,8 @@ def test_payload_is_refused_in_a_process(name, tmp_path):
     is_refused(command("train.py", *arguments, *SMALL, cwd=cwd), tmp_path, cwd)
 
 
-def test_every_trusted_name_is_a_class_or_function_of_ours():
-    shipped = [name for names in trusted.TARGETS.values() for name in names]
-    for name in (*shipped, *trusted.CALLBACKS):
+def test_every_trusted_name_is_a_class_of_ours_or_of_hydra():
+    for name in trusted.CALLBACKS:
         assert callable(get_object(name))
         assert name.startswith("suspnet.")
     for name in (*trusted.SWEEPERS, trusted.LAUNCHERS[0]):
@@ -422,7 +422,7 @@ def test_what_is_documented_is_allowed(arguments):
     with initialize_config_dir(version_base="1.3", config_dir=trusted.CONFIGS):
         loader = trusted.CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
         found = loader.load_configuration("train", [*arguments], RunMode.MULTIRUN)
-    assert found.model._target_ in trusted.TARGETS["model"]
+    assert found.model.kind in KINDS["model"]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ import re
 
 import pytest
 
-from suspnet.cli.configs import CONFIGS, read_vehicles
+from suspnet.cli.config_files import CONFIGS
+from suspnet.cli.kinds import read_vehicles
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY
 from suspnet.ground.limits import DEFAULT_LIMITS

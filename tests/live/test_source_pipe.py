@@ -138,8 +138,3 @@ def test_frames_of_another_process_are_read():
         [sys.executable, "-c", script], input=data, capture_output=True, check=True
     )
     assert done.stdout.decode() == "50 {'foreign': 49}\n"
-
-
-def test_buffer_out_of_range_is_refused():
-    with pytest.raises(ValueError, match="`buffer_mb` must be"):
-        Pipe(0)

@@ -339,21 +339,6 @@ def test_any_numbers_give_places_in_order(data):
 # failure
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("km_per_false_alarm", 0.0),
-        ("n_reference", 7),
-        ("n_reference", 1001),
-        ("correlation", 0.7),
-        ("seed", -1),
-    ],
-)
-def test_settings_out_of_range_are_refused(name, value):
-    with pytest.raises(ValueError, match=f"`{name}` must be"):
-        ChangeSettings(**{name: value})
-
-
 @pytest.mark.parametrize("what", ["values", "covariates", "widths", "usable"])
 def test_arrays_of_another_length_are_refused(what):
     given = {"values": {"k_p": np.ones(30)}, "covariates": {}, "settings": SETTINGS}

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from trip_fixtures import AM96
 
+from suspnet.cli.kinds import build
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS
 from suspnet.dynamics.track import make_profile
@@ -42,7 +42,7 @@ def simulated(vehicle, state="healthy"):
     """Return a generator and the signals of a short trip of it, as configured."""
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         config = compose("train", ["experiment=trips", f"vehicle={vehicle}"])
-    return signals_of(instantiate(config.generator), config.speed_m_per_s, config.track, state)
+    return signals_of(build(config, "generator"), config.speed_m_per_s, config.track, state)
 
 
 def signals_of(generator, speed, track="german_low", state="healthy"):

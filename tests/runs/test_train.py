@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 
+from suspnet.cli.kinds import build
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
@@ -36,14 +36,14 @@ def trained(model, protocol, group, cache, folder, *overrides, residual=None):
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         chosen = [f"protocol={protocol}", f"group={group}", f"model={model}", *overrides]
         config = compose("train", overrides=[*chosen, f"data.cache_dir={cache}"])
-    task = instantiate(config.protocol).task(group)
+    task = build(config, "protocol").task(group)
     problem = Problem(
-        instantiate(config.generator), task, instantiate(config.data), config.seed, progress=False
+        build(config, "generator"), task, build(config, "data"), config.seed, progress=False
     )
     chosen = residual and residual(len(problem.settings.frequencies_hz()))
     return train(
         problem,
-        instantiate(config.model),
+        build(config, "model"),
         folder,
         figures=False,
         context=RunContext(residual=chosen),

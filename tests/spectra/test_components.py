@@ -329,20 +329,6 @@ def test_curves_are_left_untouched():
 # failure
 
 
-@pytest.mark.parametrize("value", [0, -1, 1.5, True, "3"])
-def test_numbers_of_components_that_are_none_are_rejected(value):
-    with pytest.raises(
-        (TypeError, ValueError), match="`n_components` must be a whole number >= 1 or null"
-    ):
-        CurveFeatures(n_components=value)
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0, -0.5, math.nan])
-def test_shares_out_of_range_are_rejected(value):
-    with pytest.raises(ValueError, match="`explained` must be a finite number > 0 and < 1"):
-        CurveFeatures(explained=value)
-
-
 def test_more_components_than_curves_are_rejected():
     with pytest.raises(ValueError, match="6 components were asked for, 5 curves on 84 bins have"):
         CurveFeatures(6).fitted(CLEAN[:5], NOISY[:5], HEALTHY, FREQUENCIES)

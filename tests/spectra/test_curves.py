@@ -371,10 +371,8 @@ def test_cache_name_does_not_change_with_how_the_features_are_made(source, cache
         ({"n_train": 10.5}, TypeError, "`data.n_train` must be a whole number >= 1"),
         ({"n_test": True}, TypeError, "`data.n_test` must be a whole number >= 1"),
         ({"low_hz": "0.1"}, TypeError, "`data.low_hz` must be a finite number"),
-        ({"step_hz": 0.0}, ValueError, "`data.step_hz` must be a finite number > 0, got 0.0"),
         ({"step_hz": 0.2}, ValueError, "need data.step_hz <= data.low_hz .*got 0.2"),
         ({"low_hz": 30.0}, ValueError, "data.low_hz < data.high_hz"),
-        ({"high_hz": math.nan}, ValueError, "`data.high_hz` must be a finite number > 0, got nan"),
     ],
 )
 def test_settings_out_of_range_are_rejected(setting, error, message):

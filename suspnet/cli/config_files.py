@@ -1,4 +1,4 @@
-"""What the comments of a configuration file say of its keys, and of itself.
+"""The files of configurations: where they are, what they may hold, what their comments say.
 
 The comment lines right above a key, at its indentation, are a sentence on the key, which ends with
 its unit and range in brackets: ``# Length of a trip [min; above 0]``. The first comment of a file
@@ -15,6 +15,72 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
+
+from suspnet.ground.storage import read_plain
+from suspnet.recordings.core_yaml import parse_yaml
+
+
+def _configs() -> str:
+    """Return the folder of the configurations: in the package if installed, else the checkout's."""
+    packaged = Path(__file__).parents[1] / "configs"
+    return str(packaged if packaged.is_dir() else packaged.parents[1] / "configs")
+
+
+CONFIGS = _configs()
+"""Absolute path of the folder that Hydra composes from."""
+MOST_INTERPOLATED = 2**13
+"""Largest number of characters of all texts with interpolations in a file."""
+TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
+"""File and package of each group whose options are the entries of one file."""
+
+
+def store_tables() -> None:
+    """Make each entry of ablations.yaml and scenarios.yaml an option of its group.
+
+    The first entry holds what all share; the others change it. A file GROUP/NAME.yaml in a folder
+    of the user's (`--config-dir`) is an option like any other.
+    """
+    for group, (file, package) in TABLES.items():
+        table = OmegaConf.load(Path(CONFIGS) / file)
+        first = next(iter(table))
+        for name, entry in table.items():
+            node = entry if name == first else {"defaults": [first, "_self_"], **entry}
+            ConfigStore.instance().store(name=str(name), node=node, group=group, package=package)
+
+
+def check_file(file: Path) -> None:
+    """Check that a configuration is a plain file which takes little time and memory to load.
+
+    Raises
+    ------
+    ValueError
+        If it waits, never ends, is no YAML without tags, grows by its aliases beyond what
+        `parse_yaml` reads, or holds more interpolations than are parsed in seconds.
+    """
+    content = read_plain(file)
+    try:
+        values = walk(parse_yaml(content.decode(errors="replace")), "")
+        texts = [one for _, _, one in values if isinstance(one, str) and "${" in one]
+        if sum(map(len, texts)) > MOST_INTERPOLATED:
+            raise ValueError(f"its interpolations have more than {MOST_INTERPOLATED} characters")
+    except ValueError as error:
+        raise ValueError(f"{file} is no configuration: {error}") from error
+
+
+def walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+    """Yield key, path and value of each value below a mapping or list."""
+    pairs: Any = ()
+    if isinstance(value, dict):
+        pairs = value.items()
+    elif isinstance(value, list):
+        pairs = enumerate(value)
+    for key, one in pairs:
+        name = f"{path}.{key}" if path else str(key)
+        yield str(key), name, one
+        yield from walk(one, name)
+
 
 Keys = tuple[str, ...]
 """A key with those that lead to it."""
@@ -35,15 +101,15 @@ class Comments:
     ----------
     above, behind : mapping
         From keys to the sentence on them, and to the comment on their value.
-    objects : mapping
-        From keys to the `_target_` right below them.
+    kinds : mapping
+        From keys to the `kind` right below them.
     names : list of str
         The outermost keys.
     """
 
     above: dict[Keys, str]
     behind: dict[Keys, str]
-    objects: dict[Keys, str]
+    kinds: dict[Keys, str]
     names: list[str]
 
 
@@ -68,8 +134,8 @@ def read_comments(file: Path) -> Comments:
             found.above[keys] = above
         if behind := BEHIND.search(lines[mark.line]):
             found.behind[keys] = behind[1]
-        if keys[-1] == "_target_":
-            found.objects[keys[:-1]] = str(value.value)
+        if keys[-1] == "kind":
+            found.kinds[keys[:-1]] = str(value.value)
         if len(keys) == 1:
             found.names.append(keys[0])
     return found

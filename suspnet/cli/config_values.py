@@ -1,4 +1,4 @@
-"""What a configuration may not decide: where files are written, and which machines hear of them.
+"""Values of a configuration: switches, numbers, and what only the command line may name.
 
 A configuration may come from someone else. The folders and stores that are written, and the hosts
 that samples, estimates and credentials go to, are therefore named by the user: on the command line,
@@ -13,10 +13,69 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+import yaml
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from suspnet.cli.configs import CONFIGS
+from suspnet.cli.config_files import CONFIGS, LOADER
+from suspnet.ground.checks import check_number
 from suspnet.live.broker import HOST_VARIABLE, LOCAL
+
+SWITCHES = frozenset(
+    {
+        "check_channels",
+        "distributed",
+        "estimate_mass",
+        "figures",
+        "fit_intercept",
+        "log_ratios",
+        "mass_known",
+        "once",
+        "open_browser",
+        "open_to_network",
+        "progress",
+        "refine",
+        "short_waves",
+        "tls",
+    }
+)
+"""Keys, wherever they stand, that are either on or off."""
+WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}
+"""What a switch may be called; Hydra's command line knows true and false only."""
+
+
+def read_values(config: DictConfig) -> None:
+    """Make each switch of a configuration a boolean; check that each number is a finite one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a switch is neither on nor off, or a number NaN, infinite or beyond `LARGEST` of
+        ``suspnet.ground.checks``.
+    """
+    stack: list[tuple[str, Any]] = [("", config)]
+    while stack:  # a configuration as written is a tree: each node is taken off once
+        path, node = stack.pop()
+        keys: Any = node.keys() if isinstance(node, DictConfig) else range(len(node))
+        for key in keys if not node._is_none() and not node._is_interpolation() else ():
+            if OmegaConf.is_interpolation(node, key) or OmegaConf.is_missing(node, key):
+                continue
+            name, value = f"{path}.{key}".lstrip("."), node[key]
+            if key in SWITCHES:
+                node[key] = _switch(name, value)
+            elif isinstance(value, DictConfig | ListConfig):
+                stack.append((name, value))
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                check_number(name, value)
+
+
+def _switch(name: str, value: Any) -> bool:
+    if isinstance(value, bool):
+        return value
+    known = WORDS.get(value.lower()) if isinstance(value, str) else None
+    if known is None:
+        raise ValueError(f"`{name}` must be one of {', '.join(WORDS)}; got {value!r}")
+    return known
+
 
 BROKERS = ("source", "sink")
 """Groups whose options speak with a broker, which they describe below `broker`."""
@@ -87,7 +146,6 @@ def _check_broker(group: str, option: Any, typed: Collection[str]) -> None:
 
 @functools.cache
 def _shipped_broker() -> dict[str, Any]:
-    """Return the settings of a broker as shipped."""
     shipped = OmegaConf.to_container(OmegaConf.load(Path(CONFIGS) / "base" / "broker.yaml"))
     assert isinstance(shipped, dict)
     return {str(key): value for key, value in shipped.items()}
@@ -118,15 +176,19 @@ def _check_places(config: DictConfig, typed: Collection[str]) -> None:
 
 
 @functools.cache
+def _shipped() -> list[tuple[Path, Any]]:
+    files = Path(CONFIGS).rglob("*.yaml")
+    return [(file, yaml.load(file.read_bytes(), LOADER)) for file in files]
+
+
+@functools.cache
 def _shipped_places(key: str) -> list[Any]:
     """Return the values of a key in the configurations as shipped, as written."""
     found = []
     group, _, rest = key.partition(".")
-    for file in Path(CONFIGS).rglob("*.yaml"):
-        content = OmegaConf.load(file)
-        parts = rest.split(".") if file.parent.name == group else key.split(".")
-        value: Any = OmegaConf.to_container(content, resolve=False)
-        for part in parts:
+    for file, content in _shipped():
+        value: Any = content
+        for part in rest.split(".") if file.parent.name == group else key.split("."):
             value = value.get(part) if isinstance(value, dict) else None
         if value is not None:
             found.append(value)

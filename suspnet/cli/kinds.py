@@ -1,0 +1,200 @@
+"""The registry of kinds: what a configuration may name, and the object that is built from it.
+
+A configuration names a kind of ours (``kind: msvr``) and gives its settings; it names nothing that
+is imported or called. The modules take seconds to import, so each one is when it is needed.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from suspnet.cli.config_files import CONFIGS, check_file
+from suspnet.ground.checks import check_choice
+from suspnet.ground.storage import read_plain
+
+if TYPE_CHECKING:
+    from suspnet.dynamics import Vehicle
+    from suspnet.estimation.protocols import Protocol
+
+KINDS: Mapping[str, Mapping[str, str]] = {
+    "data": {
+        "curves": "suspnet.spectra.curves.CurveSettings",
+        "trips": "suspnet.spectra.estimates.EstimateSettings",
+    },
+    "generator": {
+        "best": "suspnet.dynamics.best_generator",
+        "quarter_car": "suspnet.dynamics.QuarterCar",
+        "vertical_vehicle": "suspnet.dynamics.VerticalVehicle",
+    },
+    "model": {
+        "curve_fit": "suspnet.learning.CurveFit",
+        "linear": "suspnet.learning.LinearRegression",
+        "msvr": "suspnet.learning.MSVR",
+        "mvgpr": "suspnet.learning.MVGPR",
+        "svr": "suspnet.learning.SVR",
+    },
+    "sink": {
+        "folder": "suspnet.live.sinks.Folder",
+        "mqtt": "suspnet.live.sinks.MqttSink",
+        "stdout": "suspnet.live.sinks.StandardOutput",
+    },
+    "source": {
+        "folder": "suspnet.live.drop_folder.DropFolder",
+        "mqtt": "suspnet.live.mqtt.Mqtt",
+        "stdin": "suspnet.live.pipe.Pipe",
+    },
+    # where there is one kind only, a configuration need not name it
+    "broker": {"": "suspnet.live.broker.Broker"},
+    "changes": {"": "suspnet.maintenance.change.ChangeSettings"},
+    "costs": {"": "suspnet.maintenance.visit_costs.Costs"},
+    "fleet": {"": "suspnet.simulation.fleet.Fleet"},
+    "live": {"": "suspnet.live.suspension.LiveSettings"},
+    "monitor": {"": "suspnet.trips.fleet.FleetSettings"},
+    "order": {"": "suspnet.recordings.assembler.OrderSettings"},
+    "plan": {"": "suspnet.maintenance.plan_inputs.PlanSettings"},
+    "protocol": {"": "suspnet.estimation.protocols.Protocol"},
+    "scenario": {"": "suspnet.simulation.fleet.Scenario"},
+    "search": {"": "suspnet.learning.search.GridSearch"},
+    "sisters": {"": "suspnet.maintenance.sisters.SisterSettings"},
+    "trips": {"": "suspnet.estimation.from_recording.TripSettings"},
+    "vehicle": {"": "suspnet.dynamics.Vehicle"},
+}
+"""From the key below which an object is configured to its kinds, and to the class of each."""
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "generator": ("vehicle",),
+    "live": ("order",),
+    "monitor": ("changes", "trips"),
+    "plan": ("costs",),
+    "sink": ("broker",),
+    "source": ("broker",),
+}
+"""Keys of an object below which objects of their own are configured."""
+
+
+def build(config: DictConfig, name: str) -> Any:
+    """Return the object that is configured below a key, such as ``model`` or ``monitor.changes``.
+
+    Raises
+    ------
+    ValueError
+        If nothing is configured there, or a kind or a setting is unknown.
+    """
+    node, place = OmegaConf.select(config, name), name.rpartition(".")[2]
+    if not isinstance(node, DictConfig):
+        raise ValueError(f"`{name}` must be an option of the group {place}, got {node!r}")
+    return _built(plain(node), name)
+
+
+def plain(node: Any) -> Any:
+    """Return a value of a configuration as plain lists, mappings and values."""
+    if not OmegaConf.is_config(node):
+        return node
+    return OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+
+
+def class_of(place: str, kind: Any = None) -> Callable[..., Any]:
+    """Return what builds an object: the class of a kind, or the only one."""
+    home, _, name = KINDS[place][kind or ""].rpartition(".")
+    found: Callable[..., Any] = getattr(import_module(home), name)
+    return found
+
+
+def check_kind(name: str, values: Mapping[str, Any]) -> None:
+    """Raise ValueError unless what is configured below a key is of one of its kinds."""
+    kinds = KINDS[name.rpartition(".")[2]]
+    kind = values.get("kind", "")
+    if not isinstance(kind, str) or kind not in kinds:
+        rule = f"one of {', '.join(kinds)}" if "" not in kinds else "left out"
+        raise ValueError(f"`{name}.kind` must be {rule}, got {kind!r}")
+
+
+def new_name(place: str, target: Any) -> str:
+    """Return what stands in place of a ``_target_`` of an older configuration."""
+    kinds = KINDS.get(place, {})
+    if "" in kinds:
+        return "delete this line"
+    found = next((kind for kind, home in kinds.items() if home == target), None)
+    if found is not None:
+        return f"write `kind: {found}` instead"
+    return f"write `kind: ...` with one of {', '.join(kinds)}" if kinds else "nothing is built here"
+
+
+def _built(values: Mapping[str, Any], name: str) -> Any:
+    """Return an object of its settings, after those that are among them."""
+    check_kind(name, values)
+    place = name.rpartition(".")[2]
+    class_ = class_of(place, values.get("kind"))
+    arguments = {
+        key: _built(one, f"{name}.{key}")
+        if key in PARTS.get(place, ()) and isinstance(one, dict)
+        else one
+        for key, one in values.items()
+        if key != "kind"
+    }
+    known = inspect.signature(class_).parameters
+    unknown = [key for key in arguments if key not in known]
+    if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
+        raise ValueError(f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them")
+    return class_(**arguments)
+
+
+def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
+    """Return the vehicle of every file of the group `vehicle` of a folder, by the file's name.
+
+    Nothing else is built from the files, and nothing in them is interpolated.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a file is no vehicle's, or one of its numbers is missing or wrong.
+    """
+    vehicles: dict[str, Vehicle] = {}
+    for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
+        check_file(file)
+        content = OmegaConf.to_container(OmegaConf.create(read_plain(file).decode()), resolve=False)
+        # a road vehicle's file sets a speed and a track beside the vehicle
+        vehicle = content.get("vehicle", content) if isinstance(content, dict) else None
+        if not isinstance(vehicle, dict):
+            raise ValueError(f"{file} is no vehicle: its numbers are missing")
+        if "_target_" in vehicle:
+            way = new_name("vehicle", vehicle["_target_"])
+            raise ValueError(f"{file}: `_target_` is no longer used: {way}")
+        try:
+            vehicles[file.stem] = _built({str(key): vehicle[key] for key in vehicle}, "vehicle")
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{file}: {error}") from error
+    return vehicles
+
+
+def read_protocol(name: str) -> Protocol:
+    """Return one of the protocols that ``protocol=NAME`` chooses on the command line.
+
+    Raises
+    ------
+    ValueError
+        If `name` is none of them.
+
+    Examples
+    --------
+    >>> read_protocol("trips").task("all").outputs
+    ('k_p', 'c_p', 'k_s', 'c_s', 'M_s')
+    """
+    check_choice("name", name, sorted(f.stem for f in (Path(CONFIGS) / "protocol").glob("*.yaml")))
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        protocol: Protocol = build(compose(overrides=[f"+protocol={name}"]), "protocol")
+    return protocol
+
+
+def named_runs(named: Any) -> list[Path]:
+    """Return the folders with a model that `run=` names: a run, a multirun or a list of these."""
+    from suspnet.runs.evaluate import find_runs  # with torch, which takes seconds
+
+    several = named if isinstance(named, ListConfig | list) else [named]
+    return list(dict.fromkeys(run for one in several for run in find_runs(Path(one))))

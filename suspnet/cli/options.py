@@ -1,0 +1,194 @@
+"""Options of the programs that read no configuration: suspnet-check, suspnet-init, suspnet-history.
+
+They are parsed before what the programs need is imported.
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.records import Place
+from suspnet.maintenance.series import KINDS
+
+CHECK_DESCRIPTION = """\
+Read manifests and recordings, with a model or without. Show everything that is wrong with all of
+them at once, and what an estimate would have to work with: usable share, steady speeds, independent
+averages, coherence in the vehicle's band, pairs of sensors; for a known vehicle also whether units,
+signs and the order of the channels are plausible. A trip is ready if a model of its speed would
+read it; with --run if the models of that run do.
+
+The output folder gets check.html, check.json and a picture of each trip that could be read: its
+channels and speed, their spectra, and the coherence. Trips are not changed."""
+
+CHECK_EPILOG = """\
+exit code: 0 if every trip could be read, 1 if there is any problem.
+
+  suspnet-check trips/car7                  all manifests of a folder, or of its subfolders
+  suspnet-check trip_001.yaml trip_002.yaml --no-pictures
+  suspnet-check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
+INIT_DESCRIPTION = """\
+Write a manifest of one trip from its data files: their columns, with the rates and units that the
+files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
+right, speed; in English or German) and marked as a guess; where names do not tell, the columns
+stand there as comments to choose from. What is not known is marked FILL_IN."""
+
+INIT_EPILOG = """\
+  suspnet-init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
+  suspnet-check trip_7.yaml"""
+HISTORY_DESCRIPTION = """\
+The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance
+that was done, alarms and who has seen them, and all of it as tables."""
+
+HISTORY_EPILOG = """\
+  suspnet-history fleet.db list
+  suspnet-history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
+      --kind exchanged --words "new primary dampers"
+  suspnet-history fleet.db alarms
+  suspnet-history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
+      --parameter k_p --by "Kim Li" --words "spring ordered"
+  suspnet-history fleet.db export tables
+
+STORE is a file, or postgresql://user:password@host/database."""
+
+
+def check_parser() -> ArgumentParser:
+    """Return the options of suspnet-check."""
+    found = ArgumentParser(
+        "suspnet-check",
+        description=CHECK_DESCRIPTION,
+        epilog=CHECK_EPILOG,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
+    found.add_argument(
+        "trips",
+        nargs="+",
+        type=Path,
+        metavar="DIR",
+        help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
+        "a manifest [one or more paths]",
+    )
+    found.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder of page, JSON and pictures: a new one, or that of an earlier check [path; "
+        "outputs/check/TIME if not given]",
+    )
+    found.add_argument(
+        "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
+    )
+    found.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        metavar="N",
+        help="number of trips that are read at the same time, each in a process [whole number; at "
+        "least 1; 1 if not given]",
+    )
+    found.add_argument(
+        "--config-dir",
+        type=Path,
+        metavar="DIR",
+        help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py [path; none if not "
+        "given]",
+    )
+    found.add_argument(
+        "--run",
+        type=Path,
+        action="append",
+        metavar="DIR",
+        help="folder of a training whose models must read the trips, as of evaluate.py; may be "
+        "given several times [path; none if not given]",
+    )
+    return found
+
+
+def init_parser() -> ArgumentParser:
+    """Return the options of suspnet-init."""
+    from suspnet.recordings.formats import READERS  # with pyarrow
+
+    found = ArgumentParser(
+        "suspnet-init",
+        description=INIT_DESCRIPTION,
+        epilog=INIT_EPILOG,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
+    found.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help=f"data file of one trip [one or more paths with {', '.join(sorted(READERS))}]",
+    )
+    found.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="the manifest that is written [path that ends with .yaml; FIRST.yaml beside the first "
+        "data file if not given]",
+    )
+    found.add_argument(
+        "--force", action="store_true", help="replace the manifest if there is one [switch]"
+    )
+    return found
+
+
+def history_parser() -> ArgumentParser:
+    """Return the options of suspnet-history."""
+    from suspnet.maintenance.alarms import Cause  # with scipy, which takes a second
+
+    found = ArgumentParser(
+        "suspnet-history",
+        description=HISTORY_DESCRIPTION,
+        epilog=HISTORY_EPILOG,
+        formatter_class=RawDescriptionHelpFormatter,
+    )
+    found.add_argument("store", metavar="STORE", help="the store [path or URL]")
+    does = found.add_subparsers(
+        dest="does", required=True, metavar="list | event | alarms | acknowledge | export"
+    )
+    does.add_parser("list", help="each suspension with its trips and maintenance")
+    event = does.add_parser(
+        "event", help="add maintenance: tests for changes, and the report's words, begin anew there"
+    )
+    _add_suspension(event)
+    event.add_argument(
+        "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done [km]"
+    )
+    event.add_argument("--kind", choices=KINDS, default="other", help="[other if not given]")
+    event.add_argument("--words", default="", help="what was done [text]")
+    alarms = does.add_parser("alarms", help="open alarms, the worst first, and who has seen them")
+    alarms.add_argument("--all", action="store_true", help="also those that are over")
+    seen = does.add_parser("acknowledge", help="say that somebody has seen the open alarms")
+    _add_suspension(seen)
+    seen.add_argument("--parameter", choices=PARAMETERS, required=True, help="of these alarms")
+    seen.add_argument("--cause", choices=tuple(Cause), help="[all causes if not given]")
+    seen.add_argument("--by", required=True, metavar="NAME", help="who has seen them [text]")
+    seen.add_argument("--words", default="", help="what is done about it [text]")
+    export = does.add_parser("export", help="write all of it as Parquet and CSV")
+    export.add_argument(
+        "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
+    )
+    return found
+
+
+def _add_suspension(command: ArgumentParser) -> None:
+    command.add_argument("--vehicle", required=True, help="as in the manifests [text]")
+    for field in fields(Place):
+        command.add_argument(
+            f"--{field.name}", default="", help="as in the manifests, if it stands there [text]"
+        )
+
+
+PARSERS: Mapping[str, Callable[[], ArgumentParser]] = {
+    "check": check_parser,
+    "init": init_parser,
+    "history": history_parser,
+}
+"""What parses the command line of each program."""

@@ -1,0 +1,194 @@
+"""Settings: type, range, unit and sentence of each stand where its class declares it.
+
+The comments of configs/, `--help`, docs/configuration.md and the messages of errors come from here.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from suspnet.ground.checks import LARGEST, check_choice, check_flag, check_number
+
+NUMBERS = {2: "two numbers", 3: "three numbers", 4: "four numbers"}
+"""What a list of numbers is called by its length."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a setting means and which values it takes.
+
+    It stands with a dataclass's field: by `setting` with its default, else in its annotation. Other
+    classes have a mapping `settings` from arguments.
+
+    Parameters
+    ----------
+    sentence : str
+    unit : str
+    low, above, high, below, most : float, optional
+        Bounds, as of `check_number`.
+    rule : str
+        Unit and range in words, where type and bounds do not say all of it.
+
+    Examples
+    --------
+    >>> @dataclass
+    ... class Trip:
+    ...     rate_hz: float = setting(100.0, "Rate of the samples", "Hz", above=0)
+    ...
+    ...     def __post_init__(self):
+    ...         check_settings(self)
+    >>> settings_of(Trip)["rate_hz"].text
+    'Rate of the samples [Hz; above 0]'
+    >>> Trip(-1.0)
+    Traceback (most recent call last):
+    ValueError: `rate_hz` must be a finite number > 0, got -1.0
+    """
+
+    sentence: str
+    unit: str = ""
+    low: float | None = None
+    above: float | None = None
+    high: float | None = None
+    below: float | None = None
+    most: float | None = None
+    rule: str = ""
+
+
+def setting(default: Any, sentence: str, unit: str = "", **bounds: Any) -> Any:
+    """Return a field of a dataclass with a default and a `Setting`."""
+    return field(default=default, metadata={"setting": Setting(sentence, unit, **bounds)})
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A setting with its type.
+
+    Attributes
+    ----------
+    name : str
+    type : type
+        Without None.
+    is_optional : bool
+        Whether it may be None.
+    setting : Setting
+    """
+
+    name: str
+    type: Any
+    is_optional: bool
+    setting: Setting
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """The values of a choice; none of any other setting."""
+        return get_args(self.type) if get_origin(self.type) is Literal else ()
+
+    @property
+    def text(self) -> str:
+        """Sentence, then unit and range in brackets."""
+        return f"{self.setting.sentence} [{self.rule}]"
+
+    @property
+    def rule(self) -> str:
+        """Unit and range."""
+        if self.setting.rule:
+            return self.setting.rule + "; or null" * (
+                self.is_optional and self.setting.rule != "null"
+            )
+        several = (
+            NUMBERS.get(len(get_args(self.type)), "") if get_origin(self.type) is tuple else ""
+        )
+        kind = "whole number" if self.type is int else several
+        words = [
+            ", ".join(filter(None, [kind, self.setting.unit])),
+            "true or false" * (self.type is bool),
+            " or ".join(filter(None, [", ".join(map(str, self.choices[:-1])), *self.choices[-1:]])),
+            self._bounds(),
+            "or null" * self.is_optional,
+        ]
+        return "; ".join(filter(None, words))
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise TypeError or ValueError, which names the setting, unless a value is valid."""
+        one = self.setting
+        if value is None and self.is_optional:
+            return
+        if self.choices:
+            allowed = (*self.choices, None) if self.is_optional else self.choices
+            check_choice(name, value, allowed)
+        elif self.type is bool:
+            check_flag(name, value)
+        elif self.type in (int, float) or get_origin(self.type) is tuple:
+            bounds = {key: getattr(one, key) for key in ("low", "above", "high", "below")}
+            several = get_origin(self.type) is tuple
+            if several and len(value) != len(get_args(self.type)):
+                return  # which the class reports itself
+            for i, number in enumerate(value if several else [value]):
+                check_number(
+                    f"{name}[{i}]" if several else name,
+                    number,
+                    **bounds,
+                    most=LARGEST if one.most is None else one.most,
+                    whole=self.type is int,
+                    optional=self.is_optional,
+                )
+
+    def _bounds(self) -> str:
+        one = self.setting
+        high = one.most if one.high is None else one.high
+        if one.low is not None and high is not None:
+            return f"{_short(one.low)} to {_short(high)}"
+        bounds = {"above": one.above, "at least": one.low, "below": one.below, "at most": high}
+        return " and ".join(f"{k} {_short(v)}" for k, v in bounds.items() if v is not None)
+
+
+def check_settings(given: Any, prefix: str = "") -> None:
+    """Raise TypeError or ValueError unless each setting of an object is valid.
+
+    Messages call a setting by its name, after `prefix` and a dot if there is one.
+    """
+    class_: Any = type(given)
+    for name, one in settings_of(class_).items():
+        one.check(f"{prefix}.{name}" if prefix else name, getattr(given, name))
+
+
+def check_values(class_: Any, **values: Any) -> None:
+    """Do as `check_settings` does with some settings of a class, before there is an object."""
+    for name, value in values.items():
+        settings_of(class_)[name].check(name, value)
+
+
+@functools.cache
+def settings_of(class_: Any) -> Mapping[str, Declared]:
+    """Return the settings that a class declares."""
+    if is_dataclass(class_):
+        declared = {one.name: one.metadata.get("setting") for one in fields(class_)}
+        hints = get_type_hints(class_, include_extras=True)
+    else:
+        declared = getattr(class_, "settings", {})
+        hints = get_type_hints(class_.__init__)
+    found = {}
+    for name, hint in hints.items():
+        type_, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        given = declared.get(name) or note
+        if isinstance(given, Setting):
+            found[name] = _declared(name, type_, given)
+    return found
+
+
+def _declared(name: str, type_: Any, setting: Setting) -> Declared:
+    parts = get_args(type_) if get_origin(type_) in (Union, UnionType) else (type_,)
+    known = [part for part in parts if part is not NoneType]
+    return Declared(name, known[0] if len(known) == 1 else type_, NoneType in parts, setting)
+
+
+def _short(number: float) -> str:
+    """Return a bound as it is written: powers of ten from 1e4 on as such."""
+    power = f"{number:.0e}".replace("e+0", "e").replace("e+", "e")
+    if abs(number) >= 1e4 and float(power) == number:
+        return power
+    return f"{number:.15g}"
