@@ -29,7 +29,7 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
-from suspnet.cli import folders, naming, reference, start
+from suspnet.cli import folders, naming, reference, signals
 from suspnet.cli.config_files import CONFIGS, store_tables
 from suspnet.cli.config_values import read_values
 from suspnet.cli.trusted import CheckedLoader, check_configuration
@@ -74,7 +74,7 @@ def main(name: str) -> None:
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
     compose = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
-    with start.until_it_listens() if name == "serve" else nullcontext():
+    with signals.until_it_listens() if name == "serve" else nullcontext():
         run(compose, unwinds=name != "serve")
 
 
@@ -88,7 +88,7 @@ def _task_of(name: str) -> Callable[[DictConfig], None]:
 
 def _imported(name: str) -> ModuleType:
     """Return the module of a program; a signal while it is imported ends the process at once."""
-    with start.until_it_listens():
+    with signals.until_it_listens():
         return import_module(f"suspnet.cli.{name}")
 
 

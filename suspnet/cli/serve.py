@@ -17,7 +17,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import program, start
+from suspnet.cli import program, signals
 from suspnet.cli.kinds import build, plain, read_vehicles
 from suspnet.ground.checks import check_number
 from suspnet.history import History
@@ -87,7 +87,7 @@ def serve(board: Board, config: DictConfig) -> None:
     # The main thread does nothing but wait: raised in the middle of a request, the exception of a
     # signal would be caught and logged by the server, which then went on.
     ended: SimpleQueue[int] = SimpleQueue()
-    for number in start.SIGNALS:
+    for number in signals.SIGNALS:
         signal.signal(number, lambda number, _: ended.put(number))
     log.info("the fleet is at %s (Ctrl-C ends it)", address)
     refresher.start()
@@ -95,12 +95,12 @@ def serve(board: Board, config: DictConfig) -> None:
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     code = ended.get()
-    start.end_at_once()  # a second signal
+    signals.end_at_once()  # a second signal
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
     if not code:
         raise ValueError("the server has ended by itself; start suspnet-serve again")
-    print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
+    print(f"{signals.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
     sys.exit(128 + code)
 
 
