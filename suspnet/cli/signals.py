@@ -1,0 +1,40 @@
+"""Signals that end a program at once, in one line, as long as nothing has begun."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
+"""What the line of a program says that ends by a signal."""
+SIGNALS = tuple(VERBS)
+
+
+@contextmanager
+def until_it_listens() -> Iterator[None]:
+    """Let a signal end the process at once, but where other threads or programs handle signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    end_at_once()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def end_at_once() -> None:
+    """Let a signal end the process at once from here on: nothing can be left half done."""
+    for number in SIGNALS:
+        signal.signal(number, _end)
+
+
+def _end(number: int, frame: object) -> None:
+    os.write(sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode())
+    os._exit(128 + number)
