@@ -12,6 +12,7 @@ from datetime import date
 import matplotlib.pyplot as plt
 import numpy as np
 
+from suspnet import plan_calendar
 from suspnet.maintenance import (
     DEFAULT_LIMITS,
     ChangeSettings,
@@ -28,7 +29,6 @@ from suspnet.maintenance import (
     threshold,
     watch,
 )
-from suspnet.report.calendar_figure import plan_calendar
 
 plt.style.use("tableau-colorblind10")
 

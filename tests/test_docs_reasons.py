@@ -34,8 +34,6 @@ TELLING = (
     "suspnet/trips/trip.py",
     "suspnet/estimation/ood.py",
     "suspnet/estimation/physics.py",
-    "suspnet/spectra/plausibility.py",
-    "suspnet/spectra/segments.py",
     "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""
@@ -117,6 +115,8 @@ def sentences(file, least_blanks=2):
             inner.add(id(node.value))
         elif isinstance(node, ast.JoinedStr):
             inner |= {id(part) for part in node.values}
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("setting", "Setting"):
+            inner |= {id(part) for part in ast.walk(node)}  # what a setting means
     if file in RAISING:
         told = {id(one) for n in nodes if isinstance(n, ast.Raise) for one in ast.walk(n)}
     found = []

@@ -89,6 +89,9 @@ def build(config: DictConfig, name: str) -> Any:
     node, place = OmegaConf.select(config, name), name.rpartition(".")[2]
     if not isinstance(node, DictConfig):
         raise ValueError(f"`{name}` must be an option of the group {place}, got {node!r}")
+    missing = sorted(OmegaConf.missing_keys(node))
+    if missing:
+        raise ValueError(f"Missing mandatory value: {missing[0]}")
     return _built(plain(node), name)
 
 
@@ -142,7 +145,10 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
     unknown = [key for key in arguments if key not in known]
     if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
         raise ValueError(f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them")
-    return class_(**arguments)
+    try:
+        return class_(**arguments)
+    except (AttributeError, LookupError) as error:  # a value of a type that nobody expects
+        raise ValueError(f"`{name}` cannot be built: {error}") from error
 
 
 def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:

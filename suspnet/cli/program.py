@@ -88,6 +88,7 @@ def _task_of(name: str) -> Callable[[DictConfig], None]:
 
 def _imported(name: str) -> ModuleType:
     """Return the module of a program; a signal while it is imported ends the process at once."""
+    logging.getLogger("numexpr").setLevel(logging.WARNING)  # says hello on standard output
     with signals.until_it_listens():
         return import_module(f"suspnet.cli.{name}")
 

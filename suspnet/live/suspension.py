@@ -71,9 +71,9 @@ class LiveSettings:
     late_s: float = setting(
         60.0,
         "A section stays open for frames that come so much later than others",
-        "s",
         low=0,
         high=3600,
+        rule="s; 0 to pause_s",
     )
     idle_s: float = setting(
         3600.0,

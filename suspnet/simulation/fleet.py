@@ -129,6 +129,8 @@ class Scenario:
         check_settings(self, "scenario")
         if not self.mass_low <= self.mass_high:
             raise ValueError(f"need mass_low <= mass_high, got {self.mass_low}, {self.mass_high}")
+        if not all(isinstance(one, Mapping) for one in (self.changes, *self.changes.values())):
+            raise TypeError(f"`scenario.changes` must be a mapping of mappings: {self.changes!r}")
         for name, change in self.changes.items():
             if name not in PARAMETERS:
                 raise ValueError(f"scenario `changes` must be named as in {PARAMETERS}: {name!r}")

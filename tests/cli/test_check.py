@@ -285,7 +285,7 @@ def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
     )
     done = typed(check, manifests[0], "--config-dir", tmp_path, cwd=tmp_path)
     assert done.returncode == 1
-    assert "is no vehicle" in done.stderr
+    assert "`_target_` is no longer used" in done.stderr
     assert not (tmp_path / "hit").exists()
     assert not (tmp_path / "outputs").exists()
 

@@ -238,7 +238,7 @@ def test_models_of_curves_have_no_healthy_trips(fleet, tmp_path):
 
 
 def test_processes_of_torchrun_are_refused(fleet, tmp_path, monkeypatch):
-    monkeypatch.setattr(train.program, "join_ranks", lambda _: None)
+    monkeypatch.setattr(train.ranks, "start", lambda _: None)
     monkeypatch.setenv("WORLD_SIZE", "2")
     said = trained(tmp_path / "run", fleet)
     assert "cannot be spread by torchrun" in said

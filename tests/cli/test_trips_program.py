@@ -20,7 +20,7 @@ from trip_fixtures import RATES_HZ, changed, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
-from suspnet.cli import evaluate, simulate, train
+from suspnet.cli import evaluate, folders, simulate, train
 from suspnet.cli.kinds import build, named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
@@ -254,10 +254,10 @@ def test_whole_way_as_a_user_with_two_workers_and_dask(tmp_path):
 # alarms and exit codes
 
 
-def as_alarming(path, *_):
+def as_alarming(file, *_):
     """Read no recording: the folder's name says how stiff k_s is in all its trips, in %."""
-    made_up = record(0, with_curves=False, half_widths=HALF_WIDTHS, manifest=str(path))
-    k_s = float(path.parent.name) / 100
+    made_up = record(0, with_curves=False, half_widths=HALF_WIDTHS, manifest=str(file.path))
+    k_s = float(file.path.parent.name) / 100
     return replace(made_up, estimates=made_up.estimates | {"k_s": k_s})
 
 
@@ -333,14 +333,14 @@ def test_worst_code_is_the_most_urgent_one():
     assert [evaluate.worst(codes) for codes in ([], [0, 2], [2, 3], [3, 1], [1, 4], [0, 77])] == [
         *(0, 2, 3, 1, 4, 1)
     ]
-    assert set(evaluate.BY_URGENCY) == {*range(5)}
+    assert set(folders.BY_URGENCY) == {*range(5)}
 
 
 def test_exit_codes_are_those_of_the_help():
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         words = compose("evaluate", return_hydra_config=True).hydra.help.header
     told = " ".join(words.split()).partition("Exit codes, the worst last: ")[2]
-    places = [told.index(f"{code} ") for code in evaluate.BY_URGENCY]
+    places = [told.index(f"{code} ") for code in folders.BY_URGENCY]
     assert places == sorted(places)
 
 
@@ -542,7 +542,7 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["scenario.spread=2"], r"`scenario.spread` must be a finite number >= 0 and < 1, got 2"),
         (["scatter=-1"], "`scatter` must be a finite number >= 0 and <= 5, got -1"),
         (["scatter=nan"], "`scatter` must be a finite number, got nan"),
-        (["fleet.sides=up"], r"`sides` must be one of \('both', 'left'\), got 'up'"),
+        (["fleet.sides=up"], r"`sides` must be one of \('both', 'left', None\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
         (["+fleet._target_=os.system"], "'os.system' is not trusted"),

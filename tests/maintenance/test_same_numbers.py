@@ -69,8 +69,8 @@ def outcomes(tmp_path_factory):
             path.write_text(f"suspension: {name}\ntrain: '12'\ncar: {where.car}\n")
             of_place[path.name] = one
 
-    def read(path, *_, **__):
-        one = of_place[path.name]
+    def read(file, *_, **__):
+        one, path = of_place[file.path.name], file.path
         return replace(one, trip=path.stem, manifest=str(path), healthy_si=healthy(model))
 
     store = folder / "fleet.db"
@@ -194,7 +194,7 @@ def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):
     for one in only:
         (tmp_path / "trips" / f"{one.trip}.yaml").write_text("suspension: worn\n")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fleet, "evaluate_trip", lambda path, *_, **__: only[int(path.stem[-3:])])
+        patch.setattr(fleet, "evaluate_trip", lambda file, *_, **__: only[int(file.path.stem[-3:])])
         patch.setattr(RunLog, "figure", lambda *_: None)
         patch.setattr(report, "data_uri", lambda _: "")
         settings = FleetSettings(TripSettings())

@@ -9,7 +9,7 @@ from trip_fixtures import SENSORS
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.recordings.manifest_files import UNFINISHED, partial_words, read_manifest
+from suspnet.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.simulation import writing
 from suspnet.simulation.fleet import Fleet, Scenario, Trains
 from suspnet.simulation.folders import FolderTakenError
@@ -121,7 +121,7 @@ def test_each_suspension_has_a_folder_that_says_where_it_is(fleet):
         "train 1, car 1, simulated, trailing bogie",
     ]
     for group in groups:
-        trips = [read_manifest(path) for path in group.manifests]
+        trips = [one.trip for one in group.manifests]
         assert [trip.mileage_km for trip in trips] == [500.0, 1000.0]
         assert all(trip.place == group.place for trip in trips)
         place = truth(group.folder)["place"]
@@ -129,20 +129,21 @@ def test_each_suspension_has_a_folder_that_says_where_it_is(fleet):
 
 
 def test_suspensions_of_a_train_have_its_trips_and_a_vehicle_and_noise_of_their_own(fleet):
+    folders = [group.folder for group in find_groups(fleet)]
     one, other = (group.manifests for group in find_groups(fleet))
     for first, second in zip(one, other, strict=True):
-        assert read_manifest(first).start == read_manifest(second).start
-        files = [path.with_suffix("") for path in (first, second)]
+        assert first.trip.start == second.trip.start
+        files = [one.path.with_suffix("") for one in (first, second)]
         speeds, signals = (
             [(file / f"{name}.parquet").read_bytes() for file in files]
             for name in ("speed", "body")
         )
         assert speeds[0] == speeds[1]
         assert signals[0] != signals[1]
-    numbers = [truth(path.parent)["numbers"]["healthy_k_p"]["ratio"] for path in (one[0], other[0])]
-    assert truth(one[0].parent)["seed"] != truth(other[0].parent)["seed"]
+    numbers = [truth(folder)["numbers"]["healthy_k_p"]["ratio"] for folder in folders]
+    assert truth(folders[0])["seed"] != truth(folders[1])["seed"]
     assert numbers == [1.0, 1.0]  # a quarter car is its own drawing
-    values = [truth(path.parent)["numbers"]["healthy_k_p"]["value"] for path in (one[0], other[0])]
+    values = [truth(folder)["numbers"]["healthy_k_p"]["value"] for folder in folders]
     assert values[0] != values[1]
 
 
@@ -152,7 +153,7 @@ def test_those_that_wear_are_told_and_nothing_of_the_others_wears(fleet):
     assert len(whole["wearing"]) == 1
     for group in find_groups(fleet):
         wears = group.name in whole["wearing"]
-        last = read_manifest(group.manifests[-1]).truth
+        last = group.manifests[-1].trip.truth
         assert last["c_s"] == (0.5 if wears else 1.0)
         assert truth(group.folder)["scenario"] == ("worn" if wears else "healthy")
 
