@@ -1,6 +1,6 @@
 """Manifests of trips: where each accelerometer is stored, in which unit and at which rate.
 
-The fields of the dataclasses are the keys of the YAML file; what each one means is said here, once.
+The fields of the dataclasses are the keys of the YAML file, documented by their metadata.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Size of each unit in s."""
 
 DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
-"""Delimiters of CSV files by their names in manifests; "space" is any number of blanks."""
+"""Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
 
 BOGIES = ("leading", "trailing")
 """Bogies of a vehicle, in the direction of travel."""
@@ -60,13 +60,13 @@ SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
 
 MIDDLE = "middle"
-"""Side of a single sensor between left and right, or of the mean of both."""
+"""Side of a single sensor midway between left and right, or of the mean of both."""
 
 TEMPERATURES_C = (-60.0, 60.0)
-"""Temperatures outside that a train meets [°C]."""
+"""Lowest and highest plausible outside temperature, [°C]."""
 
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
-"""Constant speed with its unit, as text: 252 km/h."""
+"""Pattern of a constant speed with its unit, such as 252 km/h."""
 
 
 def _delimiter(value: Value) -> str:
@@ -76,7 +76,7 @@ def _delimiter(value: Value) -> str:
 
 @dataclass(frozen=True)
 class CsvDialect:
-    """How a CSV file is written; None is found out."""
+    """How a CSV file is written; None is detected."""
 
     delimiter: str | None = optional(
         _delimiter,
@@ -117,7 +117,7 @@ def _unit(units: Mapping[str, float]) -> Any:
 
 @dataclass(frozen=True)
 class Source:
-    """Where one measured quantity is stored."""
+    """Where and how one measured quantity is stored."""
 
     file: str = field(metadata=key(text, "text", "a file of one of the [formats](#files)"))
     unit: str | None = _unit(ACCELERATION_UNITS | SPEED_UNITS)
@@ -220,6 +220,7 @@ def _sensor_of_pair(value: Value) -> Channel:
 
 
 def _sensors(value: Value) -> Channel | Pair:
+    """Return one sensor, or a pair whose missing sides are inferred: the first is left."""
     if not isinstance(value.content, list):
         return _sensor(value)
     if len(value.content) == 1:
@@ -265,19 +266,10 @@ def _truth(value: Value) -> dict[str, float]:
 class TripManifest:
     """One trip: a recording of accelerometers at three places and the speed.
 
-    Its keys are those of the table in docs/recordings.md.
-
-    Parameters
-    ----------
-    path : Path
-        The YAML file.
-    name : str
-        The file's name without its suffix.
-    start : datetime or None
-        Zero of the trip's clock, where some sources have absolute times and others have not.
-    speed : float, [m/s], or SpeedSource
-    channels : dict of Channel, or of Pair
-        One sensor, or one on the left and one on the right, for each of ``CHANNELS``.
+    Its keys are those of the table in docs/recordings.md. `path` is the YAML file, `name` its name
+    without suffix. `start` is the zero of the trip's clock if only some sources have absolute
+    times. A constant `speed` is in m/s. `channels` has one sensor or a left and right pair for each
+    of ``CHANNELS``.
     """
 
     path: Path
@@ -353,22 +345,22 @@ class TripManifest:
 
     @property
     def place(self) -> Place:
-        """Which suspension the trip is of."""
+        """The suspension of the trip."""
         named = (self.bogie, self.side, self.train, self.car)
         return Place(self.suspension.strip(), *(one or "" for one in named))
 
     def side_of(self, channel: Channel) -> str | None:
-        """Return the side of a single sensor: its own or else the suspension's, if one is said."""
+        """Return the side of a single sensor: its own or else the suspension's; None if unknown."""
         return channel.side or self.side
 
     @property
     def unplaced(self) -> tuple[str, ...]:
-        """Names of the single sensors whose side is not said; they are taken as in the middle."""
+        """Names of the single sensors of unknown side, which are assumed to be in the middle."""
         singles = {n: one for n, one in self.channels.items() if isinstance(one, Channel)}
         return tuple(name for name, one in singles.items() if self.side_of(one) is None)
 
     def sensors(self) -> dict[str, Channel]:
-        """Return every sensor by its name: the channel's, followed by the side in a pair."""
+        """Return all sensors by name: that of the channel, followed by the side in a pair."""
         found: dict[str, Channel] = {}
         for name, channel in self.channels.items():
             if isinstance(channel, Channel):
@@ -383,4 +375,4 @@ class TripManifest:
 
 
 MANIFEST = {"format": Key(one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
-"""All keys of a manifest."""
+"""All keys of a manifest, by name."""
