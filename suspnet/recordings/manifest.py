@@ -82,20 +82,20 @@ class CsvDialect:
         _delimiter,
         "`,` `;` `tab` `space`, or the vertical bar in quotes",
         "`space` is any number of blanks",
-        default="found out",
+        default="detected",
     )
     decimal: str | None = optional(
-        one_of([".", ","]), "`.` or `,`", "decimal sign", default="found out"
+        one_of([".", ","]), "`.` or `,`", "decimal sign", default="detected"
     )
     header_line: int | None = optional(
         header_line,
         "whole number",
-        "line of the names of the columns, counted from 1; 0: there are none, and columns are "
-        "`column_1` and so on",
-        default="found out",
+        "line with the names of the columns, counted from 1; 0 if there are none, so that columns "
+        "are `column_1` and so on",
+        default="detected",
     )
     encoding: str | None = optional(
-        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="found out"
+        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="detected"
     )
 
 
@@ -103,7 +103,7 @@ def _csv(value: Value) -> CsvDialect:
     return CsvDialect(**value.read(keys_of(CsvDialect)))
 
 
-_IN_FILE = "what the file says"
+_IN_FILE = "from the file"
 
 
 def _unit(units: Mapping[str, float]) -> Any:
@@ -139,7 +139,7 @@ class Source:
         metadata=key(
             number(),
             "number",
-            "time of the first sample on the trip's clock; with `time`, what is added to it",
+            "time of the first sample on the trip's clock; with `time`, an offset added to it",
             "s",
             "0",
         ),
@@ -148,17 +148,17 @@ class Source:
         one_of(list(TIME_UNITS)),
         "`s`, `ms`, `us`, `ns`",
         "unit of times that are numbers",
-        default="what the file says, else found out",
+        default="from the file, else detected",
     )
     time_zone: str | None = optional(
         zone,
         "text",
-        'of time stamps that name none: `UTC`, `"+02:00"`, `Europe/Berlin`',
-        default="not known",
+        'zone of time stamps without one: `UTC`, `"+02:00"`, `Europe/Berlin`',
+        default="unknown",
     )
     csv: CsvDialect | None = field(
         default=None,
-        metadata=key(_csv, "mapping", "how a CSV file is written, below", default="found out"),
+        metadata=key(_csv, "mapping", "how a CSV file is written, below", default="detected"),
     )
 
 
@@ -176,15 +176,15 @@ class Channel(Source):
     unit: str | None = _unit(ACCELERATION_UNITS)
     sign: int = field(
         default=1,
-        metadata=key(sign, "1 or -1", "-1 turns a sensor that is mounted upside down", default="1"),
+        metadata=key(sign, "1 or -1", "-1 for a sensor that is mounted upside down", default="1"),
     )
     range: float | None = optional(
         positive,
         "number above 0",
-        "largest magnitude that the sensor can give: finds saturation; full scale of integers "
-        "in WAV files",
+        "largest magnitude that the sensor can measure, to detect saturation; full scale of "
+        "integers in WAV files",
         "the channel's",
-        "not known",
+        "unknown",
     )
     side: str | None = optional(
         one_of([*SIDES, MIDDLE]),
@@ -279,26 +279,26 @@ class TripManifest:
         metadata=key(
             text,
             "text",
-            "which suspension, in your words; trips that say the same are one suspension",
+            "name of the suspension; trips with the same name are of one suspension",
         )
     )
     bogie: str | None = optional(
         one_of(BOGIES),
         "`leading`, `trailing`",
         "bogie, in the direction of travel; chooses the models of that bogie",
-        default="not said",
+        default="not given",
     )
     side: str | None = optional(
         one_of(SIDES),
         "`left`, `right`",
-        "side of the suspension, to distinguish suspensions of one name; single sensors are "
-        "there too",
-        default="not said",
+        "side of the suspension, to distinguish suspensions of one name; single sensors are on "
+        "it, too",
+        default="not given",
     )
     train: str | None = optional(
-        stripped, "text", "which train it is, where several are watched", default="not said"
+        stripped, "text", "train, if several are monitored", default="not given"
     )
-    car: str | None = optional(stripped, "text", "which of its cars", default="not said")
+    car: str | None = optional(stripped, "text", "car of the train", default="not given")
     mileage_km: float = field(
         metadata=key(_mileage, "number, 0 to 2e7", "mileage of the vehicle at this trip", "km")
     )
@@ -307,15 +307,15 @@ class TripManifest:
         metadata=key(
             start,
             "time, `2015-08-03T08:00:00`",
-            "date of the trip, from 1990 until today; also when the sources without dates begin, "
-            "see [clocks](#clocks)",
+            "date of the trip, from 1990 until today; also the start of sources without dates, see "
+            "[clocks](#clocks)",
             default="by the files",
         ),
     )
     temperature_c: float | None = optional(
         number(f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C),
         "number, -60 to 60",
-        "temperature of the air outside; stands in the tables: oil and rubber change with it",
+        "outside air temperature; shown in the tables, as oil and rubber depend on it",
         "°C",
         "none",
     )

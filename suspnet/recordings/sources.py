@@ -84,7 +84,7 @@ class OpenSource:
 
     @property
     def known_rate_hz(self) -> float:
-        """Rate as stated or by the times: approximate from the first even block, exact at the end."""
+        """Rate as stated or by the times: approximate after the first block, exact at the end."""
         if self.timeline is None:
             assert self.rate_hz is not None  # a source has times or a rate
             return self.rate_hz

@@ -29,7 +29,7 @@ LARGEST_ACCELERATION, LARGEST_STEP = 5.0, 2.0
 """Largest change of a train's speed: [m/s2] times the time step, plus [m/s] for resolution."""
 
 STANDING_M_PER_S = 0.5
-"""Speed below which a train stands, or a receiver has lost its satellites, [m/s]."""
+"""Speed below which a train is at rest, or a receiver has lost its satellites, [m/s]."""
 
 BRAKING, NOISE = 2.5, 0.5
 """Largest change after a run of equal speeds: [m/s2] of an emergency brake times the time step,
