@@ -92,6 +92,8 @@ class Found:
 
 @dataclass(frozen=True)
 class _Candidate:
+    """One way to read the rows; `n_broken` counts rows and cells that do not fit it."""
+
     delimiter: str
     decimal: str
     n_columns: int
@@ -199,6 +201,7 @@ def _unreadable(path: Path, reason: str) -> TripError:
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:
+    """Return encoding and byte-order mark: UTF-16 by its zero bytes, or else UTF-8 or Latin-1."""
     for bom, name in _BOMS:
         if sample.startswith(bom):
             return name, True
@@ -226,6 +229,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
+    """Return the combinations of delimiter and decimal sign with the fewest misfits."""
     delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
     found = []
     for delimiter in delimiters:

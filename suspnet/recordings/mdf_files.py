@@ -53,7 +53,7 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         start = file.start_time
         start = start if start.tzinfo else start.replace(tzinfo=UTC)
         start_ns = (start - EPOCH) // timedelta(microseconds=1) * 1000 if start > EPOCH else None
-        repeated = _repeated(file)
+        repeated = _repeated(file)  # such names are qualified by their group
         for g, group in enumerate(file.groups):
             master = file.masters_db.get(g)
             for c, channel in enumerate(group.channels):

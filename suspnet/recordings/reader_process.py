@@ -90,6 +90,8 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
 
 class _Server:
+    """Client of the server from which reader processes are forked."""
+
     def __init__(self) -> None:
         code = (
             f"import sys; sys.path[:] = {[str(place) for place in sys.path]}; "
@@ -151,6 +153,8 @@ def end_all() -> None:
 
 
 class _Process:
+    """Client of the reader process of one file."""
+
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False

@@ -123,6 +123,7 @@ def load_recording(
         streams: list[SensorSignal] = all_of([one.result for one in read], problems)
     del read
     found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz)
+    # the date is not known to `joined`, which also serves streams
     return replace(found, started=started, words="; ".join(filter(None, (found.words, doubt))))
 
 
