@@ -31,40 +31,40 @@ from suspnet.recordings.manifest_keys import TripError
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
 DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
-"""Names of fields and attributes, in lower case and without blanks and underscores, that say the
-rate [Hz], the unit and the start of the data next to them."""
+"""Names of fields and attributes that state rate [Hz], unit and start of the data next to them;
+compared in lower case, without blanks and underscores."""
 
 NUMERIC = (
     "single",
     "double",
     *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
 )
-"""Classes of the variables of a MAT file that hold numbers."""
+"""Classes of MAT file variables that hold numbers."""
 
 MOST_PARTS = 1000
 """Largest number of columns of a matrix."""
 
 
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
-"""Filters that are part of the HDF5 library or of h5py: deflate, shuffle, fletcher32, szip, nbit,
-scaleoffset and LZF. Any other would be a plug-in, which is code that is loaded."""
+"""Filters of the HDF5 library and h5py: deflate, shuffle, fletcher32, szip, nbit, scaleoffset and
+LZF. Any other is a plug-in, that is, foreign code to load."""
 MOST_NOTE_BYTES = 2**12
-"""Largest size of a value that may be a rate or a unit."""
+"""Largest size of a value that may be a rate, a unit or a date."""
 
 
 @contextmanager
 def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open an HDF5 file; what it takes from other files is refused."""
+    """Open an HDF5 file; data sets that need other files or plug-ins are refused when read."""
     h5py = needed(path, "h5py", "hdf5", "an HDF5 file")
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
         arrays: dict[str, Any] = {}
         said: dict[str, Any] = {}
         refused: dict[str, str] = {}
 
-        def collect(name: str, item: Any) -> None:  # is called for hard links only
+        def collect(name: str, item: Any) -> None:  # h5py calls it for hard links only
             if not isinstance(item, h5py.Dataset):
                 return
-            if why := _foreign(item):  # before its shape, for which other files may be opened
+            if why := _foreign(item):  # first, as reading the shape may open other files
                 refused[name] = why
                 return
             if item.dtype.kind in "iuf" and item.size > 1 and len(item.shape) <= 2:
@@ -85,7 +85,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _foreign(dataset: Any) -> str:
-    """Return what a data set needs besides its own file, or too much memory for; "" if nothing."""
+    """Return which other files, plug-in or excess of memory a data set needs; "" if none."""
     if dataset.is_virtual:
         return "is virtual, which takes samples from other files"
     plan = dataset.id.get_create_plist()
@@ -102,6 +102,8 @@ def _foreign(dataset: Any) -> str:
 
 
 def _refusing(path: Path, file: OpenFile, refused: Mapping[str, str]) -> OpenFile:
+    """Return the file with its refused data sets as columns that raise their reason when read."""
+
     def read(names: Sequence[str]) -> Iterator[Block]:
         for name in names:
             if name in refused:
@@ -145,7 +147,7 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
-    """Return variables of a MAT file before version 7.3 by their names."""
+    """Load variables of a MAT file before version 7.3, by name."""
     found: dict[str, Any] = loadmat(path, variable_names=names, appendmat=False, **how)
     return found
 
@@ -172,7 +174,7 @@ class _Variable:
 def _opened(
     path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[OpenFile]:
-    """Open arrays by their names; a matrix has a column ``name[i]`` for each of its columns."""
+    """Open arrays by name; a matrix has one column ``name[i]`` for each of its columns."""
     columns: list[Column] = []
     takes: dict[str, tuple[int, Take]] = {}
     matrices = []
@@ -189,8 +191,9 @@ def _opened(
                 takes[f"{name}[{i}]"] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
-        check_samples(path, max(takes[name][0] for name in names))  # the type may be known only
-        for name in names:  # when all is read
+        # check the size first: the type of a variable may be known only once it is loaded
+        check_samples(path, max(takes[name][0] for name in names))
+        for name in names:
             kind = arrays[name if name in arrays else re.sub(r"\[\d+\]$", "", name)].dtype
             if kind.kind not in "iuf":
                 raise TripError(f"{path}: column {name!r} holds {kind}, not real numbers")
@@ -215,6 +218,7 @@ def _leaves(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def _beside(name: str, leaves: Mapping[str, Any]) -> dict[str, Any]:
+    """Return rate, unit and date among the fields of the same struct."""
     struct, dot, _ = name.rpartition(".")
     if not dot:
         return {}
@@ -224,7 +228,7 @@ def _beside(name: str, leaves: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _notes(name: str, dataset: Any, said: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rate and unit of a data set by its attributes, or by the data sets of its group."""
+    """Return rate, unit and date from a data set's attributes, or else from its group."""
     group, slash, _ = name.rpartition("/")
     beside = {}
     if slash:
@@ -236,17 +240,18 @@ def _notes(name: str, dataset: Any, said: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _attributes(dataset: Any) -> dict[str, Any]:
-    """Return the attributes of a data set that are small."""
+    """Return the small attributes of a data set."""
     sizes = {key: dataset.attrs.get_id(key).get_storage_size() for key in dataset.attrs}
     return {key: dataset.attrs[key] for key, size in sizes.items() if size <= MOST_NOTE_BYTES}
 
 
 def _text(codes: Any) -> str:
-    """Return the text that MATLAB 7.3 stores as codes of its characters."""
+    """Decode a text that MATLAB 7.3 stores as character codes."""
     return "".join(chr(code) for code in np.asarray(codes).ravel())
 
 
 def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return rate, unit and date among named values, as arguments of `Column`."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         plain = re.sub(r"[\s_]", "", key).lower()

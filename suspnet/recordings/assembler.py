@@ -1,8 +1,8 @@
-"""The order of one sensor's frames: what comes twice, late, out of turn or never.
+"""Assembly of one sensor's frames, which may be duplicated, late, out of order or missing.
 
-Sequence numbers say the order, times say where samples lie. Samples of frames that follow each
-other are joined; where time is missing between them, NaN stands for each missing sample, as in a
-file with such a gap. Nothing is joined over a gap in silence, and no sample is given twice.
+Sequence numbers give the order, times the position of samples. Consecutive frames are joined; if
+time is missing between them, each missing sample becomes NaN, as in a file with such a gap. No gap
+is closed silently, and no sample is returned twice.
 """
 
 from __future__ import annotations
@@ -21,39 +21,33 @@ from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError, decode, e
 from suspnet.recordings.sources import RATE_TOLERANCE
 
 MOST_HELD = 2 * MOST_SAMPLES
-"""Number of samples above which frames are no longer held back, whatever the window: 1 MiB."""
+"""Number of samples above which frames are released, whatever the window: 1 MiB."""
 
 MOST_LOSSES = 64
-"""Number of latest gaps in the sequence that are remembered: frames of them are late, not twice."""
+"""Number of recent sequence gaps that are stored: a frame of them is late, not a duplicate."""
 
 MOST_DRIFT = 2e-4
-"""Largest part by which a logger's true rate may differ from the stated one: 200 ppm, several times
-what quartz is off. Times then drift away from the stated rate without a gap."""
+"""Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
+by this much from the stated rate without a gap."""
 
 
 @dataclass(frozen=True)
 class OrderSettings:
-    """How frames are put in order.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
-    """
+    """How frames are put in order."""
 
     window: int = setting(
-        16, "A frame may come after at most so many later ones of its sensor", low=0, high=1024
+        16, "Largest number of later frames of its sensor that a frame may follow", low=0, high=1024
     )
     jitter_s: float = setting(
         0.001,
-        "A frame begins no more than this before or after the end of the one before",
+        "Largest time between the end of a frame and the start of the next, early or late",
         "s",
         low=0,
         high=1,
     )
     longest_gap_s: float = setting(
         60.0,
-        "A frame further ahead is taken only after `window` others that were",
+        "Longest gap; a frame beyond it is accepted only after `window` such frames",
         "s",
         low=0,
         high=1800,
@@ -66,9 +60,9 @@ class OrderSettings:
 class Assembler:
     """Turns one sensor's frames into evenly spaced samples.
 
-    It holds at most ``window + 1`` frames and ``MOST_HELD`` samples and one frame. The samples that
-    it gives depend on neither how a signal is cut into frames nor the order in which these come, as
-    long as none comes after more than `window` later ones.
+    It holds at most ``window + 1`` frames, and ``MOST_HELD`` samples plus one frame. Its output
+    does not depend on how a signal is cut into frames, or on their order as long as no frame
+    arrives after more than `window` later ones.
 
     Parameters
     ----------
@@ -78,14 +72,14 @@ class Assembler:
     Attributes
     ----------
     counts : Counter
-        Frames "taken", and those that were not: "duplicate", "late" (its place has become a gap),
-        "clock" (before the end of the samples so far), "far" (beyond the longest gap). Then "gap",
-        and what was seen on the way: "gap_samples", "missing" (numbers that never came in time),
-        "restart" (the sequence started again).
+        Accepted frames ("taken"); rejected frames: "duplicate", "late" (its place has become a
+        gap), "clock" (starts before the end of the samples so far), "far" (beyond the longest gap);
+        and "gap", "gap_samples", "missing" (sequence numbers that did not arrive in time) and
+        "restart" (of the sequence).
     first_ns : int or None, [ns]
         Time of the first sample.
     n_samples : int
-        Number of samples given, with those of gaps.
+        Number of samples returned, including those of gaps.
     """
 
     def __init__(self, rate_hz: float, settings: OrderSettings | None = None) -> None:
@@ -100,7 +94,7 @@ class Assembler:
         self._lost: deque[tuple[int, int]] = deque(maxlen=MOST_LOSSES)
 
     def push(self, frame: Frame) -> list[FloatArray]:
-        """Return the samples that a frame completes, NaN in gaps, in the frame's unit.
+        """Return the samples that become available with a frame, in its unit; NaN in gaps.
 
         Raises
         ------
@@ -120,6 +114,7 @@ class Assembler:
                 is_late = any(low <= frame.sequence < high for low, high in self._lost)
                 self.counts["late" if is_late else "duplicate"] += 1
                 return given
+            # a lower number at a later time: the logger has restarted its sequence
             given = self.flush()
             self.counts["restart"] += 1
             self._next = None
@@ -129,27 +124,27 @@ class Assembler:
         return given + self._due()
 
     def flush(self) -> list[FloatArray]:
-        """Return the samples of all frames held back; what is missing before them is a gap."""
+        """Return the samples of all frames held back; frames missing before them become gaps."""
         return self._due(at_once=True)
 
     @property
     def n_frames(self) -> int:
-        """Number of frames that were taken or are held back."""
+        """Number of frames that were accepted or are held back."""
         return self.counts["taken"] + len(self._held)
 
     @property
     def _tolerance(self) -> float:
-        """How far a frame may be from its place, [samples]."""
+        """Largest offset of a frame from its expected time, [samples]."""
         return max(0.5, self.settings.jitter_s * self.rate_hz)
 
     def _ahead(self, frame: Frame) -> float:
-        """Return how far a frame begins after the end of the last one, [samples]."""
+        """Return the time from the end of the last frame to the start of this one, [samples]."""
         return (frame.time_ns - self._end_ns) * self.rate_hz / SECOND_NS
 
     def _distance(self, frame: Frame) -> float:
-        """Return how far a frame begins after the samples so far, [samples].
+        """Return the gap between the samples so far and a frame, [samples].
 
-        A logger's slow drift does not count, unless it is no drift of a clock any more.
+        Slow drift of a logger's clock does not count, up to ``MOST_DRIFT``.
         """
         assert self.first_ns is not None
         ahead = self._ahead(frame)
@@ -158,8 +153,9 @@ class Assembler:
         return ahead if is_drift else beyond
 
     def _due(self, at_once: bool = False) -> list[FloatArray]:
+        """Return the samples of held frames that need not wait any more; of all if `at_once`."""
         given: list[FloatArray] = []
-        while self._held:  # each round takes a frame or makes the next one the lowest
+        while self._held:  # ends: each round removes a frame
             if self._next not in self._held:
                 full = len(self._held) > self.settings.window or self._n_held > MOST_HELD
                 if not (full or at_once):
@@ -176,6 +172,7 @@ class Assembler:
         return given
 
     def _placed(self, frame: Frame) -> list[FloatArray]:
+        """Return the samples of the next frame, after NaN for a gap; empty if it is rejected."""
         if self.first_ns is None:
             self.first_ns = self._end_ns = frame.time_ns
         distance = self._distance(frame)
@@ -200,7 +197,7 @@ class Assembler:
         return [np.full(n_gap, np.nan), samples]
 
     def state(self) -> dict[str, Any]:
-        """Return arrays and JSON-able values that `restore` makes the same assembler of."""
+        """Return arrays and JSON-able values from which `restore` continues."""
         encoded = [encode(frame) for frame in self._held.values()]
         return {
             "counts": dict(self.counts),
@@ -211,7 +208,7 @@ class Assembler:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state of an assembler of the same sensor."""
+        """Continue from the state of an assembler of the same sensor."""
         self.counts = Counter(state["counts"])
         at = state["at"]
         self.first_ns, self._end_ns, self.n_samples, self._n_far, self._next = at

@@ -1,4 +1,4 @@
-"""Faults of one accelerometer: found in its samples, repaired where short, otherwise marked."""
+"""Faults of one accelerometer: detected in its samples, repaired if short, otherwise marked."""
 
 from __future__ import annotations
 
@@ -27,43 +27,38 @@ KINDS = (
     *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
     *("loose", "clock"),
 )
-"""Kinds of faults; zero, jump and stuck are of the speed, the last two between channels."""
+"""Kinds of faults; zero, jump and stuck concern the speed, loose and clock several sensors."""
 
 CORE_SAMPLES = 2**18
-"""Approximate number of samples that are checked at once; few enough to stay in cache."""
+"""Approximate number of samples checked at once, which fit in the processor's cache."""
 
 SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
-"""Length of a segment for level and spread: seconds, and least number of samples."""
+"""Length of a segment for level and spread [s], and its least number of samples."""
 
 
 @dataclass(frozen=True)
 class CleaningSettings:
-    """When samples count as faulty.
+    """Thresholds for faulty samples; ValueError unless all are positive and finite.
 
     Parameters
     ----------
     spike_deviations : float
-        Robust standard deviations by which a spike stands out from the level on both sides (1.4826
+        Least height of a spike above the level on both sides, in robust standard deviations (1.4826
         times the median absolute deviation of one second).
     spike_samples : int
-        The longest spike; anything longer is taken for motion.
+        Longest spike; anything longer counts as motion.
     gap_samples : int
-        The longest gap that is repaired.
+        Longest gap that is repaired.
     saturation_fraction : float
-        A sample is saturated if its magnitude reaches this fraction of the sensor's range.
+        Fraction of the sensor's range from which a sample is saturated.
     saturation_samples : int
-        Where no range is given, the least number of equal samples at the highest or lowest value
-        around that count as saturated.
+        If no range is given, least number of equal samples in a row, at the highest or lowest value
+        of the window, that are saturated.
     constant_s : float, [s]
         Identical values for longer than this are marked as those of a dead sensor.
     drift_fraction : float
-        A mean, or a change of level between the first and the last tenth, is reported if it is
-        larger than this fraction of the root mean square about the mean.
-
-    Raises
-    ------
-    ValueError
-        If a setting is not positive and finite.
+        Fraction of the standard deviation above which a mean, or a change of level between the
+        first and the last tenth, is reported.
     """
 
     spike_deviations: float = 25.0
@@ -83,20 +78,11 @@ class CleaningSettings:
 class Fault:
     """All samples of one channel that share one kind of fault.
 
-    Parameters
-    ----------
-    channel, kind : str
-        `kind` is one of ``KINDS``; the channel may be "speed".
-    n_samples : int
-    seconds, first_s : float, [s]
-        How long together, and when first on the trip's clock.
-    repaired : bool
-        True where the samples were interpolated, or where a later high-pass filter removes the
-        fault (offset and drift); False where they are marked as unusable.
-    size_m_per_s2 : float or None, [m/s2]
-        The mean, or the change of level; None for other kinds.
-    words : str
-        What is wrong, of a clock or a loose sensor; empty for other kinds.
+    `kind` is one of ``KINDS``; the channel may be "speed". `seconds` is the total duration and
+    `first_s` the first occurrence on the trip's clock. `repaired` samples were interpolated, or a
+    later high-pass filter removes the fault (offset and drift); others are marked as unusable.
+    `size_m_per_s2` is the mean of an offset or the change of level of a drift. `words` describes a
+    clock fault or a loose sensor.
     """
 
     channel: str
@@ -121,20 +107,11 @@ class Fault:
 
 
 class Cleaner:
-    """Cleans one channel as it streams by, and counts what it found.
+    """Cleans one channel block by block, and counts its faults.
 
-    What is found does not depend on how the channel is cut into blocks.
-
-    Parameters
-    ----------
-    channel : str
-    rate_hz : float, [Hz]
-    range_m_per_s2 : float, optional, [m/s2]
-        Largest magnitude that the sensor can give.
-    settings : CleaningSettings, optional
-    late : float, [-]
-        Share of a window, 0 to 1, that is waited for beyond what is needed: with shares of their
-        own hundreds of channels that start at once are not cleaned in the same second.
+    The result does not depend on how the channel is cut into blocks. `range_m_per_s2` is the
+    largest magnitude that the sensor can measure. `late` delays cleaning by a share, 0 to 1, of a
+    window: different shares prevent that hundreds of channels are cleaned in the same second.
     """
 
     def __init__(
@@ -150,7 +127,7 @@ class Cleaner:
         self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
         self.n_samples, self.n_bad = 0, 0
         self.lowest, self.highest = math.inf, -math.inf
-        self._found: dict[tuple[str, bool], tuple[int, int]] = {}  # (how many, the first)
+        self._found: dict[tuple[str, bool], tuple[int, int]] = {}  # kind, repaired: count, first
         self._levels: list[FloatArray] = []
         self._sum = self._sum_of_squares = 0.0
         self._longest_constant = int(self.settings.constant_s * rate_hz + 1e-9)
@@ -159,34 +136,23 @@ class Cleaner:
         self._windows = _Windows(core, context, int(late * core))
 
     def clean(self, blocks: Iterable[FloatArray]) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield values without NaN [m/s2] and where they are bad, in blocks of another size.
-
-        Parameters
-        ----------
-        blocks : iterable of arrays of shape (n_samples,), [m/s2]
-        """
+        """Yield values without NaN [m/s2] and a mask of bad ones, in blocks of other sizes."""
         for block in blocks:
             yield from self.push(block)
         yield from self.finish()
 
     def push(self, block: FloatArray) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield what `clean` does as soon as enough of what follows is known.
-
-        Parameters
-        ----------
-        block : array of shape (n_samples,), [m/s2]
-            The next samples.
-        """
+        """Yield what `clean` does for the windows that the next samples [m/s2] complete."""
         for window in self._windows.push(block):
             yield self._cleaned(*window)
 
     def finish(self) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield the rest: no sample follows."""
+        """Yield what `clean` does for the remaining samples."""
         for window in self._windows.finish():
             yield self._cleaned(*window)
 
     def _cleaned(self, window: FloatArray, lead: int, length: int) -> tuple[FloatArray, BoolArray]:
-        """Return values and bad samples of `length` samples after the first `lead` of a window."""
+        """Return values and bad samples of the core of a window: `length` samples from `lead`."""
         values, bad, masks, centre = self._check(window, self._longest_constant)
         inside = slice(lead, lead + length)
         for (kind, repaired), mask in masks.items():
@@ -197,7 +163,7 @@ class Cleaner:
         return values[inside], bad[inside]
 
     def state(self) -> dict[str, Any]:
-        """Return arrays and JSON-able values that `restore` makes the same cleaner of."""
+        """Return arrays and JSON-able values from which `restore` continues."""
         return {
             "pending": np.concatenate([np.empty(0), *self._windows.pending]),
             "levels": np.concatenate([np.empty(0), *self._levels]),
@@ -208,7 +174,7 @@ class Cleaner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state of a cleaner of the same settings."""
+        """Continue from the state of a cleaner of the same settings."""
         self._windows.pending = [state["pending"]]
         self._windows.held, self._windows.lead = len(state["pending"]), state["lead"]
         self._levels = [state["levels"]]
@@ -219,15 +185,18 @@ class Cleaner:
     def _check(
         self, window: FloatArray, longest_constant: int
     ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
+        """Return filled values, bad samples, masks by (kind, repaired), levels of the segments."""
         settings = self.settings
         gap = find_gaps(window)
         filled = fill(window, gap)
         centre, spread = local_level(filled, self.segment)
+        # motion may start within a segment: use the widest spread of it and its neighbours
         padded = np.pad(spread, 1, mode="edge")
         widest = np.maximum(np.maximum(padded[:-2], spread), padded[2:])
         reach = settings.spike_deviations * widest
         spike = find_spikes(filled, self.segment, centre, reach, settings.spike_samples)
         constant = find_constant(window, longest_constant)
+        # without a range, only clipping shows saturation; gaps and dead sensors look alike there
         if self.range_m_per_s2 is None:
             saturation = find_clipping(filled, settings.saturation_samples) & ~(gap | constant)
         else:
@@ -260,11 +229,11 @@ class Cleaner:
         self.highest = max(self.highest, float(values.max()))
         good = values[~bad] if n_bad else values
         self._sum += float(good.sum())
-        # BLAS would start threads for this, and wait for them longer than the sum takes.
+        # not BLAS: it would start threads and wait for them longer than the sum takes
         self._sum_of_squares += float(np.einsum("i,i->", good, good))
 
     def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
-        """Return what was found so far, by ``KINDS``; `start_s` is the time of the first sample."""
+        """Return the faults so far, sorted by ``KINDS``; the first sample is at `start_s`."""
         found = [
             Fault(self.channel, kind, n, n / self.rate_hz, start_s + first / self.rate_hz, repaired)
             for (kind, repaired), (n, first) in self._found.items()
@@ -289,10 +258,10 @@ class Cleaner:
 
 
 class _Windows:
-    """Cuts a stream into windows that follow each other with an overlap of `context` either side.
+    """Cuts a stream into windows: consecutive cores with `context` samples on both sides.
 
-    Each is (window, samples before its core, samples of its core); the cores are the signal. A
-    window waits until `late` samples more have come than it needs.
+    It yields (window, samples before its core, samples of its core). A window is delayed until
+    `late` more samples than it needs have been received.
     """
 
     def __init__(self, core: int, context: int, late: int) -> None:
@@ -309,14 +278,14 @@ class _Windows:
 
     def _complete(self) -> Iterator[tuple[FloatArray, int, int]]:
         buffer, size = np.concatenate([np.empty(0), *self.pending]), self.core + self.context
-        # after the first window each takes `core` samples off the buffer
+        # each window after the first removes `core` samples from the buffer
         while len(buffer) >= self.lead + size:
             yield buffer[: self.lead + size], self.lead, self.core
             buffer, self.lead = buffer[self.lead + self.core - self.context :], self.context
-        self.pending, self.held = [buffer.copy()], len(buffer)  # a view would keep all of it
+        self.pending, self.held = [buffer.copy()], len(buffer)  # a view would keep all alive
 
     def finish(self) -> Iterator[tuple[FloatArray, int, int]]:
-        """Yield the rest; the core of the last window is shorter, and there may be none."""
+        """Yield the remaining windows, of which the last may have a shorter core."""
         yield from self._complete()
         if self.held > self.lead:
             yield self.pending[0], self.lead, self.held - self.lead

@@ -1,8 +1,8 @@
-"""Clocks of two sensors that drift against each other: the delay between them along the trip.
+"""Clock drift between two sensors, from the delay between their signals along the trip.
 
-Sensors of one vehicle feel the same track, so that the cross-correlation of two has its peak at a
-delay that depends on the vehicle and its speed only. If one clock runs fast, the delay grows with
-time; if a logger loses samples, it jumps.
+Sensors of one vehicle are excited by the same track, so the cross-correlation of two peaks at a
+delay that depends only on the vehicle and its speed. If one clock runs fast, the delay grows with
+time; if a logger loses samples, the delay jumps.
 """
 
 from __future__ import annotations
@@ -29,58 +29,48 @@ BAND_HZ = (1.0, 15.0)
 """Band of the cross-correlation, [Hz]."""
 
 LEAST_WINDOWS = 6
-"""Least number of windows with a clear peak."""
+"""Least number of windows with a clear correlation peak."""
 
 SPEED_CLASS = 0.05
-"""Relative width of a class of speed, and largest change of the speed within a window."""
+"""Relative width of a speed class, and largest relative change of the speed within a window."""
 
 TRIMS = 3
-"""Number of times that windows far off are left out."""
+"""Number of rounds in which outlying windows are excluded."""
 
 JUMP_SHARE = 0.25
-"""The delay jumps if that leaves less than this share of the squares that a drift leaves."""
+"""The delay jumps if a jump leaves less than this share of a drift's sum of squared residuals."""
 
 FINEST_S = 1e-5
-"""Least deviation of a delay, [s]."""
+"""Lower bound for the standard deviation of a delay, [s]."""
 
 LEAST_CORRELATION = 0.4
-"""Least correlation of a window's cross-spectrum with the common one for its peak to be clear."""
+"""Least correlation of a window's cross-spectrum with the mean one for its peak to be clear."""
 
 RELIABLE = 0.9
-"""Least share of clear windows between the first and the last clear one for the others to mean that
-samples were lost: sensors left and right have little in common where the rails differ."""
+"""Least share of clear windows between the first and the last clear one for unclear windows outside
+to mean lost samples: left and right sensors have little in common where the rails differ."""
 
 NEWTON_STEPS = 3
-"""Number of steps from the highest sample of the cross-correlation to its peak."""
+"""Number of Newton steps from the highest sample of the cross-correlation to its peak."""
 
 MEMORY = 0.2
-"""Weight of the newest window in the common cross-spectrum that follows a drifting clock."""
+"""Weight of the newest window in the reference cross-spectrum that tracks a drifting clock."""
 
 SIGNIFICANT = 6.0
 """Least size of a drift or jump that is reported, in standard deviations."""
 
 TOLD_S, REFUSED_S = 0.003, 0.02
 """Changes of the delay along the trip from which a drift or jump is reported, and above which the
-trip is refused, [s]: more than the second costs estimates 2 % and more."""
+trip is refused, [s]: above the second, errors of estimates grow by 2 % or more."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """How the delay of one sensor behind another changes along a trip.
+    """Change of the delay of one sensor behind another along a trip.
 
-    Attributes
-    ----------
-    is_jump : bool
-        It jumps rather than drifts.
-    size : float, [s] or [-]
-        The jump, or the change of the delay over time. Infinite if the signals have nothing in
-        common before or after the jump.
-    deviation : float
-        Its standard deviation.
-    jump_at_s : float, [s]
-        When it jumps.
-    seconds : float, [s]
-        Time between the first and the last window.
+    `size` is the jump [s] or the drift [s/s], `deviation` its standard deviation. An infinite jump
+    means that the signals have nothing in common on one side of it. `seconds` is the time between
+    the first and the last window.
     """
 
     is_jump: bool
@@ -97,21 +87,9 @@ def clock_faults(
     speed_m_per_s: FloatArray,
     rate_hz: float,
 ) -> tuple[Fault, ...]:
-    """Return the faults of clocks that drift against each other.
+    """Return the clock faults of the sensors in `values`, each (n,) [m/s2] on the common clock.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    values : dict of arrays of shape (n,), [m/s2]
-        Each sensor on the common clock.
-    usable : array of shape (n,)
-    speed_m_per_s : array of shape (n,), [m/s]
-    rate_hz : float, [Hz]
-
-    Raises
-    ------
-    TripError
-        If two drift by more than ``REFUSED_S``.
+    Raises TripError if two sensors drift by more than ``REFUSED_S``.
     """
     faults = []
     for first, second in _compared(manifest):
@@ -132,7 +110,7 @@ def clock_faults(
 
 
 def _compared(manifest: TripManifest) -> list[tuple[str, str]]:
-    """Return the pairs of sensors that are compared: along the chain, and at each place."""
+    """Return the pairs of sensors to compare: neighbouring places, and both sides of each place."""
     sides = {
         name: [name] if isinstance(one, Channel) else [f"{name} {side}" for side in SIDES]
         for name, one in manifest.channels.items()
@@ -143,7 +121,7 @@ def _compared(manifest: TripManifest) -> list[tuple[str, str]]:
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:
-    """Return what is wrong with the second sensor's clock, and how much the delay changes [s]."""
+    """Return the message on the second sensor's clock, and the change of its delay [s]."""
     if abs(drift.size) < SIGNIFICANT * drift.deviation:
         return "", 0.0
     if math.isinf(drift.size):
@@ -176,15 +154,11 @@ def find_drift(
     speed_m_per_s: FloatArray,
     rate_hz: float,
 ) -> Drift | None:
-    """Return how the delay of the second signal behind the first changes; None if that is unclear.
+    """Return how the delay of the second signal behind the first changes; None if unclear.
 
-    Parameters
-    ----------
-    first, second : arrays of shape (n,), [m/s2]
-    usable : array of shape (n,)
-    speed_m_per_s : array of shape (n,), [m/s]
-    rate_hz : float, [Hz]
+    All arrays have shape (n,); the signals may have any common unit.
     """
+    # delays of the windows that are usable throughout
     size = round(WINDOW_S * rate_hz)
     n_windows = len(first) // size
     if n_windows < LEAST_WINDOWS:
@@ -199,7 +173,8 @@ def find_drift(
         return None
     begins_s = WINDOW_S * np.flatnonzero(good)
     classes = _speed_classes(speed_m_per_s[whole].reshape(n_windows, size)[good])
-    # at another speed, or while it changes, the motion may be another one
+    # Many unclear windows before or after a run of clear ones mean that samples were lost. Windows
+    # at other or changing speeds do not count, as the motion may differ there.
     alike = (classes >= 0) & np.isin(classes, classes[clear])
     among = np.flatnonzero(clear[alike])
     if len(among):
@@ -214,12 +189,7 @@ def find_drift(
 
 
 def _speed_classes(speeds: FloatArray) -> IntArray:
-    """Return a number for each window that windows of like speed share; -1 if it is not steady.
-
-    Parameters
-    ----------
-    speeds : array of shape (n_windows, n_samples), [m/s]
-    """
+    """Return the speed class of each window; -1 if unsteady. `speeds`: (n_windows, n_samples)."""
     mean = speeds.mean(axis=1)
     steady = (mean > STANDING_M_PER_S) & (np.ptp(speeds, axis=1) <= SPEED_CLASS * mean)
     classes = np.round(np.log(np.maximum(mean, STANDING_M_PER_S)) / SPEED_CLASS).astype(np.intp)
@@ -229,7 +199,7 @@ def _speed_classes(speeds: FloatArray) -> IntArray:
 def _cross_spectra(
     first: FloatArray, second: FloatArray, good: BoolArray, size: int, rate_hz: float
 ) -> ComplexArray:
-    """Return conj(X) Y of each good window in the band, each bin over its mean size."""
+    """Return conj(X) Y of each good window in the band, each bin divided by its rms size."""
     window = get_window("hann", size)
     n_fft = 2 * size
     band = _band(n_fft, rate_hz)
@@ -247,10 +217,10 @@ def _band(n_fft: int, rate_hz: float) -> slice:
 
 
 def _delays(spectra: ComplexArray, size: int, rate_hz: float) -> tuple[FloatArray, BoolArray]:
-    """Return the delay of each window relative to the others [s], and whether it is clear.
+    """Return the delay of each window relative to the others [s], and whether its peak is clear.
 
-    The common spectrum first follows the windows one after the other, whatever the drift. Then it
-    is the mean of all windows, each without its delay.
+    The reference spectrum first tracks the windows in order, whatever the drift. It is then the
+    mean of all windows, each with its delay removed.
     """
     n_fft = 2 * size
     omega = (2 * np.pi * rfftfreq(n_fft, 1 / rate_hz))[_band(n_fft, rate_hz)]
@@ -271,9 +241,9 @@ def _delays(spectra: ComplexArray, size: int, rate_hz: float) -> tuple[FloatArra
 
 
 def _peak(spectra: ComplexArray, omega: FloatArray, n_fft: int, rate_hz: float) -> FloatArray:
-    """Return the delay at the peak of the correlation of each of these spectra, (n,), [s].
+    """Return the delay at the correlation peak of each spectrum, (n,), [s].
 
-    The peak of the sampled correlation is where Newton's method starts on Re sum G exp(i w t).
+    Newton's method on Re sum G exp(i w t) starts at the peak of the sampled correlation.
     """
     whole = np.zeros((len(spectra), n_fft // 2 + 1), dtype=np.complex128)
     whole[:, _band(n_fft, rate_hz)] = spectra
@@ -288,9 +258,9 @@ def _peak(spectra: ComplexArray, omega: FloatArray, n_fft: int, rate_hz: float) 
 
 
 def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> Drift | None:
-    """Return drift or jump of delays, whichever explains them better; None if neither is clear.
+    """Return the drift or jump that better explains the delays; None if neither is determined.
 
-    Delays depend on the speed, so that each class of speed has a mean of its own.
+    Delays depend on the speed, so each speed class has its own mean.
     """
     kept = classes >= 0
     for _ in range(1 + TRIMS):
@@ -298,12 +268,15 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
         if len(at) < LEAST_WINDOWS:
             return None
         _, place, count = np.unique(classes[at], return_inverse=True, return_counts=True)
+        # regressors: time, for a drift, and a step after each window, for a jump
         later = np.tri(len(at), len(at), -1)[:, 1:-2]  # column k: after window k + 1
         regressors = np.column_stack([middles_s[at], later, delays_s[at]])
+        # subtract the mean of each speed class
         sums = np.zeros((len(count), regressors.shape[1]))
         np.add.at(sums, place, regressors)
         regressors -= (sums / count[:, None])[place]
         target, regressors = regressors[:, -1], regressors[:, :-1]
+        # fit each regressor alone; compare the drift with the best jump
         power = np.einsum("ij,ij->j", regressors, regressors)
         known = power > 1e-6 * len(at)
         slopes = np.divide(regressors.T @ target, power, out=np.zeros(len(power)), where=known)

@@ -1,7 +1,7 @@
-"""Times of a source in seconds: numbers, numbers counted from 1970, time stamps, headers of files.
+"""Times of a source in seconds, from numbers, seconds since 1970, time stamps or file headers.
 
-A source is on an absolute clock if its times can be dated. Absolute clocks are aligned with each
-other; the others begin at zero of the trip's clock.
+A source has an absolute clock if its times can be dated. Absolute clocks are aligned with each
+other; other sources start at zero of the trip's clock.
 """
 
 from __future__ import annotations
@@ -21,27 +21,19 @@ from suspnet.recordings.manifest_keys import TripError
 
 SECOND_NS = 10**9
 DATED_S = (3.15e8, 4.1e9)
-"""Numbers of seconds that are counted from 1970 if a source's times begin with them: the years
-1979 to 2099."""
+"""Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
 
 SAME_NS = 1000
-"""Starts stated by files that differ by no more than this [ns] are one."""
+"""Largest difference [ns] between starts stated by files that count as the same."""
 
 
 @dataclass(frozen=True)
 class Zero:
-    """What the times of a source are counted from.
+    """Origin of the times of a source.
 
-    Parameters
-    ----------
-    ns : int or None, [ns]
-        Since 1970; None if that is not known.
-    is_zoned : bool
-        In UTC; otherwise in the zone of the logger, which is not known.
-    is_stated : bool
-        A header of the file says it, rather than each time stamp.
-    date : datetime or None
-        What a header says that is too coarse to align clocks by.
+    `ns` is counted from 1970, in UTC or, unless `is_zoned`, in the logger's unknown time zone; None
+    if unknown. `is_stated` means stated by a file header rather than by time stamps. `date` is from
+    a header that is too coarse to align clocks.
     """
 
     ns: int | None = None
@@ -51,7 +43,7 @@ class Zero:
 
     @property
     def moment(self) -> datetime | None:
-        """When the times begin; without a zone if that is not known."""
+        """Start of the times; without a zone if that is unknown."""
         if self.ns is None:
             return self.date
         found = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=self.ns // SECOND_NS)
@@ -59,22 +51,10 @@ class Zero:
 
 
 class Times:
-    """Turns the times of a source into seconds, block by block.
+    """Converts the times of a source into seconds, block by block.
 
-    Parameters
-    ----------
-    where : str
-        Named in errors.
-    source : Source
-    column : Column
-        Of the times.
-    start_ns : int or None, [ns]
-        What the file says its numbers are counted from.
-
-    Attributes
-    ----------
-    zero : Zero
-        Known after the first block.
+    `column` holds the times; `start_ns` is their origin as stated by the file. `zero` is known
+    after the first block.
     """
 
     def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
@@ -84,12 +64,9 @@ class Times:
         self._size, self._first = 1.0, 0.0
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
-        """Return times in seconds since `zero`, NaN where there is none.
+        """Return times in seconds since `zero`, NaN where missing.
 
-        Raises
-        ------
-        TripError
-            If the unit contradicts the file's, or the time zone is ambiguous or needless.
+        Raises TripError if unit or time zone contradict the file, or a local time is ambiguous.
         """
         if not self._begun and len(times):
             self._begun = True
@@ -104,7 +81,7 @@ class Times:
         return np.asarray((times.astype(np.float64) - self._first) * self._size)
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
-        """Find zero of time stamps: the whole second of the first one."""
+        """Set the zero of time stamps to the whole second of the first one."""
         known = times[~np.isnat(times)]
         if not len(known):
             raise TripError(f"{self.where}: its times are empty")
@@ -119,7 +96,7 @@ class Times:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
     def _offset_ns(self, first: int, zone: str) -> int:
-        """Return what a local time is ahead of UTC, [ns]."""
+        """Return how far a local time is ahead of UTC, [ns]."""
         naive = datetime(1970, 1, 1) + timedelta(seconds=first // SECOND_NS)
         local = naive.replace(tzinfo=time_zone(zone))
         early, late = (local.replace(fold=fold).utcoffset() for fold in (0, 1))
@@ -132,6 +109,7 @@ class Times:
         return round(early.total_seconds()) * SECOND_NS
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
+        """Set unit and zero of numbers; a unit that makes the first one a date is assumed."""
         numbers = times.astype(np.float64)
         known = numbers[np.isfinite(numbers)]
         first = float(known[0]) if len(known) else 0.0
@@ -158,14 +136,10 @@ def header_date(column: Column) -> datetime | None:
 
 
 def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
-    """Return the first of the moments when sources begin, by time stamps rather than by dates.
+    """Return the earliest start of the sources, and why it is left out if implausible.
 
-    Returns
-    -------
-    moment : datetime or None
-        None if no source is dated, or the date cannot be right.
-    words : str
-        Why a date is left out; otherwise empty.
+    Exact times take precedence over header dates, and times with a zone over others. The start is
+    None if no source is dated or the date is implausible.
     """
     known = [zero for zero in zeros if zero.moment is not None]
     exact = [zero for zero in known if zero.ns is not None]
@@ -181,16 +155,11 @@ def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
 
 
 def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, float]:
-    """Return when the times of each source begin on the trip's clock, [s].
+    """Return the zero of each source's times on the trip's clock, [s].
 
-    The trip's clock begins with the first absolute clock. If some sources are not dated it begins
-    with the manifest's `start`, and so do these; or with the headers of all other files, if these
-    state one and the same start.
-
-    Raises
-    ------
-    TripError
-        If clocks cannot be aligned: `start` is missing, or a time zone.
+    The trip's clock starts with the earliest absolute clock. If some sources are not dated, they
+    and the clock start at the manifest's `start`; or with the other files, if the headers of those
+    state one common start. Raises TripError if `start` or a time zone is missing.
     """
     dated = {name: zero for name, zero in zeros.items() if zero.ns is not None}
     others = [name for name in zeros if name not in dated]

@@ -1,4 +1,4 @@
-"""What a data file holds: its columns with unit, rate and clock where it says them, and blocks."""
+"""Content of a data file: columns, with unit, rate and clock if it states them, and blocks."""
 
 from __future__ import annotations
 
@@ -24,41 +24,36 @@ LISTED = 20
 """Largest number of columns that an error message lists."""
 
 Block = tuple[NDArray[Any], ...]
-"""One array (n_samples,) for each column: float64, or datetime64[ns] of time stamps."""
+"""One array (n_samples,) for each column: float64, or datetime64[ns] for time stamps."""
 
 Take = Callable[[slice], Any]
 
 SHARED_BYTES = 8 * 8 * BLOCK
-"""Size of the memory that a reading process shares with the one that asks: eight columns."""
+"""Size of the memory shared by a reader process and its client [bytes]: blocks of eight columns."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a file, and what the file says of it; None where it says nothing.
+    """One column of a file, as the file describes it; None where it says nothing.
 
     Attributes
     ----------
-    name : str
     unit : str or None
         As written in the file.
-    rate_hz : float or None, [Hz]
     time : str or None
-        The column that holds the times of this one.
+        Name of the column with the times of this one.
     start_ns : int or None, [ns]
-        Since 1970 in UTC: when the first sample was taken or, with `time`, what its times are
-        counted from.
-    is_time : bool
-        Holds time stamps rather than numbers.
-    is_zoned : bool
-        Its time stamps are in UTC; otherwise in an unknown zone.
+        Time of the first sample or, with `time`, origin of its times, since 1970 in UTC.
+    is_time, is_zoned : bool
+        It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
     is_part : bool
-        One column of a matrix; it is read by its name only.
+        It is one column of a matrix and is read only by its name.
     is_whole_rate : bool
-        The format keeps the rate as a whole number.
-    date : str or None
-        When the recording began, by a header that is too coarse to align clocks by; as written.
+        The format stores the rate as a whole number.
     full_scale : float or None
-        Of integers that stand for a fraction of the range: the largest value.
+        Largest value of integers that represent a fraction of the range.
+    date : str or None
+        Start of the recording as written in a header, too coarse to align clocks.
     """
 
     name: str
@@ -78,16 +73,8 @@ class Column:
 class OpenFile:
     """A file that is open for reading.
 
-    Attributes
-    ----------
-    columns : tuple of Column
-        In the order of the file.
-    read : callable
-        Takes names of columns and yields their blocks.
-    words : str
-        How it is read, where that had to be found out; otherwise empty.
-    hint : str
-        Added to the message where a column is missing.
+    `read` yields blocks of the named columns. `words` states how the file is read if this was
+    detected. `hint` is added to the message about a missing column.
     """
 
     columns: tuple[Column, ...]
@@ -96,21 +83,18 @@ class OpenFile:
     hint: str = ""
 
     def column(self, name: str) -> Column:
-        """Return what the file says of one of its columns."""
+        """Return a column by its name."""
         return next(column for column in self.columns if column.name == name)
 
 
 Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
-"""Opens a file of one format."""
+"""Function that opens a file of one format."""
 
 
 def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[str]:
-    """Return the name of each column, None replaced by the only one that is not named.
+    """Return the name of each column, with None replaced by the only column not named.
 
-    Raises
-    ------
-    TripError
-        If a column is missing, named like another, or None and not the only one.
+    Raises TripError if a column is missing or its name not unique, or if None is ambiguous.
     """
     present = [column.name for column in file.columns]
     listed = [column.name for column in file.columns if not column.is_part]
@@ -132,7 +116,7 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
 
 
 def listing(names: Sequence[str]) -> str:
-    """Return names for a message, at most ``LISTED`` of them."""
+    """Return at most ``LISTED`` names as text for a message."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return f"{list(names[:LISTED])}{more}"
 
@@ -140,7 +124,7 @@ def listing(names: Sequence[str]) -> str:
 def slices(
     path: Path, names: Sequence[str], lengths: Sequence[int], takes: Sequence[Take]
 ) -> Iterator[Block]:
-    """Yield blocks of arrays; raise TripError if their lengths differ, or are beyond bounds."""
+    """Yield blocks of arrays; TripError if their lengths differ or are too large."""
     check_samples(path, max(lengths, default=0))
     if len(set(lengths)) > 1:
         raise TripError(f"{path}: columns {list(names)} have different lengths {list(lengths)}")
@@ -150,18 +134,18 @@ def slices(
 
 
 def as_block(values: Any) -> NDArray[Any]:
-    """Return values as float64, or as datetime64[ns] where they are time stamps."""
+    """Return values as float64, or time stamps as datetime64[ns]."""
     array = np.asarray(values)
     return array.astype("datetime64[ns]" if array.dtype.kind == "M" else np.float64, copy=False)
 
 
 def is_vector(shape: Sequence[int]) -> bool:
-    """Return whether an array has one dimension besides those of length 1."""
+    """Return whether an array has at most one dimension that is longer than 1."""
     return len(shape) > 0 and int(np.prod(shape, dtype=np.int64)) == max(shape)
 
 
 def needed(path: Path, module: str, extra: str, what: str) -> Any:
-    """Return the module that reads a format; TripError says how to install it if it is absent."""
+    """Return the module that reads a format; TripError with the install command if it is absent."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -173,20 +157,20 @@ def needed(path: Path, module: str, extra: str, what: str) -> Any:
 MOST_SAMPLES = 48 * 3600 * 10_000
 """Largest number of samples of a channel: two days at 10 kHz."""
 FREE_SAMPLES = 2**26
-"""Number of samples that any file may declare, as a channel of nothing but zeros may be packed into
-a few bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""
+"""Number of samples that a file of any size may declare, as a channel of zeros compresses to a few
+bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""
 SAMPLES_PER_BYTE = 8
-"""Number of samples beyond those for each byte that is stored. Packed noise takes a byte or more
-for each sample, so that seven eighths of a long recording may be zeros that take no space."""
+"""Number of further samples per stored byte. Compressed noise takes a byte or more per sample, so
+seven eighths of a long recording may be zeros that take no space."""
 
 FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
-"""Memory that the reader of a file may take: 1.25 GiB, and 16 bytes for each that is stored.
+"""Memory that the reader of a file may use: 1.25 GiB, plus 16 bytes per stored byte.
 
-Columns of MAT and UFF files are read whole: 8 bytes for each sample, twice, of 2 bytes or less."""
+Columns of MAT and UFF files are read whole: two copies of 8 bytes per sample of 1 or 2 bytes."""
 FREE_S, SECONDS_PER_BYTE, MOST_S = 20.0, 1e-6, 300.0
-"""Time [s] that a reader may take for one step: 20 s, and 1 s for each megabyte, at most 300 s."""
+"""Time [s] that a reader may take for one step: 20 s, plus 1 s per megabyte, at most 300 s."""
 MOST_CHUNK_BYTES = 2**28
-"""Largest size of what must be unpacked at once to read one sample of an HDF5 file."""
+"""Largest chunk of an HDF5 file, which is unpacked whole to read a single sample."""
 
 
 def most_samples(path: Path) -> int:
@@ -196,7 +180,7 @@ def most_samples(path: Path) -> int:
 
 
 def check_samples(path: Path, n_samples: int) -> None:
-    """Raise TripError if a file declares more samples than a recording of its size has."""
+    """Raise TripError if a file declares more samples than a recording of its size can have."""
     if n_samples > FREE_SAMPLES and n_samples > (most := most_samples(path)):
         raise TripError(
             f"{path} declares {n_samples} samples in one column; at most {most} are read of a file "
@@ -205,12 +189,12 @@ def check_samples(path: Path, n_samples: int) -> None:
 
 
 def memory_bytes(stored: int) -> int:
-    """Return how much memory the reader of a file may take, by the bytes that are stored."""
+    """Return how much memory the reader of a file with `stored` bytes may use."""
     return FREE_MEMORY + MEMORY_PER_BYTE * stored
 
 
 def step_s(stored: int) -> float:
-    """Return how long a step of the reader of a file may take [s], by the bytes that are stored."""
+    """Return how long one step of the reader of a file with `stored` bytes may take, [s]."""
     return min(MOST_S, FREE_S + round(SECONDS_PER_BYTE * stored))
 
 
@@ -249,12 +233,9 @@ _STATED: Mapping[str, Mapping[str, float]] = {
 
 
 def size_of(kind: str, text: str | None) -> float | None:
-    """Return the size of a unit of a file in SI; None if it is empty or not known.
+    """Return the SI size of a unit as files write it; None if it is empty or unknown.
 
-    Parameters
-    ----------
-    kind : {"acceleration", "speed", "time"}
-    text : str or None
+    `kind` is "acceleration", "speed" or "time".
     """
     plain = re.sub(r"[\s\[\]()]", "", text or "").replace("²", "2").replace("·", "*")
     plain = plain.replace("µ", "u").replace("μ", "u").replace("⁻", "-").replace("¹", "1")
@@ -274,12 +255,9 @@ def unit_in_name(name: str) -> str:
 
 
 def agreed_size(where: str, kind: str, stated: str | None, written: str | None) -> float:
-    """Return the size in SI of the unit of a column, by the manifest or by its file.
+    """Return the SI size of a column's unit, as stated in the manifest or written in its file.
 
-    Raises
-    ------
-    TripError
-        If they contradict each other, or neither says a unit that is known.
+    Raises TripError if they contradict each other, or neither gives a known unit.
     """
     found = size_of(kind, written)
     known = _STATED[kind]

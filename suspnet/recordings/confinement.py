@@ -1,8 +1,8 @@
-"""Confinement of a process to reading one file: it writes, starts and calls nothing else.
+"""Confinement of a process to reading one file: no writing, no new processes, no connections.
 
-Each protection works without the others, as not every system has all of them: resource limits
-(POSIX), Landlock (Linux from 5.13 on), a filter of system calls (Linux on x86-64 and ARM), and a
-hook in Python itself.
+The protections are independent, as not every system has all of them: resource limits (POSIX),
+Landlock (Linux from 5.13 on), a filter of system calls (Linux on x86-64 and ARM), and an audit hook
+in Python.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ else:
     HAS_LIMITS = True
 
 MOST_DESCRIPTORS = 64
-"""Largest number of files that a reader has open."""
+"""Largest number of files that a reader may have open."""
 
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
-"""Number of rights to files that Landlock knows from a version on."""
+"""Number of file access rights, by the version of Landlock that introduced them."""
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _SET_PDEATHSIG, _SET_SECCOMP, _SET_NO_NEW_PRIVS = 1, 22, 38
 _CLONE_THREAD = 0x10000
@@ -56,28 +56,22 @@ _SYSTEM_CALLS: dict[str, tuple[int, int, tuple[int, ...]]] = {
         ),
     ),
 }
-"""Of each architecture: its code, the number of clone(), and those of the refused calls."""
+"""By architecture: its audit code, the number of clone(), and the numbers of the refused calls."""
 _REFUSED_EVENTS = (
     *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
     *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),
     *("os.chmod", "os.chown", "os.link", "os.mkdir", "os.remove", "os.rename", "os.rmdir"),
     *("os.symlink", "os.truncate", "os.utime", "shutil.", "sqlite3.", "urllib.", "webbrowser."),
 )
-"""Events of Python that a reader has no use for, by how their names start."""
+"""Prefixes of Python audit events that no reader needs."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 def confine(descriptor: int, path: Path, memory_bytes: int) -> None:
-    """Keep only the rights of this process to read one file and the code of Python; for ever.
+    """Restrict this process irrevocably to reading one file and the code of Python.
 
-    Parameters
-    ----------
-    descriptor : int
-        The file, open for reading.
-    path : Path
-        Its name, by which libraries open it again.
-    memory_bytes : int, [bytes]
-        Address space beyond what is in use.
+    `descriptor` is the open file, `path` the name by which libraries open it again. `memory_bytes`
+    is the allowed address space in addition to what is in use.
     """
     folders = _code_folders()
     _limit(memory_bytes)
@@ -104,7 +98,7 @@ def _code_folders() -> list[str]:
 
 
 def _limit(memory_bytes: int) -> None:
-    """Bound memory and open files; let no file grow and no core be written."""
+    """Limit memory and open files; forbid that files grow and cores are dumped."""
     if not HAS_LIMITS:
         return
     bounds = {resource.RLIMIT_FSIZE: 0, resource.RLIMIT_CORE: 0}
@@ -119,7 +113,7 @@ def _limit(memory_bytes: int) -> None:
 
 
 def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> None:
-    """Let Landlock, if the system has it, refuse all other files, TCP, and signals to others."""
+    """Refuse other files, TCP and signals to other processes by Landlock, if available."""
     version = libc.syscall(_CREATE_RULESET, None, 0, 1)
     if version < 1:
         return
@@ -145,18 +139,20 @@ def _allow(libc: Any, ruleset: int, handle: int, rights: int) -> None:
 
 
 def _filter_calls(libc: Any) -> None:
-    """Let the system refuse calls that start processes, open connections or change attributes."""
+    """Refuse system calls that start processes, open connections or change file attributes."""
     if platform.machine() not in _SYSTEM_CALLS:
         return
     architecture, clone, refused = _SYSTEM_CALLS[platform.machine()]
+    # classic BPF: (operation, skip if true, skip if false, operand)
     load, equal, at_least, any_bit, give = 0x20, 0x15, 0x35, 0x45, 0x06
     refuse, number_is = (give, 0, 0, _REFUSE | _NOT_PERMITTED), (load, 0, 0, 0)
     program = [(load, 0, 0, 4), (equal, 1, 0, architecture), refuse, number_is]
-    program += [(at_least, 0, 1, 0x40000000), refuse]  # the second table of calls of x86-64
+    program += [(at_least, 0, 1, 0x40000000), refuse]  # the x32 calls of x86-64
     program += [(equal, 0, 1, _CLONE3), (give, 0, 0, _REFUSE | _NOT_IMPLEMENTED)]
     for number in refused:
         program += [(equal, 0, 1, number), refuse]
-    program += [(equal, 1, 0, clone), (give, 0, 0, _ALLOW), (load, 0, 0, 16)]  # its flags
+    # clone() may start threads only; the flags of clone3() cannot be read, so it looks missing
+    program += [(equal, 1, 0, clone), (give, 0, 0, _ALLOW), (load, 0, 0, 16)]
     program += [(any_bit, 0, 1, _CLONE_THREAD), (give, 0, 0, _ALLOW), refuse]
     code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *one) for one in program))
     head = struct.pack("HxxxxxxP", len(program), ctypes.addressof(code))
@@ -164,7 +160,7 @@ def _filter_calls(libc: Any) -> None:
 
 
 def _refuse_events(path: Path, folders: Sequence[str]) -> None:
-    """Let Python itself refuse what no reader does; this holds on every system."""
+    """Refuse what no reader needs by an audit hook of Python, which works on every system."""
     allowed = tuple(f"{folder}/" for folder in folders)
     own = os.path.realpath(path)
 

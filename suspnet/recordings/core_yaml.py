@@ -1,7 +1,7 @@
-"""YAML as the core schema of YAML 1.2 reads it: no surprises, no duplicate keys, bounded depth.
+"""YAML by the core schema of YAML 1.2, without duplicate keys and of bounded depth and size.
 
-YAML 1.1, which PyYAML follows, takes ``no`` for false, ``12:30:45`` for 45045 and ``0777`` for 511.
-Here these are the text "no", the text "12:30:45" and the number 777.
+YAML 1.1, which PyYAML follows, reads ``no`` as false, ``12:30:45`` as 45045 and ``0777`` as 511.
+Here these are the texts "no" and "12:30:45" and the number 777.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MOST_BYTES = 4 * LONGEST
 """Largest number of bytes."""
 
 MOST_VALUES = 2**18
-"""Largest number of values, those that aliases repeat counted each time: a list of ten aliases of
-a list of ten aliases, and so on, would be written out in messages."""
+"""Largest number of values, counting each repetition by an alias: nested lists of aliases grow
+exponentially when a message writes them out."""
 
 _NULL = ("", "~", "null", "Null", "NULL")
 _BOOLEANS = {
@@ -39,15 +39,15 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class TooLargeError(ValueError):
-    """A document is longer than any of ours, or aliases make it so."""
+    """A document has more than ``LONGEST`` characters or ``MOST_VALUES`` values."""
 
 
 class _Dumper(yaml.SafeDumper):
-    """Puts text in quotes that YAML 1.1 or the core schema would take for anything else."""
+    """Quotes text that YAML 1.1 or the core schema would read as another type."""
 
 
 def _text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
-    """Return text as a node: with escapes where it holds what some readers take for a line end."""
+    """Return the node of a text; characters that some readers take for a line end are escaped."""
     style = '"' if re.search("[\x85\u2028\u2029\ufeff]", value) else None
     return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=style)
 
@@ -62,14 +62,9 @@ for _pattern in (_BASED, _FLOAT):
 def parse_yaml(text: str) -> Any:
     """Return the content of a YAML document: mappings, lists, text, numbers, booleans, None.
 
-    Aliases and merge keys (``<<``) are followed; tags are refused.
-
-    Raises
-    ------
-    ValueError
-        If it is not YAML, holds a key twice, a tag or a second document, is nested more than
-        ``DEEPEST``, longer than ``LONGEST`` or has more than ``MOST_VALUES`` values. The
-        message, of one line, names the line.
+    Aliases and merge keys (``<<``) are followed. ValueError, with a message of one line that names
+    the line of the document, if it is not YAML, holds a duplicate key, a tag or a second document,
+    or exceeds ``DEEPEST``, ``LONGEST`` or ``MOST_VALUES``.
     """
     if len(text) > LONGEST:
         raise TooLargeError(f"it has {len(text)} characters; at most {LONGEST} are read")
@@ -80,7 +75,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def dump_yaml(content: Any) -> str:
-    """Return YAML that `parse_yaml`, and any YAML 1.1 reader, read back as it was."""
+    """Return YAML that `parse_yaml` and any YAML 1.1 reader read back unchanged."""
     return str(
         yaml.dump(
             content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None
@@ -134,13 +129,13 @@ class _Builder:
         return content
 
     def _count(self, event: Any, n_values: int) -> None:
-        """Count values; ValueError if there are too many."""
+        """Count values; TooLargeError if there are too many."""
         self.n_values += n_values
         if self.n_values > MOST_VALUES:
             raise TooLargeError(f"line {_line(event)}: it has more than {MOST_VALUES} values")
 
     def _mapping(self, events: Iterator[Any], depth: int) -> dict[Any, Any]:
-        """Return a mapping; ValueError if it holds a key twice."""
+        """Return a mapping; ValueError if it holds a duplicate key."""
         content: dict[Any, Any] = {}
         merged: list[Any] = []
         lines: dict[Any, int] = {}
@@ -162,13 +157,13 @@ class _Builder:
                     raise ValueError(f"line {line}: `<<` must be followed by mappings")
             else:
                 content[key] = value
-        for one in merged:
+        for one in merged:  # the mapping's own keys and earlier merges take precedence
             content = one | content
         return content
 
 
 def _scalar(event: yaml.ScalarEvent) -> Any:
-    """Return the value of a scalar by the core schema; what stands in quotes is text."""
+    """Return the value of a scalar by the core schema; quoted scalars are text."""
     text = str(event.value)
     if not event.implicit[0]:
         return text
@@ -186,5 +181,5 @@ def _scalar(event: yaml.ScalarEvent) -> Any:
 
 
 def _line(event: Any) -> int:
-    """Return the line in which an event begins, counted from 1."""
+    """Return the line in which an event starts, counted from 1."""
     return int(event.start_mark.line) + 1

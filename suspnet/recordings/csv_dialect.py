@@ -1,8 +1,8 @@
-"""How a CSV file is written: encoding, delimiter, decimal sign, and where its table begins.
+"""How a CSV file is written: encoding, delimiter, decimal sign, and where its table starts.
 
-A logger's file begins with any number of lines about the recording. Then come a line of names, in
-some files a line of units, and the rows. All of it is found out from the beginning of the file;
-what is given in the manifest is not asked for again.
+A logger's file starts with any number of lines about the recording, followed by a line of names, in
+some files a line of units, and the rows. All of this is detected from the first ``SAMPLE_BYTES``
+bytes, except what the manifest gives.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from suspnet.recordings.manifest import DELIMITERS, CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
 SAMPLE_BYTES = 2**18
-"""Number of bytes at the beginning of a file from which its dialect is found out."""
+"""Number of bytes at the start of a file from which its dialect is detected."""
 
 TAIL_LINES = 50
-"""Largest number of rows at the end of the sample that candidates are compared on."""
+"""Largest number of rows, at the end of the sample, on which candidate dialects are compared."""
 
 NEXT_LINES = 10
-"""The first row is one that is followed by rows, as half of this many lines at least."""
+"""Number of lines checked to find the first row: at least half of them must be rows."""
 
 MISSING = frozenset(
     "|#N/A|#N/A N/A|#NA|-1.#IND|-1.#QNAN|-NaN|-nan|1.#IND|1.#QNAN|N/A|NA|NULL|NaN|n/a|nan|null"
     "|NAN|-|--|---|None|none|*|***".split("|")
 )
-"""Cells without a value."""
+"""Cells that mean a missing value."""
 
 _DASHES = frozenset(("", "-", "--", "---", "*", "***"))
-"""Cells that may stand in lines of names or units, too."""
+"""Cells that may also occur in lines of names or units."""
 
 _INFINITE = r"[-+]?(?:inf|Inf|INF|infinity|Infinity)"
 _NUMBER = {
@@ -63,23 +63,10 @@ _WORDS = {"\t": "tab", " ": "space", "": "none"}
 class Found:
     """How one file is written.
 
-    Attributes
-    ----------
-    encoding : str
-    delimiter : str
-        "" if there is one column only; " " stands for any number of spaces and tabs.
-    decimal : {".", ","}
-    header_line : int
-        Line of the names, counted from 1; 0 if there are none.
-    first_line : int
-        Line of the first row.
-    names, units : tuples of str
-        A unit is empty where none is given.
-    stamps : tuple of str
-        Of each column "" for numbers, "local" or "utc" for time stamps without or with a zone.
-    has_bom : bool
-    date : str or None
-        When the recording began, by the lines above the names or columns of words in the first row.
+    `delimiter` is "" for a single column, and " " for any number of spaces and tabs. Lines are
+    counted from 1; `header_line` is 0 if there are no names. A missing unit is "". `stamps` is, for
+    each column, "" for numbers, "local" or "utc" for time stamps without or with a zone. `date` is
+    the start of the recording as stated above the names or in text columns of the first row.
     """
 
     encoding: str
@@ -94,7 +81,6 @@ class Found:
     date: str | None = None
 
     def __str__(self) -> str:
-        """Return what was found as text."""
         header = f"names in line {self.header_line}" if self.header_line else "no names"
         bom = " with byte-order mark" if self.has_bom else ""
         delimiter = _WORDS.get(self.delimiter, repr(self.delimiter))
@@ -106,6 +92,8 @@ class Found:
 
 @dataclass(frozen=True)
 class _Candidate:
+    """One way to read the rows; `n_broken` counts rows and cells that do not fit it."""
+
     delimiter: str
     decimal: str
     n_columns: int
@@ -118,7 +106,7 @@ class _Candidate:
         return _split(line, self.delimiter)
 
     def is_row(self, line: str) -> bool:
-        """Return whether a line has a number, time or nothing wherever it should."""
+        """Return whether each numeric or time column holds a fitting or missing value."""
         cells = self.splits(line)
         if len(cells) != self.n_columns:
             return False
@@ -134,28 +122,25 @@ class _Candidate:
 def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
     """Return how a CSV file is written.
 
-    Raises
-    ------
-    TripError
-        If there is no table of numbers, or more than one way to read it; the message names what to
-        give in the manifest.
+    Raises TripError, with what to give in the manifest, if there is no table of numbers or more
+    than one way to read it.
     """
     given = CsvDialect() if given is None else given
     encoding, has_bom, lines = _first_lines(path, given)
-    # Rows are recognised at the end of the sample, where no header is.
+    # Recognise rows at the end of the sample, which holds no header.
     filled = [line for line in lines[given.header_line or 0 :] if line.strip()]
     tail = filled[-max(min(TAIL_LINES, len(filled) // 2), 1) :]
     candidates = _candidates(tail, given)
     if not candidates:
         raise _unreadable(path, "no row of numbers was found: it is empty, cut off or no table")
-    # Of those that explain the whole sample, the one that explains most of it is taken.
+    # Choose the preferred one of the candidates that have a table in the whole sample.
     found = [_table(lines, one, given) for one in candidates]
     whole = [pair for pair in zip(found, candidates, strict=True) if pair[0] is not None]
     if not whole:
         raise _unreadable(path, "no row has as many values as there are names")
     best, candidate = max(whole, key=lambda pair: _preference(*pair))
     assert best is not None
-    # A file that may be read in two ways is refused rather than guessed.
+    # Refuse a file that can be read in two ways rather than guess.
     rivals = [
         other
         for other, one in whole
@@ -202,7 +187,7 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
 
 
 def _date_in_row(line: str, one: _Candidate) -> str | None:
-    """Return the date and time of day in a row's columns of words; None if there are none."""
+    """Return the date and time of day in the text columns of a row; None if there are none."""
     read = {*one.numeric, *one.stamped}
     text = " ".join(cell for i, cell in enumerate(one.splits(line)) if cell and i not in read)
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
@@ -216,6 +201,7 @@ def _unreadable(path: Path, reason: str) -> TripError:
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:
+    """Return encoding and byte-order mark: UTF-16 by its zero bytes, or else UTF-8 or Latin-1."""
     for bom, name in _BOMS:
         if sample.startswith(bom):
             return name, True
@@ -243,6 +229,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
+    """Return the combinations of delimiter and decimal sign with the fewest misfits."""
     delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
     found = []
     for delimiter in delimiters:
@@ -263,7 +250,7 @@ def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
 
 
 def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others: int) -> _Candidate:
-    """Return what rows hold if they are read with a delimiter and a decimal sign."""
+    """Return the candidate of a delimiter and decimal sign for rows split at that delimiter."""
     numeric, stamped, n_broken = [], [], n_others
     commas: list[str] = []
 
@@ -288,11 +275,12 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
 
 
 def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | None:
-    """Return where the table of a candidate begins and what its columns are; None if nowhere."""
+    """Return where the table of a candidate starts, with its columns; None if there is none."""
     begin = 0 if given.header_line is None else given.header_line
     first = next((i for i in range(begin, len(lines)) if _begins(lines, i, one)), None)
     if first is None:
         return None
+    # The names are in the last line of text above the rows, or before it if that line holds units.
     above = [i for i in range(first) if re.search(r"\w", lines[i])]
     header: int | None = None
     units: list[str] = []
@@ -309,7 +297,7 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
             header, units = before[0], cells
     names = [] if header is None else _padded(lines[header], one)
     if header is not None and not names:
-        return None  # another number of names than of columns
+        return None  # the numbers of names and columns differ
     names = [name or f"column_{i + 1}" for i, name in enumerate(names or [""] * one.n_columns)]
     if not units:
         units = [unit_in_name(name) for name in names]
@@ -332,7 +320,7 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
 
 
 def _begins(lines: Sequence[str], i: int, one: _Candidate) -> bool:
-    """Return whether the rows begin in a line: it is one, and so are half of the next lines."""
+    """Return whether the rows start at line `i`: it is a row, as are half of the next lines."""
     if not one.is_row(lines[i]):
         return False
     following = [line for line in lines[i : i + NEXT_LINES] if line.strip()]
@@ -340,9 +328,9 @@ def _begins(lines: Sequence[str], i: int, one: _Candidate) -> bool:
 
 
 def _padded(line: str, one: _Candidate) -> list[str]:
-    """Return the cells of a line of names or units; none if there are not as many as columns.
+    """Return the cells of a line of names or units; empty if there are too few or too many.
 
-    Names may lack where columns are empty, as behind a delimiter at the end of each row.
+    Empty columns at the end, as after a delimiter at the end of each row, need no name.
     """
     cells = one.splits(re.sub(r"^\s*(#|%|//)", "", line))
     filled = max((*one.numeric, *one.stamped)) + 1
@@ -354,13 +342,13 @@ def _padded(line: str, one: _Candidate) -> list[str]:
 
 
 def _are_units(cells: Sequence[str]) -> bool:
-    """Return whether a line holds units: one at least that is known, the others short."""
+    """Return whether a line holds units: at least one known unit, and short texts only."""
     filled = [cell.strip("[]() ") for cell in cells if cell.strip("[]() ")]
     return any(is_unit(cell) for cell in filled) and all(len(cell) < 12 for cell in filled)
 
 
 def _preference(found: Found | None, one: _Candidate) -> tuple[bool, int, int, bool]:
-    """Return what makes a way to read better: names, more columns, and a decimal point."""
+    """Return the sort key of a candidate: names, more columns, fewer misfits, decimal point."""
     assert found is not None
     n_read = len(one.numeric) + len(one.stamped)
     return found.header_line > 0, n_read, -one.n_broken, found.decimal == "."

@@ -1,4 +1,4 @@
-"""Columns of Parquet files, and of CSV files of any dialect, a block at a time, by Arrow."""
+"""Columns of Parquet files and of CSV files of any dialect, read block by block with Arrow."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from suspnet.recordings.manifest import CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
 BLOCK_BYTES = 2**19
-"""Number of bytes that are parsed at once; Arrow reads 32 such blocks ahead."""
+"""Number of bytes that are parsed at once; Arrow reads 32 of these blocks ahead."""
 LONGEST_LINE = 2**20
-"""Largest number of bytes of a line whose cells are parted by blanks; Arrow bounds the others."""
+"""Largest number of bytes of a line whose delimiter is blanks; Arrow limits other lines."""
 
 
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
+"""Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
 
 
 @contextmanager
 def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open a Parquet file; the metadata `unit` and `rate_hz` of a column say what they are."""
-    # Reading ahead, the default, is no faster here and takes as much memory as the whole column.
+    """Open a Parquet file; the metadata `unit` and `rate_hz` of its columns are used."""
+    # Reading ahead, the default, is no faster here and uses memory for a whole column.
     with pa.parquet.ParquetFile(path, pre_buffer=False, buffer_size=PARQUET_BUFFER_BYTES) as file:
         fields = {field.name: field for field in file.schema_arrow}
 
@@ -66,7 +67,7 @@ def _parquet_column(field: Any) -> Column:
 
 
 def _from_arrow(column: Any) -> Any:
-    """Return an Arrow column as float64, or as datetime64[ns] of time stamps."""
+    """Return an Arrow column as float64, or time stamps as datetime64[ns]."""
     if pa.types.is_timestamp(column.type):
         return as_block(column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False))
     return to_float(column)
@@ -74,7 +75,7 @@ def _from_arrow(column: Any) -> Any:
 
 @contextmanager
 def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
-    """Open a CSV file; how it is written is found out, as far as it is not given."""
+    """Open a CSV file; the parts of its dialect that are not given are detected."""
     found = find_dialect(path, given)
     columns = tuple(
         Column(name, unit or None, is_time=bool(stamp), is_zoned=stamp == "utc", date=found.date)
@@ -97,7 +98,7 @@ def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
         null_values=sorted(MISSING),
         strings_can_be_null=True,
     )
-    # Only without threads do messages count rows.
+    # Messages contain row numbers only without threads.
     read = pa.csv.ReadOptions(
         use_threads=False,
         block_size=BLOCK_BYTES,
@@ -106,7 +107,7 @@ def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
     )
     delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
     parse = pa.csv.ParseOptions(delimiter=delimiter)
-    # Arrow reads UTF-8 with one-character delimiters: other files are turned into that on the way.
+    # Arrow reads UTF-8 with one-character delimiters: other files are converted on the fly.
     with pa.OSFile(str(path)) as stream:
         source: Any = stream
         if found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
@@ -139,7 +140,7 @@ def to_float(column: Any) -> FloatArray:
 
 
 def _stamps(column: Any, kind: str) -> Any:
-    """Return texts of time stamps as datetime64[ns], in UTC if they have a zone."""
+    """Return text time stamps as datetime64[ns], in UTC if they have a zone."""
     if isinstance(column.type, pa.TimestampType):
         return as_block(column.to_numpy(zero_copy_only=False))
     plain = pa.compute.replace_substring(pa.compute.utf8_trim_whitespace(column), ",", ".")
@@ -149,6 +150,8 @@ def _stamps(column: Any, kind: str) -> Any:
 
 @dataclass
 class _Collapsed(io.RawIOBase):
+    """A stream in which a tab replaces each run of blanks; none is left at the ends of lines."""
+
     source: Any
     _rest: bytes = b""
     _done: bytes = field(default=b"")
@@ -158,8 +161,7 @@ class _Collapsed(io.RawIOBase):
         return True
 
     def read(self, size: int = -1) -> bytes:
-        """Return at most `size` bytes; none at the end."""
-        while not self._done and not self._ended:  # each round reads on, until the end
+        while not self._done and not self._ended:  # ends: each round reads a block
             if len(self._rest) > LONGEST_LINE:
                 raise ValueError(f"a line of more than {LONGEST_LINE} bytes")
             block = self.source.read(BLOCK_BYTES)

@@ -1,4 +1,4 @@
-"""When a trip was recorded: dates in headers of files, and which dates can be right."""
+"""Dates of recordings: read from file headers, and checked for plausibility."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from zoneinfo import ZoneInfo
 
 EARLIEST_YEAR = 1990
-"""A logger whose clock was never set begins in 1970 or 1980; digital ones are younger than this."""
+"""Earliest plausible year: digital loggers are younger, and unset clocks start in 1970 or 1980."""
 AHEAD = timedelta(days=2)
-"""How far ahead of this computer's clock a date may be: zones differ by a day."""
+"""Largest plausible time ahead of this computer's clock: time zones differ by a day."""
 
 LONGEST_LINE = 200
-"""Number of characters of a line beyond which it is no statement of a date."""
+"""Number of characters above which a line is not searched for a date."""
 _NAMED = re.compile(
     r"\W*(?:(?:start|record|measured|date|datum|(?:mess)?beginn|aufnahme|aufgenommen)[\w /.-]*"
     r"|time|zeit|uhrzeit)\W*?[:=;,\t]\W*(\d.*)",
@@ -29,13 +29,7 @@ def now() -> datetime:
 
 
 def date_problem(moment: datetime) -> str:
-    """Return why a trip cannot have been recorded then; empty if it can.
-
-    Parameters
-    ----------
-    moment : datetime
-        One without a zone is taken as UTC.
-    """
+    """Return why a date (UTC if it has no zone) is implausible; empty if it is plausible."""
     aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
     if aware.year < EARLIEST_YEAR:
         return f"is before {EARLIEST_YEAR}: was the logger's clock set?"
@@ -45,9 +39,9 @@ def date_problem(moment: datetime) -> str:
 
 
 def read_date(text: str) -> datetime | None:
-    """Return the date and time of day in a header; None if it is none, or could be two.
+    """Return the date and time of day in a header; None if there is none or it is ambiguous.
 
-    Day and month of "03/08/2015" are in the order of the country, which is not known.
+    "03/08/2015" is ambiguous: the order of day and month depends on the country.
 
     Examples
     --------
@@ -82,7 +76,7 @@ def read_date(text: str) -> datetime | None:
 
 
 def date_in_lines(lines: Sequence[str]) -> str | None:
-    """Return the start that lines above a table state, in one line or as date and time of day.
+    """Return the start stated above a table, in one line or as separate date and time of day.
 
     Examples
     --------
@@ -99,13 +93,7 @@ def date_in_lines(lines: Sequence[str]) -> str | None:
 
 
 def time_zone(name: str) -> tzinfo:
-    """Return a time zone by its name or its offset from UTC.
-
-    Raises
-    ------
-    ValueError
-        If it is not known.
-    """
+    """Return a time zone by its name or its offset from UTC; ValueError if it is unknown."""
     if name == "UTC":
         return UTC
     try:

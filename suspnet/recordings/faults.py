@@ -1,6 +1,7 @@
-"""Detectors of faulty samples of an acceleration: one function for each kind, without loops.
+"""Vectorised detectors of faulty acceleration samples, one function for each kind.
 
-All take one piece of a signal; ``cleaning`` cuts a channel into pieces and puts them together.
+All take one piece of a signal; ``cleaning`` cuts a channel into pieces and joins the results.
+Masks have shape (n_samples,).
 """
 
 from __future__ import annotations
@@ -12,31 +13,28 @@ import numpy as np
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
-"""Magnitude above which a value is a gap: loggers write 3.4e38 or infinity for a missing one."""
+"""Magnitude above which a value is missing: loggers write 3.4e38 or infinity for that."""
 
 STRIDE = 7
 """Stride of the samples from which level and spread are estimated."""
 
 SIDE_SAMPLES, CALM = 8, 0.25
 """A spike is isolated if all but one of SIDE_SAMPLES samples on either side stay within the
-fraction CALM of its height; the ringing after an impact does not."""
+fraction CALM of its height; the ringing after an impact exceeds that."""
 
 COARSE_STEPS = 4
 """Number of quantisation steps by which a signal must jump to its clipping level: the rounded top
-of a slow wave is as flat, but is reached in smaller steps. A spike must be higher than this, too,
+of a slow wave is as flat, but is reached in smaller steps. A spike must also be higher than this,
 as the last digit of a sensor at rest flickers."""
 
 
 def find_gaps(values: FloatArray) -> BoolArray:
-    """Return where there is no value: NaN, infinite or absurd; shape (n_samples,)."""
+    """Return where a value is missing: NaN, or above ``LARGEST_M_PER_S2``."""
     return np.asarray(~(np.abs(values) < LARGEST_M_PER_S2))
 
 
 def find_constant(values: FloatArray, longest: int) -> BoolArray:
-    """Return the runs of more than `longest` identical values, shape (n_samples,).
-
-    NaN is not identical to NaN.
-    """
+    """Return the runs of more than `longest` identical values; NaN is not identical to NaN."""
     coarse = values[:: max((longest + 1) // 2, 1)]  # every run that is too long holds two of these
     if not (coarse[1:] == coarse[:-1]).any():
         return np.zeros(len(values), dtype=np.bool_)
@@ -45,16 +43,16 @@ def find_constant(values: FloatArray, longest: int) -> BoolArray:
 
 
 def find_saturation(values: FloatArray, threshold: float) -> BoolArray:
-    """Return where the magnitude reaches a threshold, shape (n_samples,)."""
+    """Return where the magnitude reaches a threshold."""
     if -threshold < values.min() and values.max() < threshold:
         return np.zeros(len(values), dtype=np.bool_)
     return np.asarray(np.abs(values) >= threshold)
 
 
 def find_clipping(values: FloatArray, shortest: int) -> BoolArray:
-    """Return runs of at least `shortest` equal values at the extremes of `values`, (n_samples,).
+    """Return runs of at least `shortest` equal values at the extremes of `values`.
 
-    For sensors of unknown range. A run counts if the signal jumps to or from it.
+    It serves sensors of unknown range. A run counts only if the signal jumps to or from it.
     """
     mask = np.zeros(len(values), dtype=np.bool_)
     for extreme in (values.min(), values.max()):
@@ -72,8 +70,8 @@ def find_clipping(values: FloatArray, shortest: int) -> BoolArray:
 def local_level(values: FloatArray, segment: int) -> tuple[FloatArray, FloatArray]:
     """Return median and robust standard deviation of each segment, shape (n_segments,), [m/s2].
 
-    The deviation is 1.4826 times the median absolute one; where that is zero, 1.2533 times the
-    mean absolute one. A shorter last segment gets the numbers of the one before it.
+    The deviation is 1.4826 times the median absolute deviation or, if that is zero, 1.2533 times
+    the mean absolute deviation. A shorter last segment takes the values of the one before it.
     """
     n_whole = len(values) // segment
     rows = values[: n_whole * segment].reshape(n_whole, segment) if n_whole else values[None]
@@ -91,20 +89,13 @@ def local_level(values: FloatArray, segment: int) -> tuple[FloatArray, FloatArra
 def find_spikes(
     values: FloatArray, segment: int, centre: FloatArray, reach: FloatArray, longest: int
 ) -> BoolArray:
-    """Return the isolated spikes of at most `longest` samples, shape (n_samples,).
+    """Return the isolated spikes of at most `longest` samples in `values` without NaN.
 
-    Parameters
-    ----------
-    values : array of shape (n_samples,), [m/s2]
-        Without NaN.
-    segment : int
-        Samples of a segment.
-    centre, reach : arrays of shape (n_segments,), [m/s2]
-        Level of each segment, and how far a spike stands out at least: from the segment, and from
-        the samples on either side of it. The latter are missing at the ends of `values`, where
-        nothing is found.
-    longest : int
+    `centre`, `reach`: (n_segments,), level of each segment of `segment` samples, and least height
+    of a spike, above that level and above the samples on either side. Spikes closer to the ends
+    than ``SIDE_SAMPLES`` are not found.
     """
+    # candidates: samples far from the level, searched only in segments that have one
     borders = np.arange(0, len(values), segment)
     highest, lowest = (f.reduceat(values, borders) for f in (np.maximum, np.minimum))
     far = np.zeros(len(values), dtype=np.bool_)
@@ -116,6 +107,7 @@ def find_spikes(
     starts, stops = starts[inside], stops[inside]
     if len(starts) == 0:
         return np.zeros(len(values), dtype=np.bool_)
+    # confirm them by the samples on either side
     height, calm = _height(values, starts, stops)
     least = np.maximum(reach[starts // segment], COARSE_STEPS * _smallest_step(values))
     isolated = (height > least) & (calm < CALM * height)
@@ -128,6 +120,7 @@ def _smallest_step(values: FloatArray) -> float:
 
 
 def _height(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the height of each run above both sides, and the largest spread there; (n_runs,)."""
     width = int((stops - starts).max())
     peak = values[np.minimum(starts[:, None] + np.arange(width), stops[:, None] - 1)]
     above, below, spread = [], [], []
@@ -144,7 +137,7 @@ def _height(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[Floa
 def runs(
     mask: BoolArray, at_least: int = 1, at_most: int | None = None
 ) -> tuple[IntArray, IntArray]:
-    """Return first and one past the last index of the runs of True that have such a length."""
+    """Return the first and one past the last index of runs of True with a length in bounds."""
     if not mask.any():
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
@@ -156,7 +149,7 @@ def runs(
 
 
 def paint(n_samples: int, starts: IntArray, stops: IntArray) -> BoolArray:
-    """Return True from each start up to its stop, which may be the next start; (n_samples,)."""
+    """Return a mask of True from each start up to its stop, which may be the next start."""
     steps = np.zeros(n_samples + 1, dtype=np.int8)
     steps[starts] += 1
     steps[stops] -= 1
@@ -164,9 +157,9 @@ def paint(n_samples: int, starts: IntArray, stops: IntArray) -> BoolArray:
 
 
 def fill(values: FloatArray, holes: BoolArray) -> FloatArray:
-    """Return values with holes filled linearly, and at the ends by the nearest value.
+    """Return values with holes interpolated linearly, and at the ends by the nearest value.
 
-    If all are holes they stay as they are, but for gaps, which become zero.
+    If all are holes, they remain unchanged, except for gaps, which become zero.
     """
     if not holes.any():
         return values

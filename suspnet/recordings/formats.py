@@ -1,4 +1,4 @@
-"""Columns of data files of every format, a block at a time: one line of ``FORMATS`` each."""
+"""Columns of data files of all formats, read block by block; ``FORMATS`` lists the formats."""
 
 from __future__ import annotations
 
@@ -33,20 +33,11 @@ from suspnet.recordings.reader_process import in_own_process
 
 @contextmanager
 def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open a data file: its columns with unit, rate and times as far as it says them.
+    """Open a data file: its columns with the units, rates and times that it states.
 
-    Parameters
-    ----------
-    path : Path
-        The suffix, one of ``READERS``, says what the file is.
-    csv : CsvDialect, optional
-        How it is written, as far as that is not to be found out.
-
-    Raises
-    ------
-    TripError
-        If the file is missing, empty, damaged or of another format, or the package that reads it
-        is not installed; also where it is read.
+    The suffix, one of ``READERS``, determines the format; `csv` gives parts of a CSV dialect.
+    Opening and reading raise TripError if the file is missing, empty, damaged or of another format,
+    or the package that reads it is not installed.
     """
     suffix = path.suffix.lower()
     if suffix not in READERS:
@@ -72,36 +63,21 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
 def open_columns(
     path: Path, columns: Sequence[str | None], csv: CsvDialect | None = None
 ) -> Iterator[Block]:
-    """Yield some columns of a file, in blocks of at most ``BLOCK`` samples.
+    """Yield columns of a file as arrays (n_samples,), in blocks of at most ``BLOCK`` samples.
 
-    Nothing is ever unpickled. Missing values become NaN. All formats but UFF, WAV of 24 bits, and
-    MAT before version 7.3 are read piece by piece, so the file may be larger than memory.
-
-    Parameters
-    ----------
-    path : Path
-    columns : sequence of str or None
-        Names of the columns; TDMS channels are named "group/channel", columns of a matrix
-        "name[0]", fields of a struct "struct.field". None is the only column that is not named.
-    csv : CsvDialect, optional
-
-    Yields
-    ------
-    tuple of arrays of shape (n_samples,)
-        One for each of `columns`: float64, or datetime64[ns] of time stamps.
-
-    Raises
-    ------
-    TripError
-        If the file is missing, empty, damaged or of another format, or if a column is missing, is
-        not numeric or is not the only one. Nothing is raised before the first block is asked for.
+    TDMS channels are named "group/channel", columns of a matrix "name[0]", fields of a struct
+    "struct.field"; None is the only column not named. Arrays are float64, NaN where missing, or
+    datetime64[ns] for time stamps. Nothing is ever unpickled. All formats except UFF, WAV of 24
+    bits and MAT before version 7.3 are read piece by piece, so a file may be larger than memory.
+    The first block raises TripError if the file cannot be read, or a column is missing, ambiguous
+    or not numeric.
     """
     with open_file(path, csv) as file:
         yield from read_columns(path, file, columns)
 
 
 def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> Iterator[Block]:
-    """Yield some columns of a file that is open; see `open_columns`."""
+    """Yield columns of an open file in blocks of at most ``BLOCK`` samples; None: the only one."""
     n_samples = 0
     with _named(path):
         names = choose(path, file, columns)
@@ -116,6 +92,7 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
+    """Turn the errors of readers on damaged files into TripError with the name of the file."""
     try:
         yield
     except TripError:
@@ -130,20 +107,18 @@ def _named(path: Path) -> Iterator[None]:
 class Format:
     """One format of data files.
 
-    Another format is a function that opens a file, in a module of its own or of its kind, and one
-    line of ``FORMATS``.
+    To add a format, write a function that opens its files and add one line to ``FORMATS``.
 
     Parameters
     ----------
     suffixes : tuple of str
-        By which a file is known to have it.
+        Suffixes of its files.
     open : callable
-        Gives an `OpenFile`: its columns with all that the file says of them, and `read`, which
-        yields blocks of some of them.
+        Returns an `OpenFile`: the columns as the file describes them, and `read`.
     library : str, optional
         A package that `open` imports.
     in_own_process : bool
-        Whether it runs in a confined process: whatever declares sizes or may crash its library.
+        Run `open` in a confined process, for formats that declare sizes or may crash a library.
     """
 
     suffixes: tuple[str, ...]
@@ -153,7 +128,7 @@ class Format:
 
     @property
     def reader(self) -> Reader:
-        """What opens a file, in the process that it belongs to."""
+        """Function that opens a file, in a confined process if required."""
         return in_own_process(self.open, self.library) if self.in_own_process else self.open
 
 
@@ -161,7 +136,7 @@ CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 
 FORMATS = (
     Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
-    # its text declares nothing, and no damaged file has crashed its reader
+    # not confined: text declares no sizes, and no damaged file has crashed the reader
     Format(CSV_SUFFIXES, open_csv, in_own_process=False),
     Format((".mat",), open_mat, "h5py"),
     Format((".h5", ".hdf5"), open_hdf5, "h5py"),
@@ -171,7 +146,7 @@ FORMATS = (
     Format((".wav",), open_wav),
 )
 READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
-"""What opens a file of each suffix."""
+"""Readers by suffix."""
 
 _DAMAGE = (
     pa.ArrowException,

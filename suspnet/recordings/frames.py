@@ -1,15 +1,15 @@
-"""Frames: consecutive samples of one sensor, as they travel from a logger.
+"""Frames: consecutive samples of one sensor, as a logger sends them.
 
 A frame is one message of the Arrow IPC streaming format: a schema with one column ``samples`` of
-float32 or float64, whose metadata name the sensor and the rest, then one record batch. Arrow was
-chosen among three existing encodings. SenML (RFC 8428) writes a record with a name for each sample:
-at 5000 Hz that is ten times the bytes. CBOR (RFC 8949) with typed arrays (RFC 8746) is as compact,
-but would need one more dependency, and readers of typed arrays are rare. Arrow is a dependency
-already, names its types, and has readers in every language of loggers; its 570 bytes
-of schema are a seventh of a frame of 1000 samples in single precision.
+float32 or float64, whose metadata hold the other fields of `Frame`, then one record batch. Arrow
+was chosen among three existing encodings. SenML (RFC 8428) writes a named record for each sample,
+ten times the bytes. CBOR (RFC 8949) with typed arrays (RFC 8746) is as compact, but needs another
+dependency, and readers of typed arrays are rare. Arrow is already a dependency, declares its types,
+and has readers in all languages of loggers; its schema of 570 bytes is a seventh of a frame of 1000
+samples in single precision.
 
-Nothing that a frame claims is trusted: its bytes are bounded before they are read, and compressed
-batches, which could claim any size, are refused.
+Frames are not trusted: their size is limited before they are read, and compressed batches, which
+could declare any size, are refused.
 """
 
 from __future__ import annotations
@@ -28,29 +28,23 @@ MOST_SAMPLES = 2**16
 """Largest number of samples of a frame: 13 s at 5000 Hz."""
 
 MOST_BYTES = 8 * MOST_SAMPLES + 2**13
-"""Largest size of an encoded frame: its samples in double precision, and 8 KiB for the rest."""
+"""Largest size of an encoded frame [bytes]: samples in double precision, plus 8 KiB."""
 
 MOST_CHARACTERS = 200
 """Largest length of each text in a frame."""
 
 MOST_SEQUENCE, MOST_NS = 2**53, 2**62
-"""Bounds of the sequence number and of the time: whole in every language, below the year 2116."""
+"""Bounds of sequence number and time [ns]: exact in every language, and before the year 2117."""
 
 RATES_HZ = (0.01, 1e6)
 """Lowest and highest rate of a sensor, [Hz]."""
 
 REASONS = ("size", "foreign", "truncated", "sensor", "rate", "unit", "time", "sequence", "nan")
-"""What can be wrong with one frame, whatever came before."""
+"""Reasons to refuse a frame by itself, whatever came before."""
 
 
 class FrameError(ValueError):
-    """A frame cannot be used; the message says why, `reason` in one word.
-
-    Parameters
-    ----------
-    reason : str
-    message : str
-    """
+    """A frame cannot be used; the message explains why, `reason` is one word."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
@@ -64,16 +58,16 @@ class Frame:
     Parameters
     ----------
     suspension : str
-        Which suspension it is of, as its ``Place`` is written: "train 1, car 2, front, left".
+        Its suspension, as its ``Place`` is written: "train 1, car 2, front, left".
     sensor : str
         The channel, followed by the side in a pair: "axle_box", "bogie left"; or "speed".
     sequence : int
-        One more than that of the sensor's frame before.
+        One more than that of the sensor's previous frame.
     time_ns : int, [ns]
         Time of the first sample, since 1970 in UTC.
     rate_hz : float, [Hz]
     unit : str
-        Of the samples, as files write it: "m/s2", "g", "km/h".
+        Unit of the samples, as files write it: "m/s2", "g", "km/h".
     samples : array of shape (n_samples,), float32 or float64, [unit]
 
     Raises
@@ -111,7 +105,7 @@ class Frame:
 
 
 def end_ns(frame: Frame) -> int:
-    """Return when a frame ends and the next one begins, [ns] since 1970."""
+    """Return the end of a frame and start of the next, [ns] since 1970."""
     return frame.time_ns + round(len(frame.samples) * SECOND_NS / frame.rate_hz)
 
 
@@ -134,12 +128,12 @@ def encode(frame: Frame) -> bytes:
 
 
 def decode(data: bytes) -> Frame:
-    """Return the frame that some bytes hold.
+    """Return the frame of an Arrow IPC stream, as `encode` writes it.
 
     Raises
     ------
     FrameError
-        If they are too many, truncated, of another format, or a value is out of range.
+        If it is too long, truncated or of another format, or a value is out of range.
     """
     if len(data) > MOST_BYTES:
         raise FrameError("size", f"a frame has at most {MOST_BYTES} bytes, got {len(data)}")
@@ -173,10 +167,10 @@ def _samples(reader: pa.BufferReader, schema: pa.Schema) -> FloatArray:
 
 
 def _is_compressed(metadata: bytes) -> bool:
-    """Return whether a message of a record batch names a compression of its body.
+    """Return whether the message of a record batch declares a compression of its body.
 
-    It is a flatbuffer: field 2 of the table Message is the table RecordBatch, field 3 of that is
-    the compression (Arrow's Message.fbs). struct.error if an offset leads out of it.
+    Messages are flatbuffers: field 2 of the table Message is the table RecordBatch, whose field 3
+    is the compression (Arrow's Message.fbs). struct.error if an offset points outside.
     """
     (root,) = struct.unpack_from("<I", metadata)
     header = flatbuffer_field(metadata, root, 2)
@@ -187,7 +181,7 @@ def _is_compressed(metadata: bytes) -> bool:
 
 
 def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
-    """Return where a field of a flatbuffer's table is, None if the table lacks it."""
+    """Return the offset of a field of a flatbuffer's table; None if the table lacks it."""
     (to_vtable,) = struct.unpack_from("<i", buffer, table)
     vtable = table - to_vtable
     if vtable < 0:
@@ -201,6 +195,7 @@ def flatbuffer_field(buffer: bytes, table: int, number: int) -> int | None:
 
 
 def _described(metadata: dict[bytes, bytes]) -> dict[str, Any]:
+    """Return all fields of a frame but its samples; FrameError if one is missing or wrong."""
     found: dict[str, Any] = {}
     kinds = {"sequence": ("sequence", int), "time_ns": ("time", int), "rate_hz": ("rate", float)}
     for name in ("suspension", "sensor", "unit", *kinds):

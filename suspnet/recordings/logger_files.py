@@ -29,10 +29,10 @@ from suspnet.recordings.manifest import CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
 _WAV = Lock()
-"""Filters of warnings are of the process; sensors are read in threads."""
+"""Lock for warning filters, which are global to the process, while sensors are read in threads."""
 
 BEXT_DATE = slice(320, 338)
-"""Bytes of the chunk `bext` with date and time of day, yyyy-mm-dd and hh:mm:ss."""
+"""Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
 TIME_RESPONSE = 1
 """Function type of a time record in a data set 58 of a universal file."""
 
@@ -41,8 +41,8 @@ TIME_RESPONSE = 1
 def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a TDMS file; columns are named "group/channel"."""
     nptdms = needed(path, "nptdms", "tdms", "a TDMS file")
-    getLogger("nptdms").setLevel(CRITICAL)  # it prints what it raises or mends
-    # Opened here because npTDMS does not close what it fails to read.
+    getLogger("nptdms").setLevel(CRITICAL)  # it logs what it raises or repairs
+    # Open the stream here because npTDMS does not close files that it fails to read.
     with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
         if file.file_status.incomplete_final_segment:
             raise TripError(f"{path} is cut off: its last segment is incomplete")
@@ -86,7 +86,7 @@ def _tdms_column(name: str, channel: Any) -> Column:
 
 @contextmanager
 def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open a universal file; each time record of type 58 is a column, read whole."""
+    """Open a universal file; each time record of type 58 is a column, which is read whole."""
     pyuff = needed(path, "pyuff", "uff", "a universal file")
     file = _call(pyuff.UFF, str(path))
     columns, records = _uff_columns(file)
@@ -107,7 +107,7 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
-    """Return the columns of a universal file, and the number of each one's record."""
+    """Return the columns of a universal file, and their record numbers by name."""
     records: dict[str, int] = {}
     columns = []
     for i, kind in enumerate(_call(file.get_set_types)):
@@ -137,12 +137,9 @@ def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
 
 @contextmanager
 def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open a WAV file; columns are "channel_1" and so on.
-
-    Integers are returned as fractions of full scale.
-    """
+    """Open a WAV file; columns are "channel_1" etc., integers are fractions of full scale."""
     with _WAV, warnings.catch_warnings(), path.open("rb") as stream:
-        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that are not of interest
+        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of unknown chunks
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         try:
             rate_hz, data = _call(wavfile.read, stream, mmap=True)
@@ -174,8 +171,8 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 def _bext_date(path: Path) -> str | None:
     """Return the date of origin in a broadcast WAV file's chunk `bext`; None without one."""
     with path.open("rb") as stream:
-        stream.seek(12)  # behind RIFF, size and WAVE
-        while len(head := stream.read(8)) == 8:  # ends: each round reads on
+        stream.seek(12)  # after RIFF, size and WAVE
+        while len(head := stream.read(8)) == 8:  # ends: each round advances
             size = int.from_bytes(head[4:], "little")
             if head[:4] == b"bext":
                 text = stream.read(min(size, BEXT_DATE.stop))[BEXT_DATE].decode("ascii", "replace")
@@ -185,6 +182,7 @@ def _bext_date(path: Path) -> str | None:
 
 
 def _call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """Call a library; any error but MemoryError becomes a ValueError, as on damaged files."""
     try:
         return read(*arguments, **named)
     except MemoryError:

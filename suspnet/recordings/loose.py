@@ -1,11 +1,11 @@
 """Sensors that come loose during a trip: they show noise or hum instead of the train's motion.
 
-All sensors of a suspension feel the same track, so that a sound one is coherent with at least one
-of the others while the train runs. A loose one is coherent with none from some time on. That alone
-is no evidence: at low speed or on smooth track all signals sink into noise, and after a jump of its
-clock a sensor shows the same motion at another time. So it counts as loose only where the others
-are as loud as usual, or it has become far quieter than they have, and where no shift in time makes
-its signal like theirs.
+All sensors of a suspension are excited by the same track, so an intact one is coherent with at
+least one other while the train moves, and a loose one with none. Lack of coherence alone is no
+evidence: at low speed or on smooth track all signals vanish in noise, and after a jump of its clock
+a sensor shows the same motion at another time. A sensor therefore counts as loose only where the
+others are as loud as usual, or it is far quieter than they are, and where no shift in time aligns
+its signal with theirs.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.faults import runs
 
 FRAME_S, STEP_S = 2.0, 1.0
-"""Length of the frames whose spectra are averaged, and time from one to the next, [s]."""
+"""Length of the frames whose spectra are averaged, and step from one to the next, [s]."""
 
 N_AVERAGED = 16
-"""Number of frames in an average. Independent signals have a coherence of about 0.1 then."""
+"""Number of frames in an average; independent signals then have a coherence of about 0.1."""
 
 BAND_HZ = (1.0, 15.0)
 """Band over which the coherence is averaged, up to a quarter of the rate [Hz]."""
@@ -38,37 +38,35 @@ ALONE, SHARED = 0.2, 0.3
 """Mean coherences below which two sensors share no motion, and above which they do.
 
 In 120 simulated trips of 4 vehicles on 3 tracks, with 3 or 6 sensors of 20 to 50 dB, the highest
-coherence of each sensor was 0.23 and more above 25 m/s; it fell below 0.2 at lower speeds only."""
+coherence of each sensor was at least 0.23 above 25 m/s, and below 0.2 only at lower speeds."""
 
 MOVING_M_PER_S = 2.0
-"""Speed above which the sensors show the track, [m/s]."""
+"""Speed above which the sensors respond to the track, [m/s]."""
 
 USUAL = -0.2
-"""Least power of the others relative to their median where a sensor still shared their motion
-[powers of ten]. Where sound sensors of simulated trips were alone it was -0.28 and less."""
+"""Least power of another sensor, relative to its median while sharing motion, that counts as usual
+[powers of ten]. Where intact sensors of simulated trips were alone it was at most -0.28."""
 
 COLLAPSED = 1.5
-"""How much quieter than the quietest of the others a sensor has become [powers of ten of power].
-Sound ones that were alone reached 1.1."""
+"""Least drop of a collapsed sensor's power below that of the quietest other [powers of ten]. Intact
+sensors that were alone reached 1.1."""
 
 SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
-"""A sensor is judged above this multiple of this quantile of the speeds at which it shared the
-others' motion: what it shows at far lower speeds is not known."""
+"""A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
+others' motion: its signal at far lower speeds is unknown."""
 
 LEAST_FRAMES = 5
-"""Least number of frames with evidence in a stretch that counts."""
+"""Least number of frames with evidence in a loose stretch."""
 
 SAME_MOTION = 18.0
-"""Ratio of the highest correlation over all shifts in time to their rms from which two signals show
-the same motion. Simulated trips: 29 and more after a jump of a clock, 16 and less of noise and
-hum."""
+"""Ratio of the highest to the rms correlation over all time shifts above which two signals show the
+same motion. Simulated trips: at least 29 after a clock jump, at most 16 for noise and hum."""
 
 EDGE_S = 10.0
-"""Time before and after a stretch in which the sensor may be loose too, and time at its ends in
-which it may be sound: half an average and a frame, [s]."""
+"""Uncertainty of the ends of a loose stretch: half an average plus a frame, [s]."""
 
 SMOOTHED_HZ = 0.25
-"""Width over which spectra are smoothed before signals are whitened by them, [Hz]."""
+"""Width of the smoothing of spectra by which signals are whitened, [Hz]."""
 
 LISTED = 3
 """Largest number of stretches of one sensor that are listed."""
@@ -78,16 +76,10 @@ LISTED = 3
 class _Frames:
     """Averages around each frame of a recording.
 
-    Attributes
-    ----------
-    coherences : array of shape (n_sensors, n_frames), [-]
-        Mean over the band, with the sensor that is most like it.
-    levels : array of shape (n_sensors, n_frames), [powers of ten]
-        Median over the band of the power relative to the usual one; NaN of a sensor that shares no
-        motion.
-    speeds : array of shape (n_frames,), [m/s]
-    known : array of shape (n_frames,)
-        Whether the train moves and more than half of the frames of the average are usable.
+    `coherences`: (n_sensors, n_frames), mean over the band, with the most similar sensor. `levels`:
+    (n_sensors, n_frames), [powers of ten], median over the band of the power relative to the usual
+    one; NaN for sensors that never share motion. `speeds`: (n_frames,), [m/s]. `known`:
+    (n_frames,), whether the train moves and more than half of the averaged frames are usable.
     """
 
     coherences: FloatArray
@@ -103,29 +95,14 @@ def find_loose(
     rate_hz: float,
     start_s: float = 0.0,
 ) -> tuple[tuple[Fault, ...], BoolArray, BoolArray]:
-    """Return which sensors come loose, and where.
+    """Return a fault for each loose sensor, where any is loose, and where motion is too weak.
 
-    Parameters
-    ----------
-    values : dict of arrays of shape (n,), [m/s2]
-        Each sensor on the common clock.
-    usable : array of shape (n,)
-    speed_m_per_s : array of shape (n,), [m/s]
-    rate_hz : float, [Hz]
-    start_s : float, [s]
-        Time of the first sample on the trip's clock.
-
-    Returns
-    -------
-    faults : tuple of Fault
-        One for each sensor that comes loose.
-    loose : array of shape (n,)
-        Where any sensor is loose.
-    silent : array of shape (n,)
-        Where a sound sensor shares no motion with the others because there is too little of it.
+    All arrays are on the common clock, of shape (n,); its first sample is at `start_s` on the
+    trip's clock. Where motion is too weak, an intact sensor shares none with the others.
     """
     signals = np.stack(list(values.values()))
     frames = _frames(signals, usable, speed_m_per_s, rate_hz)
+    # a sensor without shared motion is loose, has a shifted clock, or there is little motion
     alone = (frames.coherences < ALONE) & frames.known
     loose, late = _divided(signals, frames, alone, rate_hz)
     n = len(usable)
@@ -180,23 +157,24 @@ def _band(size: int, rate_hz: float) -> slice:
 
 
 def _averaged(spectra: FloatArray | ComplexArray) -> Any:
-    """Return the mean over the frames around each, the last but one axis; zeros beyond the ends."""
-    # weights, not a running sum, whose rounding would outlast a loud signal
+    """Return moving averages over frames, axis -2, with zeros beyond the ends."""
+    # not a running sum: its rounding error would persist after a loud signal
     return correlate1d(spectra, np.full(N_AVERAGED, 1 / N_AVERAGED), axis=-2, mode="constant")
 
 
 def _divided(
     signals: FloatArray, frames: _Frames, alone: BoolArray, rate_hz: float
 ) -> tuple[BoolArray, BoolArray]:
-    """Return the frames in which each sensor is loose, and those in which its clock has jumped.
+    """Return the frames in which each sensor is loose, and those after a jump of its clock.
 
-    A sensor is compared with those that are not loose themselves, hence two rounds.
+    Only sensors that are not loose serve as reference, hence two rounds.
     """
     loose, late = np.zeros_like(alone), np.zeros_like(alone)
     for _ in range(2):
         found = np.zeros_like(alone)
         sound = np.where(loose, np.nan, frames.levels)
         for i in np.flatnonzero(alone.any(axis=1)).tolist():
+            # frames with evidence grow into the stretch of frames without shared motion
             seeds = alone[i] & ~late[i] & _evidence(frames, sound, i)
             grown = binary_propagation(seeds, mask=(alone[i] | ~frames.known) & ~late[i])
             for part in map(slice, *(edges.tolist() for edges in runs(grown))):
@@ -209,9 +187,9 @@ def _divided(
 
 
 def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
-    """Return the frames in which a sound sensor would share the others' motion.
+    """Return the frames in which sensor `i`, if intact, would share the others' motion.
 
-    `levels` are NaN where a sensor says nothing.
+    `levels` are NaN where a sensor is no reference.
     """
     shares = (frames.coherences[i] >= SHARED) & frames.known
     if np.isnan(frames.levels[i]).all():
@@ -225,9 +203,9 @@ def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
 
 
 def _is_elsewhere(signals: FloatArray, i: int, part: slice, rate_hz: float) -> bool:
-    """Return whether what a sensor shows in some frames, others show at any other time.
+    """Return whether another sensor shows sensor `i`'s motion of some frames at another time.
 
-    Signals are whitened: each bin counts by its phase alone.
+    Signals are whitened, so each frequency bin counts by its phase alone.
     """
     edge = round(EDGE_S * rate_hz)
     first, last = round(part.start * STEP_S * rate_hz), round((part.stop + 1) * STEP_S * rate_hz)
@@ -254,11 +232,11 @@ def _whitened(signal: FloatArray, n_fft: int, rate_hz: float) -> ComplexArray:
 
 
 def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
-    """Return the samples that belong to some frames, (n_samples,), with half an average around."""
+    """Return the samples of some frames, (n_samples,), extended by half an average."""
     starts, stops = runs(frames)
     first = (starts + 1) * STEP_S - EDGE_S
     last = stops * STEP_S + EDGE_S
-    # the averages of the first and the last frames lack a half: nothing is known of them
+    # the first and last frames have incomplete averages: extend to the ends of the recording
     first[starts <= EDGE_S / STEP_S] = 0.0
     last[stops >= len(frames) - EDGE_S / STEP_S] = n_samples / rate_hz
     begin, end = (np.rint(s * rate_hz).astype(np.intp).clip(0, n_samples) for s in (first, last))

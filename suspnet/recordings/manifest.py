@@ -1,6 +1,6 @@
 """Manifests of trips: where each accelerometer is stored, in which unit and at which rate.
 
-The fields of the dataclasses are the keys of the YAML file; what each one means is said here, once.
+The fields of the dataclasses are the keys of the YAML file, documented by their metadata.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Size of each unit in s."""
 
 DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
-"""Delimiters of CSV files by their names in manifests; "space" is any number of blanks."""
+"""Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
 
 BOGIES = ("leading", "trailing")
 """Bogies of a vehicle, in the direction of travel."""
@@ -60,13 +60,13 @@ SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
 
 MIDDLE = "middle"
-"""Side of a single sensor between left and right, or of the mean of both."""
+"""Side of a single sensor midway between left and right, or of the mean of both."""
 
 TEMPERATURES_C = (-60.0, 60.0)
-"""Temperatures outside that a train meets [°C]."""
+"""Lowest and highest plausible outside temperature, [°C]."""
 
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
-"""Constant speed with its unit, as text: 252 km/h."""
+"""Pattern of a constant speed with its unit, such as 252 km/h."""
 
 
 def _delimiter(value: Value) -> str:
@@ -76,26 +76,26 @@ def _delimiter(value: Value) -> str:
 
 @dataclass(frozen=True)
 class CsvDialect:
-    """How a CSV file is written; None is found out."""
+    """How a CSV file is written; None is detected."""
 
     delimiter: str | None = optional(
         _delimiter,
         "`,` `;` `tab` `space`, or the vertical bar in quotes",
         "`space` is any number of blanks",
-        default="found out",
+        default="detected",
     )
     decimal: str | None = optional(
-        one_of([".", ","]), "`.` or `,`", "decimal sign", default="found out"
+        one_of([".", ","]), "`.` or `,`", "decimal sign", default="detected"
     )
     header_line: int | None = optional(
         header_line,
         "whole number",
-        "line of the names of the columns, counted from 1; 0: there are none, and columns are "
-        "`column_1` and so on",
-        default="found out",
+        "line with the names of the columns, counted from 1; 0 if there are none, so that columns "
+        "are `column_1` and so on",
+        default="detected",
     )
     encoding: str | None = optional(
-        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="found out"
+        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="detected"
     )
 
 
@@ -103,7 +103,7 @@ def _csv(value: Value) -> CsvDialect:
     return CsvDialect(**value.read(keys_of(CsvDialect)))
 
 
-_IN_FILE = "what the file says"
+_IN_FILE = "from the file"
 
 
 def _unit(units: Mapping[str, float]) -> Any:
@@ -117,7 +117,7 @@ def _unit(units: Mapping[str, float]) -> Any:
 
 @dataclass(frozen=True)
 class Source:
-    """Where one measured quantity is stored."""
+    """Where and how one measured quantity is stored."""
 
     file: str = field(metadata=key(text, "text", "a file of one of the [formats](#files)"))
     unit: str | None = _unit(ACCELERATION_UNITS | SPEED_UNITS)
@@ -139,7 +139,7 @@ class Source:
         metadata=key(
             number(),
             "number",
-            "time of the first sample on the trip's clock; with `time`, what is added to it",
+            "time of the first sample on the trip's clock; with `time`, an offset added to it",
             "s",
             "0",
         ),
@@ -148,17 +148,17 @@ class Source:
         one_of(list(TIME_UNITS)),
         "`s`, `ms`, `us`, `ns`",
         "unit of times that are numbers",
-        default="what the file says, else found out",
+        default="from the file, else detected",
     )
     time_zone: str | None = optional(
         zone,
         "text",
-        'of time stamps that name none: `UTC`, `"+02:00"`, `Europe/Berlin`',
-        default="not known",
+        'zone of time stamps without one: `UTC`, `"+02:00"`, `Europe/Berlin`',
+        default="unknown",
     )
     csv: CsvDialect | None = field(
         default=None,
-        metadata=key(_csv, "mapping", "how a CSV file is written, below", default="found out"),
+        metadata=key(_csv, "mapping", "how a CSV file is written, below", default="detected"),
     )
 
 
@@ -176,15 +176,15 @@ class Channel(Source):
     unit: str | None = _unit(ACCELERATION_UNITS)
     sign: int = field(
         default=1,
-        metadata=key(sign, "1 or -1", "-1 turns a sensor that is mounted upside down", default="1"),
+        metadata=key(sign, "1 or -1", "-1 for a sensor that is mounted upside down", default="1"),
     )
     range: float | None = optional(
         positive,
         "number above 0",
-        "largest magnitude that the sensor can give: finds saturation; full scale of integers "
-        "in WAV files",
+        "largest magnitude that the sensor can measure, to detect saturation; full scale of "
+        "integers in WAV files",
         "the channel's",
-        "not known",
+        "unknown",
     )
     side: str | None = optional(
         one_of([*SIDES, MIDDLE]),
@@ -220,6 +220,7 @@ def _sensor_of_pair(value: Value) -> Channel:
 
 
 def _sensors(value: Value) -> Channel | Pair:
+    """Return one sensor, or a pair whose missing sides are inferred: the first is left."""
     if not isinstance(value.content, list):
         return _sensor(value)
     if len(value.content) == 1:
@@ -265,19 +266,10 @@ def _truth(value: Value) -> dict[str, float]:
 class TripManifest:
     """One trip: a recording of accelerometers at three places and the speed.
 
-    Its keys are those of the table in docs/recordings.md.
-
-    Parameters
-    ----------
-    path : Path
-        The YAML file.
-    name : str
-        The file's name without its suffix.
-    start : datetime or None
-        Zero of the trip's clock, where some sources have absolute times and others have not.
-    speed : float, [m/s], or SpeedSource
-    channels : dict of Channel, or of Pair
-        One sensor, or one on the left and one on the right, for each of ``CHANNELS``.
+    Its keys are those of the table in docs/recordings.md. `path` is the YAML file, `name` its name
+    without suffix. `start` is the zero of the trip's clock if only some sources have absolute
+    times. A constant `speed` is in m/s. `channels` has one sensor or a left and right pair for each
+    of ``CHANNELS``.
     """
 
     path: Path
@@ -287,26 +279,26 @@ class TripManifest:
         metadata=key(
             text,
             "text",
-            "which suspension, in your words; trips that say the same are one suspension",
+            "name of the suspension; trips with the same name are of one suspension",
         )
     )
     bogie: str | None = optional(
         one_of(BOGIES),
         "`leading`, `trailing`",
         "bogie, in the direction of travel; chooses the models of that bogie",
-        default="not said",
+        default="not given",
     )
     side: str | None = optional(
         one_of(SIDES),
         "`left`, `right`",
-        "side of the suspension, to distinguish suspensions of one name; single sensors are "
-        "there too",
-        default="not said",
+        "side of the suspension, to distinguish suspensions of one name; single sensors are on "
+        "it, too",
+        default="not given",
     )
     train: str | None = optional(
-        stripped, "text", "which train it is, where several are watched", default="not said"
+        stripped, "text", "train, if several are monitored", default="not given"
     )
-    car: str | None = optional(stripped, "text", "which of its cars", default="not said")
+    car: str | None = optional(stripped, "text", "car of the train", default="not given")
     mileage_km: float = field(
         metadata=key(_mileage, "number, 0 to 2e7", "mileage of the vehicle at this trip", "km")
     )
@@ -315,15 +307,15 @@ class TripManifest:
         metadata=key(
             start,
             "time, `2015-08-03T08:00:00`",
-            "date of the trip, from 1990 until today; also when the sources without dates begin, "
-            "see [clocks](#clocks)",
+            "date of the trip, from 1990 until today; also the start of sources without dates, see "
+            "[clocks](#clocks)",
             default="by the files",
         ),
     )
     temperature_c: float | None = optional(
         number(f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C),
         "number, -60 to 60",
-        "temperature of the air outside; stands in the tables: oil and rubber change with it",
+        "outside air temperature; shown in the tables, as oil and rubber depend on it",
         "°C",
         "none",
     )
@@ -353,22 +345,22 @@ class TripManifest:
 
     @property
     def place(self) -> Place:
-        """Which suspension the trip is of."""
+        """The suspension of the trip."""
         named = (self.bogie, self.side, self.train, self.car)
         return Place(self.suspension.strip(), *(one or "" for one in named))
 
     def side_of(self, channel: Channel) -> str | None:
-        """Return the side of a single sensor: its own or else the suspension's, if one is said."""
+        """Return the side of a single sensor: its own or else the suspension's; None if unknown."""
         return channel.side or self.side
 
     @property
     def unplaced(self) -> tuple[str, ...]:
-        """Names of the single sensors whose side is not said; they are taken as in the middle."""
+        """Names of the single sensors of unknown side, which are assumed to be in the middle."""
         singles = {n: one for n, one in self.channels.items() if isinstance(one, Channel)}
         return tuple(name for name, one in singles.items() if self.side_of(one) is None)
 
     def sensors(self) -> dict[str, Channel]:
-        """Return every sensor by its name: the channel's, followed by the side in a pair."""
+        """Return all sensors by name: that of the channel, followed by the side in a pair."""
         found: dict[str, Channel] = {}
         for name, channel in self.channels.items():
             if isinstance(channel, Channel):
@@ -383,4 +375,4 @@ class TripManifest:
 
 
 MANIFEST = {"format": Key(one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
-"""All keys of a manifest."""
+"""All keys of a manifest, by name."""

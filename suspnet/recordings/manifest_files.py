@@ -1,4 +1,4 @@
-"""Manifests as YAML files: found in folders, read once, checked in full, and written."""
+"""Manifests as YAML files: searched in folders, read once, checked completely, and written."""
 
 from __future__ import annotations
 
@@ -16,23 +16,18 @@ from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, TripMan
 from suspnet.recordings.manifest_keys import TripError, Value, all_of, keys_of
 
 UNFINISHED = "unfinished.json"
-"""Name of the file in a folder of simulated trips that are not all written yet."""
+"""Name of the file that marks a folder of simulated trips as incomplete."""
 
 
 @dataclass(frozen=True)
 class ManifestFile:
-    """One manifest, of which the file is read once.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """One manifest, whose file is read only once."""
 
     path: Path
 
     @cached_property
     def data(self) -> bytes:
-        """The bytes of the file; TripError if they cannot be read."""
+        """Bytes of the file; TripError if it cannot be read."""
         try:
             return read_plain(self.path, MOST_BYTES)
         except OSError as error:
@@ -44,7 +39,7 @@ class ManifestFile:
 
     @cached_property
     def content(self) -> Any:
-        """What the YAML file holds, unchecked; TripError if it is not YAML."""
+        """Unchecked content of the YAML file; TripError if it is not YAML."""
         try:
             return parse_yaml(self.data.decode("utf-8-sig"))
         except TripError:
@@ -60,15 +55,10 @@ class ManifestFile:
 
     @cached_property
     def trip(self) -> TripManifest:
-        """The trip, checked.
+        """The checked trip.
 
-        Raises
-        ------
-        TripError
-            If it cannot be read, holds anything unknown, misses something or has a value of the
-            wrong type or out of range, if a data file that it names is missing or not a plain file,
-            or if two sensors are the same column of the same file. Its `problems` are all that is
-            wrong.
+        Raises TripError with all `problems`: unreadable file, unknown or missing keys, wrong or
+        out-of-range values, missing data files, two sensors with the same column of one file.
         """
         content = self.content
         manifest: TripManifest
@@ -78,7 +68,7 @@ class ManifestFile:
 
     @property
     def live_trip(self) -> TripManifest:
-        """The trip of sensors whose samples come as frames: `file` may be missing, as may files."""
+        """The checked trip of sensors that send frames; `file` keys and files may be missing."""
         content = self.content
         if isinstance(content, dict):
             content = content | {"speed": _with_file(content.get("speed"))}
@@ -89,10 +79,9 @@ class ManifestFile:
 
     @property
     def place(self) -> Place | None:
-        """Which suspension it is of; None if it does not say so.
+        """The suspension of the trip; None if it is not stated.
 
-        Nothing else of it is checked, so that a faulty trip stays with the others of its
-        suspension.
+        Nothing else is checked, so a faulty trip is still grouped with others of its suspension.
         """
         try:
             content = self.content
@@ -108,7 +97,7 @@ class ManifestFile:
 
     @property
     def sources(self) -> dict[str, dict[str, Any]]:
-        """Each mapping of its content that names a file, whatever else is wrong."""
+        """All mappings of the unchecked content that name a file, by key."""
         if not isinstance(self.content, dict):
             return {}
         sources, channels = {"speed": self.content.get("speed")}, self.content.get("channels")
@@ -123,20 +112,27 @@ class ManifestFile:
         }
 
     def _check_files(self) -> None:
-        """Raise TripError if a file that it names is missing, whatever else is wrong in it."""
+        """Raise TripError if a named data file is missing."""
         folder = self.path.parent
         problems = [
             f"{self.path}: `{key}.file` must name an existing plain file, got {source['file']!r} "
             f"(looked in {folder})"
             for key, source in self.sources.items()
-            if not os.path.isfile(folder / source["file"])  # nor does a name too long
+            if not os.path.isfile(folder / source["file"])  # False also for too long a name
         ]
         if problems:
             raise TripError(*problems)
 
 
 def read_manifest(path: Path) -> TripManifest:
-    """Return a trip's manifest, checked; raises what ``ManifestFile.trip`` does."""
+    """Return a checked manifest.
+
+    Raises
+    ------
+    TripError
+        If the file cannot be read, has unknown or missing keys or wrong values, names a missing
+        data file, or names the same column for two sensors. Its `problems` are all that is wrong.
+    """
     return ManifestFile(path).trip
 
 
@@ -147,14 +143,14 @@ def _parsed(path: Path, content: Any) -> TripManifest:
 
 
 def _with_file(source: Any) -> Any:
-    """Return a source, or each of a pair, with a name for its file if it has none."""
+    """Return a source, or a pair of them, with a placeholder for a missing `file`."""
     if isinstance(source, list):
         return [_with_file(one) for one in source]
     return {"file": "frames"} | source if isinstance(source, dict) else source
 
 
 def _check_columns(manifest: TripManifest) -> None:
-    """Raise TripError if two sensors are the same column of the same file."""
+    """Raise TripError if two sensors name the same column of the same file."""
     places: dict[tuple[Path, str | None], str] = {}
     for name, one in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
@@ -166,14 +162,9 @@ def _check_columns(manifest: TripManifest) -> None:
 
 
 def write_manifest(manifest: TripManifest) -> Path:
-    """Write a manifest to its own path, atomically, and return that path.
+    """Write a manifest atomically to its own path and return that.
 
-    Raises
-    ------
-    TripError
-        If it would not be read back: a wrong value, or a name that is not the file's.
-    OSError
-        If the folder cannot be written.
+    Raises TripError if it could not be read back: a value is wrong, or the name is not the file's.
     """
     values = {name: _written(getattr(manifest, name)) for name in keys_of(TripManifest)}
     content = {"format": FORMAT} | {k: one for k, one in values.items() if one not in (None, {})}
@@ -183,7 +174,7 @@ def write_manifest(manifest: TripManifest) -> Path:
 
 
 def _written(value: Any) -> Any:
-    """Return a value as lists, mappings, text and numbers, without what is None."""
+    """Return a value as lists, mappings, text and numbers, without entries that are None."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, dict):
@@ -192,13 +183,7 @@ def _written(value: Any) -> Any:
 
 
 def find_manifests(folder: Path) -> list[Path]:
-    """Return the ``*.yaml`` files directly in a folder, sorted.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or no such file in it.
-    """
+    """Return the ``*.yaml`` files directly in a folder, sorted; FileNotFoundError if none."""
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the trips")
     manifests = sorted(path for path in folder.glob("*.yaml") if path.is_file())
@@ -208,9 +193,9 @@ def find_manifests(folder: Path) -> list[Path]:
 
 
 def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
-    """Return the manifests that files and folders stand for, and what is wrong with the others.
+    """Return the manifests of files and folders, and messages about paths that have none.
 
-    A folder stands for its ``*.yaml`` files, or if it has none for those of its subfolders.
+    A folder gives its own ``*.yaml`` files or, if it has none, those of its subfolders.
     """
     found: list[Path] = []
     problems = []
@@ -224,7 +209,7 @@ def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
 
 
 def _manifests(path: Path) -> list[Path]:
-    """Return the manifests that one file or folder stands for; OSError if there are none."""
+    """Return the manifests of one file or folder; OSError if there are none."""
     if not path.is_dir():
         if not os.path.lexists(path):
             raise FileNotFoundError(f"there is no file or folder {path}")
@@ -243,10 +228,7 @@ def _manifests(path: Path) -> list[Path]:
 
 
 def partial_words(folder: Path) -> str:
-    """Return what a folder lacks whose simulation was interrupted, as text; "" if it is whole.
-
-    It lacks trips of a suspension, or suspensions of some trains.
-    """
+    """Return how many trips or suspensions an interrupted simulation wrote, as text; "" if all."""
     if not (folder / UNFINISHED).is_file():
         return ""
     try:

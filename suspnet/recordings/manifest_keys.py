@@ -1,7 +1,7 @@
-"""How the keys of a manifest are described and checked: each once, where its field is defined.
+"""Description and check of the keys of a manifest, each defined once, at its dataclass field.
 
-A key is the metadata of a field of a dataclass (`manifest`): its check, type, unit, default and
-meaning. Parsing, messages, writing and the tables of docs/recordings.md follow from that.
+A key is the metadata of a field (see `manifest`): its check, type, unit, default and meaning.
+Parsing, messages, writing and the tables of docs/recordings.md are derived from it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 from suspnet.recordings.dates import date_problem, time_zone
 
 POSITIVE = math.ulp(0.0)
-"""Least number above 0."""
+"""Smallest number above 0."""
 
 LARGEST = 1e300
 """Largest magnitude of a number in a manifest."""
@@ -27,12 +27,12 @@ LARGEST = 1e300
 class TripError(ValueError):
     """Something is wrong with one trip: its manifest, or the files that it names.
 
-    Its arguments are the problems, one sentence each; as text only the first is shown.
+    Its arguments are the problems, one sentence each; its text shows only the first.
     """
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Each thing that is wrong, in the order in which it was found."""
+        """All problems, in the order in which they were found."""
         return tuple(map(str, self.args))
 
     def __str__(self) -> str:
@@ -43,13 +43,7 @@ class TripError(ValueError):
 
 
 def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
-    """Return what each of some functions returns.
-
-    Raises
-    ------
-    TripError
-        With `problems` and those of every function, each once, if there are any.
-    """
+    """Return the results of functions; one TripError with `problems` and those of all functions."""
     found, problems = [], list(problems)
     for part in parts:
         try:
@@ -63,16 +57,9 @@ def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> 
 
 @dataclass(frozen=True)
 class Value:
-    """A value of a manifest that is to be checked, and where it stands.
+    """An unchecked value of a manifest and its position.
 
-    Parameters
-    ----------
-    path : Path
-        The file, named in errors.
-    name : str
-        Keys that lead to the value, joined by dots; "" is the whole file.
-    content : Any
-        What was read there.
+    `path` is the file; `name` joins the keys that lead to the value by dots, "" for the whole file.
     """
 
     path: Path
@@ -80,25 +67,22 @@ class Value:
     content: Any
 
     def at(self, key: object) -> Value:
-        """Return the value of a key of this mapping; of an index such as "[0]" of this list."""
+        """Return the value of a key of this mapping, or of an index of this list."""
         if isinstance(key, int):
             return Value(self.path, f"{self.name}[{key}]", self.content[key])
         return Value(self.path, self._name_of(key), self.content.get(key))
 
     def refuse(self, rule: str) -> TripError:
-        """Return the error that names file, key, rule and value."""
+        """Return an error that names file, key, rule and value."""
         name = f"`{self.name}`" if self.name else "the manifest"
         got = " ".join(reprlib.repr(self.content).split())
         return TripError(f"{self.path}: {name} must be {rule}, got {got}")
 
     def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
-        """Return the checked values of a mapping, without the optional ones that are null.
+        """Return the checked values of a mapping, without optional ones that are null.
 
-        Raises
-        ------
-        TripError
-            If it is not a mapping; otherwise with every problem: unknown and missing keys, and
-            each value that its check refuses.
+        Raises TripError if it is not a mapping, or else with all unknown keys, missing keys and
+        refused values.
         """
         if not isinstance(self.content, dict):
             raise self.refuse("a mapping")
@@ -126,12 +110,8 @@ class Value:
 class Key:
     """One key of a mapping of a manifest.
 
-    Parameters
-    ----------
-    check : callable
-        Returns the checked content of a `Value`, or raises TripError.
-    type, meaning, unit, default : str
-        For the table in docs/recordings.md; a key whose default is "-" must be given.
+    `check` returns the checked content of a `Value` or raises TripError. The texts are for the
+    table in docs/recordings.md; a key with the default "-" is required.
     """
 
     check: Callable[[Value], Any]
@@ -142,7 +122,7 @@ class Key:
 
     @property
     def is_required(self) -> bool:
-        """Whether the key must be given."""
+        """Whether there is no default."""
         return self.default == "-"
 
     def row(self, name: str) -> str:
@@ -152,17 +132,17 @@ class Key:
 
 
 def key(*arguments: Any, **named: Any) -> dict[str, Key]:
-    """Return the metadata of a field that is a key; arguments are those of `Key`."""
+    """Return the metadata of a dataclass field that is a key, by the arguments of `Key`."""
     return {"key": Key(*arguments, **named)}
 
 
 def optional(*arguments: Any, **named: Any) -> Any:
-    """Return a field that is a key whose value may be None; arguments are those of `Key`."""
+    """Return a dataclass field for an optional key, None by default; arguments as for `Key`."""
     return field(default=None, metadata=key(*arguments, **named))
 
 
 def keys_of(kind: type) -> dict[str, Key]:
-    """Return the keys of the mapping that a dataclass is read from."""
+    """Return the keys of the mapping from which a dataclass is read."""
     return {one.name: one.metadata["key"] for one in fields(kind) if "key" in one.metadata}
 
 
@@ -177,12 +157,12 @@ def text(value: Value) -> str:
 
 
 def stripped(value: Value) -> str:
-    """Return a text that is not blank, without blanks at its ends."""
+    """Return a text that is not blank, without surrounding blanks."""
     return text(value).strip()
 
 
 def one_of(allowed: Sequence[Any]) -> Callable[[Value], Any]:
-    """Return a check for one of some values."""
+    """Return a check for one of the allowed values."""
 
     def check(value: Value) -> Any:
         if value.content not in list(allowed):
@@ -195,7 +175,7 @@ def one_of(allowed: Sequence[Any]) -> Callable[[Value], Any]:
 def number(
     rule: str = "a finite number", low: float = -LARGEST, high: float = LARGEST
 ) -> Callable[[Value], float]:
-    """Return a check for a number from `low` to `high`; `rule` is what the message says of it."""
+    """Return a check for a number from `low` to `high`; `rule` describes it in the message."""
 
     def check(value: Value) -> float:
         if isinstance(value.content, bool) or not isinstance(value.content, int | float):
@@ -234,7 +214,7 @@ def start(value: Value) -> datetime:
 
 
 def zone(value: Value) -> str:
-    """Return the name of a time zone that is known here."""
+    """Return the name of a known time zone."""
     try:
         time_zone(text(value))
     except TripError:
@@ -253,7 +233,7 @@ def header_line(value: Value) -> int:
 
 
 def encoding(value: Value) -> str:
-    """Return the name of an encoding that is known here."""
+    """Return the name of a known encoding."""
     name = text(value)
     try:
         "a;1".encode(name)

@@ -1,4 +1,4 @@
-"""Channels of MDF files: raw values, and the conversions that are arithmetic; no formula is run."""
+"""Channels of MDF files with their arithmetic conversions; formulas are not evaluated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS = {
     "4": {0: IDENTITY, 1: LINEAR, 2: RATIONAL, 4: INTERPOLATED, 5: TABLE, 6: RANGES},
     "3": {65535: IDENTITY, 0: LINEAR, 1: INTERPOLATED, 2: TABLE, 9: RATIONAL},
 }
-"""Conversions that are applied, by the number that MDF 4, and MDF 2 and 3, give them."""
+"""Supported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
 REFUSED = {
     "4": {
         **{3: "algebraic (a formula)", 7: "value-to-text", 8: "range-to-text"},
@@ -37,9 +37,9 @@ REFUSED = {
         **{11: "value-to-text", 12: "range-to-text", 132: "date", 133: "time"},
     },
 }
-"""Names of conversions that are not applied."""
+"""Names of unsupported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
 VIRTUAL = (3, 6)
-"""Types of channels of MDF 4 whose raw values are the numbers of the records."""
+"""Types of MDF 4 channels whose raw values are the record numbers."""
 
 
 @contextmanager
@@ -53,7 +53,7 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         start = file.start_time
         start = start if start.tzinfo else start.replace(tzinfo=UTC)
         start_ns = (start - EPOCH) // timedelta(microseconds=1) * 1000 if start > EPOCH else None
-        repeated = _repeated(file)
+        repeated = _repeated(file)  # such names are qualified by their group
         for g, group in enumerate(file.groups):
             master = file.masters_db.get(g)
             for c, channel in enumerate(group.channels):
@@ -84,15 +84,15 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 
 
 def _disarm() -> None:
-    """Take out of asammdf what evaluates formulas, prints, and opens temporary files.
+    """Disable evaluation of formulas, logging and temporary files in asammdf.
 
-    It opens one for each file that it reads, without using it.
+    It would open an unused temporary file for each file that it reads.
     """
 
     def refuse(*_: Any, **__: Any) -> NoReturn:
         raise ValueError("a formula in the file is not evaluated")
 
-    getLogger("asammdf").setLevel(CRITICAL)  # it prints what it raises or mends
+    getLogger("asammdf").setLevel(CRITICAL)  # it logs what it raises or repairs
     replaced = {"evaluate": refuse, "lambdify": refuse}
     for name in ("NamedTemporaryFile", "TemporaryFile"):
         replaced[name] = lambda *_, **__: BytesIO()  # type: ignore[assignment]
@@ -103,11 +103,11 @@ def _disarm() -> None:
 
 
 def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
-    """Return an MDF file that is open; ValueError if it is damaged."""
+    """Open an MDF file; ValueError if it is damaged."""
     try:
         return asammdf.MDF(stream, process_bus_logging=False)
     except Exception as error:
-        # The destructor of what could not be opened would print a traceback.
+        # Close the partly opened file: otherwise its destructor prints a traceback.
         for frame, _ in walk_tb(error.__traceback__):
             opened = frame.f_locals.get("self")
             if opened is not None and not getattr(opened, "_closed", True):
@@ -145,7 +145,7 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
 
 
 def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
-    """Return raw values of a channel, and which are marked as invalid; ValueError if damaged."""
+    """Return raw values of a channel and the mask of invalid ones; ValueError if damaged."""
     at = {"record_offset": part.start, "record_count": part.stop - part.start}
     try:
         found: tuple[Any, Any] = file.get(
@@ -161,7 +161,7 @@ def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
 def _conversion(
     path: Path, name: str, version: str, conversion: Any
 ) -> Callable[[Any], FloatArray]:
-    """Return what makes raw values physical ones; TripError if that is not arithmetic."""
+    """Return the function from raw to physical values; TripError if it is not arithmetic."""
     version = "4" if version == "4" else "3"
     number = IDENTITY if conversion is None else int(conversion.conversion_type)
     kind = IDENTITY if conversion is None else KINDS[version].get(number)
@@ -195,7 +195,7 @@ def _entries(conversion: Any, key: str, n: int) -> FloatArray:
 
 
 def _ratio(p: Sequence[float], x: FloatArray) -> FloatArray:
-    """Return the ratio of two polynomials of degree 2; NaN or infinite where that is 0."""
+    """Return the ratio of two quadratic polynomials; NaN or infinite where the divisor is 0."""
     with np.errstate(all="ignore"):
         ratio: FloatArray = (p[0] * x**2 + p[1] * x + p[2]) / (p[3] * x**2 + p[4] * x + p[5])
     return ratio
@@ -204,7 +204,7 @@ def _ratio(p: Sequence[float], x: FloatArray) -> FloatArray:
 def _in_ranges(
     lower: FloatArray, upper: FloatArray, values: FloatArray, default: float, x: Any
 ) -> FloatArray:
-    """Return the value of the range that holds x; integers may equal its upper end."""
+    """Return the value of the range that contains x; for integers, including its upper end."""
     i = np.searchsorted(lower, x, side="right") - 1
     inside = (i >= 0) & ((x <= upper[i]) if x.dtype.kind in "iub" else (x < upper[i]))
     return np.where(inside, values[i], default)

@@ -1,11 +1,11 @@
-"""Readers in processes of their own: a file that crashes or hangs one costs an error, no more.
+"""Readers in separate processes: a file that crashes or hangs its reader only causes an error.
 
 Libraries for binary formats crash on some damaged files (the MAT reader of scipy on 6 of 500), or
-never return (HDF5 on 2 of 500), and some do what a file says: run a formula, read other files. So a
-file is read in a process of its own that may do no more than that (`confinement`). It is asked for
-one step at a time, to open the file or to read its next block; each step has a bound in time. The
-processes are forked from one that has imported the libraries. Requests are lines of JSON, answers
-too; the bytes of the arrays lie in shared memory. Nothing is unpickled.
+never return (HDF5 on 2 of 500), and some execute what a file contains: run a formula, read other
+files. Each file is therefore read in a separate process that can do nothing else (`confinement`).
+It opens the file or reads the next block on request; each of these steps has a time limit. The
+processes are forked from a server that has imported the libraries. Requests and answers are lines
+of JSON; arrays are passed in shared memory. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -43,36 +43,26 @@ from suspnet.recordings.manifest import CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
 LIMIT = "SUSPNET_READER_S"
-"""Environment variable: longest time that opening a file, or reading its next block, may take [s].
+"""Environment variable: longest time to open a file or to read its next block, [s].
 
-A block is 262,144 samples; only of MAT files before version 7.3 and of UFF it is a whole column."""
+A block has 262,144 samples, but is a whole column in UFF files and MAT files before version 7.3."""
 CRASH_S = 5.0
-"""Longest time between the end of a process's answers and its own, [s]."""
+"""Longest time a process may take to exit after it has closed its connection, [s]."""
 DTYPES = ("float64", "datetime64[ns]")
-"""Those of a block."""
+"""Types of the arrays of a block."""
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
-    "HDF5_PLUGIN_PRELOAD": "::",  # no filter of HDF5 is loaded that is not in the library
+    "HDF5_PLUGIN_PRELOAD": "::",  # HDF5 loads no filter plug-ins
 }
-"""Environment variables of readers."""
+"""Environment variables of reader processes."""
 
 
 def in_own_process(reader: Reader, library: str | None = None) -> Reader:
-    """Return a reader that does the same in another process.
+    """Return a reader that runs `reader`, an importable function, in a separate process.
 
-    Parameters
-    ----------
-    reader : callable
-        A function of a module that can be imported.
-    library : str, optional
-        A package that the reader imports.
-
-    Returns
-    -------
-    callable
-        Raises TripError where the process is killed or takes longer than ``SUSPNET_READER_S``, and
-        ValueError with the words of any other error; also where blocks are read.
+    The server imports `library` in advance. Opening and reading raise TripError if the process
+    crashes or takes longer than ``SUSPNET_READER_S``, and ValueError with the text of other errors.
     """
 
     @contextmanager
@@ -86,7 +76,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
             def read(names: Sequence[str]) -> Iterator[Block]:
                 number = next(numbers)
-                while True:  # ends: with the columns of the file
+                while True:  # ends with the columns of the file
                     _, block = process.ask({"block": number, "names": list(names)})
                     if not block:
                         return
@@ -100,6 +90,8 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
 
 class _Server:
+    """Client of the server from which reader processes are forked."""
+
     def __init__(self) -> None:
         code = (
             f"import sys; sys.path[:] = {[str(place) for place in sys.path]}; "
@@ -113,29 +105,29 @@ class _Server:
                 stdout=subprocess.DEVNULL,
                 env=os.environ | ENVIRONMENT,
             )
-        self._control.recv(1)  # it is ready: a slow start is no fault of the first file
+        self._control.recv(1)  # wait until ready: a slow start must not count for the first file
 
     def ask(self, request: dict[str, Any], handles: Sequence[int] = ()) -> int:
-        """Return a number that it answers; OSError or ValueError if it has ended."""
+        """Return the number that the server answers; OSError or ValueError if it has ended."""
         socket.send_fds(self._control, [json.dumps(request).encode()], handles)
         return int(self._control.recv(64))
 
     def end(self) -> None:
-        """End the process."""
+        """Kill the server."""
         self._control.close()
         self._child.kill()
         self._child.wait()
 
 
 _servers: dict[int, _Server] = {}
-"""That of each process: a fork has none."""
+"""Server of each process by its id: a fork must not use that of its parent."""
 _late: dict[tuple[str, int, int], str] = {}
-"""Files whose readers took too long, by path, size and time of change, and the words of it."""
+"""Messages on files whose readers took too long, by path, size and time of change."""
 _lock = threading.Lock()
 
 
 def _started(request: dict[str, Any], handles: Sequence[int]) -> int:
-    """Return the number of a new process; the server is started if there is none."""
+    """Return the id of a new reader process; start the server if there is none."""
     with _lock:
         if (server := _servers.get(os.getpid())) is not None:
             with suppress(OSError, ValueError):
@@ -146,7 +138,7 @@ def _started(request: dict[str, Any], handles: Sequence[int]) -> int:
 
 
 def _ended(request: dict[str, Any]) -> int:
-    """Return the exit code of a process that is to end; without its server it has been killed."""
+    """End a reader process and return its exit code; SIGKILL if its server has ended."""
     with _lock, suppress(OSError, ValueError, KeyError):
         return _servers[os.getpid()].ask(request)
     return -signal.SIGKILL
@@ -154,13 +146,15 @@ def _ended(request: dict[str, Any]) -> int:
 
 @atexit.register
 def end_all() -> None:
-    """End the process that readers are forked from, and the readers with it."""
+    """End the server of this process and with it all readers."""
     with _lock:
         if (server := _servers.pop(os.getpid(), None)) is not None:
             server.end()
 
 
 class _Process:
+    """Client of the reader process of one file."""
+
     def __init__(self, path: Path, function: Sequence[str], library: str | None) -> None:
         self.path = path
         self._is_late = False
@@ -187,14 +181,10 @@ class _Process:
             self._requests, self._answers = ours.makefile("wb"), ours.makefile("rb")
 
     def ask(self, request: dict[str, Any]) -> tuple[dict[str, Any], Block]:
-        """Return what the process answers: values, and arrays.
+        """Return the answer of the process: values and arrays.
 
-        Raises
-        ------
-        TripError
-            As the reader's own, or if the process ends or is late: then it is gone.
-        ValueError
-            With the words of any other error.
+        Raises the reader's TripError, or one if the process crashes or is late, which ends it;
+        other errors are raised as ValueError.
         """
         if self._requests.closed:
             raise ValueError("its reader has ended")
@@ -235,7 +225,7 @@ class _Process:
         os.kill(self._pid, signal.SIGKILL)
 
     def _ending(self) -> str:
-        """Return why the process has ended, as text; a file that is late is not tried again."""
+        """Return a message on why the process ended; a file that took too long is remembered."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
             words = (
@@ -253,7 +243,7 @@ class _Process:
         return f"{self.path}: its reader crashed ({how}), so the file is damaged{short}"
 
     def end(self, grace_s: float = 0.0) -> int:
-        """End the process if it does not end by itself in some time; return its exit code."""
+        """Wait up to `grace_s` for the process to exit, kill it otherwise; return its exit code."""
         if self._requests.closed:
             return 0
         for part in (self._requests, self._answers, self._shared):
@@ -275,7 +265,7 @@ def _state(path: Path) -> tuple[str, int, int]:
 
 
 def _limit_s(stored: int) -> float:
-    """Return the longest time of one step, [s]; TripError if the variable is no such time."""
+    """Return the time limit of one step, [s]; TripError if the environment variable is invalid."""
     text = os.environ.get(LIMIT, "")
     if not text:
         return step_s(stored)

@@ -1,4 +1,4 @@
-"""The other side of `reader_process`: a server that forks a confined process for each file."""
+"""Server side of `reader_process`: it forks a confined process for each file."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ MEMORY_WORDS = (
 
 
 def serve() -> None:
-    """Fork a process for each file; what libraries print goes nowhere."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one that asks hears it
+    """Fork a process for each file; output of libraries is discarded."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the client handles it
     control = socket.socket(fileno=os.dup(0))
     control.send(b"1")
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 2):
         os.dup2(nowhere, stream)
     with suppress(BrokenPipeError, ConnectionResetError):
-        while True:  # ends with the process that asks
+        while True:  # ends with the client
             message, handles, _, _ = socket.recv_fds(control, 2**16, 3)
             if not message:
                 return
@@ -55,7 +55,7 @@ def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.soc
     module, name = request["function"]
     reader = getattr(importlib.import_module(module), name)
     if request["library"] is not None:
-        with suppress(Exception):  # the reader says what is wrong with it
+        with suppress(Exception):  # the reader reports what is wrong with it
             importlib.import_module(request["library"])
     pid = os.fork()
     if pid == 0:
@@ -72,9 +72,9 @@ def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.soc
 
 
 def _end(pid: int, grace_s: float) -> int:
-    """Return the exit code of a process that is killed if it does not end in some time."""
+    """Wait up to `grace_s` for a process to exit, kill it otherwise; return its exit code."""
     last = time.monotonic() + grace_s
-    with suppress(ChildProcessError):  # it is that of another server, from before a fork
+    with suppress(ChildProcessError):  # it belongs to another server, from before a fork
         while not (ended := os.waitpid(pid, os.WNOHANG))[0]:
             if time.monotonic() >= last:
                 os.kill(pid, signal.SIGKILL)
@@ -109,7 +109,7 @@ def _answers(
         file, blocks = OpenFile((), lambda _: iter(())), dict[int, Iterator[Block]]()
         for line in requests:
             request = json.loads(line)
-            # The process that asks bounds the time of a step too, but it may be gone by then.
+            # The client limits the time of a step, too, but may have ended by then.
             signal.setitimer(signal.ITIMER_REAL, min(request["limit_s"], 1e8))
             answer: dict[str, Any] = {}
             arrays: Block = ()
@@ -133,6 +133,7 @@ def _answers(
 
 
 def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
+    """Yield blocks cut so that they fit in the shared memory."""
     for block in blocks:
         most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
         for start in range(0, len(block[0]), most):

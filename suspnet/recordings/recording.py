@@ -1,7 +1,7 @@
 """One trip, cleaned and on one clock: accelerations at three places and the speed.
 
-A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled on
-its own. Half their sum is the channel, in which roll cancels; half their difference is stored too.
+A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled
+separately. Their mean is the channel, in which roll cancels; half their difference is also stored.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
 MOST_AT_ONCE = 2
-"""Number of sensors that are read at the same time, which bounds the memory that this takes."""
+"""Number of sensors that are read in parallel, which bounds the memory."""
 
 SHORTEST_S = 60.0
-"""Least length of a recording, [s]."""
+"""Shortest length of a recording, [s]."""
 
 HIGHEST_HZ = 1e6
-"""Highest rate of a sensor [Hz]; the filter that decimates it is as long as the rate is high."""
+"""Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,10 @@ class Recording:
     manifest : TripManifest
     rate_hz : float, [Hz]
     signals : array of shape (3, n), [m/s2]
-        Accelerations in the order of ``CHANNELS``, upwards or downwards as the signs in the
-        manifest make it, with zero phase and gain 1 up to ``rate_hz / 4``. Where there is a pair
-        of sensors, their average, (left + right) / 2.
+        Accelerations in the order of ``CHANNELS``, with the signs of the manifest, zero phase and
+        gain 1 up to ``rate_hz / 4``. For a pair of sensors, (left + right) / 2.
     usable : array of shape (n,)
-        False where a fault that was not repaired takes part in a signal, or the speed is unknown.
+        False where an unrepaired fault affects a signal, or the speed is unknown.
     speed_m_per_s : array of shape (n,), [m/s]
         NaN where unknown.
     faults : tuple of Fault
@@ -64,9 +63,9 @@ class Recording:
     differences : array of shape (n_pairs, n), [m/s2]
         (left - right) / 2 of each pair, in the order of ``CHANNELS``.
     words : str
-        How files were read, where that had to be found out, as of CSV files.
+        How files were read, where this was detected, as in CSV files.
     started : datetime or None
-        When the trip began, by the times and headers of its files; None if they do not say it.
+        Start of the trip by the times and headers of its files; None if they do not state it.
     """
 
     manifest: TripManifest
@@ -88,9 +87,9 @@ def load_recording(
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
-    Files are read block by block, ``MOST_AT_ONCE`` sensors at the same time. Only the time that
-    all sensors cover remains, less about ``8 / rate_hz`` at both ends, where the low-pass is not
-    complete.
+    Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. The result covers the time
+    common to all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is
+    incomplete.
 
     Parameters
     ----------
@@ -103,8 +102,8 @@ def load_recording(
     ------
     TripError
         If a file cannot be read, a rate is lower than `rate_hz`, a sensor is constant or has no
-        usable sample, fewer than ``SHORTEST_S`` are common to all sensors, times are wrong, or
-        the speed is unknown throughout. Its `problems` are those of all sensors and the speed.
+        usable sample, less than ``SHORTEST_S`` is common to all sensors, times are wrong, or the
+        speed is unknown throughout. Its `problems` are those of all sensors and the speed.
     ValueError
         If `rate_hz` is not positive and finite.
     """
@@ -114,7 +113,7 @@ def load_recording(
     started, doubt = None, ""
     try:
         track, offsets, (started, doubt) = _clocks(manifest)
-    except TripError as error:  # the sensors are read all the same: they may have problems too
+    except TripError as error:  # read the sensors anyway, to report their problems as well
         track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
         read = [
@@ -124,6 +123,7 @@ def load_recording(
         streams: list[SensorSignal] = all_of([one.result for one in read], problems)
     del read
     found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz)
+    # the date is not known to `joined`, which also serves streams
     return replace(found, started=started, words="; ".join(filter(None, (found.words, doubt))))
 
 
@@ -134,19 +134,10 @@ def joined(
     offset_s: float,
     rate_hz: float,
 ) -> Recording:
-    """Return the time that all sensors of a trip cover; raises what `load_recording` does.
+    """Combine all sensors of a trip over their common time; raises what `load_recording` does.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    streams : sequence of SensorSignal
-        All sensors of the manifest.
-    track : SpeedTrack or None
-        None if the manifest gives the speed as one number.
-    offset_s : float, [s]
-        Zero of the speed's times on the trip's clock.
-    rate_hz : float, [Hz]
-        Of the common clock.
+    `track` is None if the manifest gives a constant speed; `offset_s` is the zero of its times on
+    the trip's clock; `rate_hz` is the rate of the common clock.
     """
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
@@ -190,10 +181,7 @@ def joined(
 def _clocks(
     manifest: TripManifest,
 ) -> tuple[SpeedTrack | None, dict[str, float], tuple[datetime | None, str]]:
-    """Return the speeds, what is added to the times of each sensor and of the speed, and the date.
-
-    The second is in s; the last is of `first_moment`.
-    """
+    """Return the speeds, the clock offsets of sensors and speed [s], and `first_moment`."""
     sensors = manifest.sensors()
     track, *found = all_of(
         [
@@ -209,7 +197,7 @@ def _clocks(
 def _combined(
     manifest: TripManifest, values: Mapping[str, FloatArray]
 ) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
-    """Return which channels are pairs, the channels (3, n), and the pairs' half differences."""
+    """Return which channels are pairs, signals (3, n), and half differences (n_pairs, n)."""
     signals, differences = [], []
     axle_box, bogie, body = (not isinstance(manifest.channels[name], Channel) for name in CHANNELS)
     paired = axle_box, bogie, body
@@ -238,7 +226,7 @@ def _read_sensor(
     where, channel = _where(manifest, name), manifest.sensors()[name]
     with open_source(manifest, channel, where, "acceleration") as source:
         blocks = source.even()
-        first_block = next(blocks)  # time stamps say the rate, roughly, once it is read
+        first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
@@ -255,6 +243,7 @@ def _read_sensor(
 def _common(
     manifest: TripManifest, streams: Sequence[SensorSignal], rate_hz: float
 ) -> tuple[int, int]:
+    """Return the first and last common instant of all sensors, in steps of the common clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = ", ".join(
@@ -269,20 +258,14 @@ def _common(
 
 
 def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
-    """Return a recording followed by another one of the same sensors.
+    """Return a recording extended by a later one of the same sensors.
 
-    Between the last instant of the first and the first of the second nothing is usable: a moment at
-    least, as filters need samples on both sides.
-
-    Parameters
-    ----------
-    one, other : Recording
-    offset_s : float, [s]
-        Zero of the second one's clock on that of the first.
+    The gap between them is marked as unusable; there is one, as filters need samples on both sides.
+    `offset_s` is the zero of the other clock on that of the first.
     """
     end = round(one.start_s * one.rate_hz) + len(one.usable)
     n_gap = round((other.start_s + offset_s) * one.rate_hz) - end
-    n_skip = max(-n_gap, 0)  # a rate that is no whole number may let them overlap by an instant
+    n_skip = max(-n_gap, 0)  # with a fractional rate they may overlap by one instant
     n_gap = max(n_gap, 0)
     usable = [one.usable, np.zeros(n_gap, dtype=np.bool_), other.usable[n_skip:]]
     speeds = [one.speed_m_per_s, np.full(n_gap, np.nan), other.speed_m_per_s[n_skip:]]
@@ -307,23 +290,16 @@ def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
 
 
 WINDOWS = 600
-"""Largest number of windows, about as many as a figure has pixels across."""
+"""Largest number of windows of an overview, about the width of a figure in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Overview:
     """Range and mean of the signals of a recording in windows of equal length.
 
-    Attributes
-    ----------
-    times_s : array of shape (n_windows,), [s]
-        Begin of each window, from the first sample on.
-    low, high, mean : arrays of shape (3, n_windows), [m/s^2]
-        Least, largest and mean value of axle box, bogie and body.
-    speed_m_per_s : array of shape (n_windows,), [m/s]
-        Mean speed; NaN where it is unknown in part.
-    faulty : bool array of shape (n_windows,), optional
-        Where some sample cannot be used; None if that is not known.
+    `times_s`: (n_windows,), start of each window since the first sample. `low`, `high`, `mean`:
+    (3, n_windows), [m/s2], in the order of ``CHANNELS``. `speed_m_per_s`: (n_windows,), the mean;
+    NaN where partly unknown. `faulty`: (n_windows,), whether a sample is unusable; None if unknown.
     """
 
     times_s: FloatArray
@@ -335,7 +311,7 @@ class Overview:
 
 
 def overview(recording: Recording) -> Overview:
-    """Return the signals of a recording in at most ``WINDOWS`` windows."""
+    """Return the overview of a recording in at most ``WINDOWS`` windows."""
     n_windows = min(WINDOWS, recording.signals.shape[1])
     size = recording.signals.shape[1] // n_windows
     windows = recording.signals[:, : n_windows * size].reshape(3, n_windows, size)

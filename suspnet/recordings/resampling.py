@@ -1,9 +1,9 @@
-"""Signals of any rate on one common clock, without delay and with the same magnitude for all.
+"""Resampling of signals of any rate to one common clock, with zero phase and equal gain.
 
-Two stages. An integer decimation brings the signal, as it streams by, to at least ``OVERSAMPLING``
-times the wanted rate. A windowed sinc, the same function of time whatever the rates, then gives
-the value at each instant of the common clock. With f the wanted rate, both are flat up to
-``PASS`` f, and ``ATTENUATION_DB`` down wherever their images or aliases would fall there.
+The first stage decimates the streaming signal by an integer to at least ``OVERSAMPLING`` times the
+output rate. The second interpolates at the instants of the common clock by a windowed sinc, the
+same function of time for all input rates. With f the output rate, both stages are flat up to
+``PASS`` f, and attenuate images and aliases that would fall there by ``ATTENUATION_DB``.
 """
 
 from __future__ import annotations
@@ -20,24 +20,25 @@ from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 PASS, STOP = 0.25, 0.75
-"""Ends of the pass band and of the transition band, as fractions of the wanted rate."""
+"""Ends of the pass band and of the transition band, as fractions of the output rate."""
 
 ATTENUATION_DB = 100.0
 """Attenuation of the stop band [dB], which also sets the ripple in the pass band."""
 
 OVERSAMPLING = 4
-"""Least rate after the first stage, as a multiple of the wanted rate."""
+"""Least rate after the first stage, as a multiple of the output rate."""
 
 PHASES = 512
-"""Number of points between samples at which the sinc is tabulated, linear in between."""
+"""Number of points per sample at which the sinc is tabulated, with linear interpolation between."""
 
 BLOCK_ROWS = 2**12
+"""Number of output samples that are interpolated at once, which bounds the memory."""
 
 
 class Growing:
-    """A signal and where it is touched by bad samples, both of shape (n,), that grow in place.
+    """A signal and the mask of values affected by bad samples, both (n,), that grow in place.
 
-    A list of blocks would need twice the memory in the end.
+    Joining a list of blocks would need twice the memory.
     """
 
     def __init__(self) -> None:
@@ -53,21 +54,11 @@ class Growing:
 
 
 class Decimator:
-    """The first stage, block by block; values that the filter does not cover completely lack.
+    """The first stage, block by block, without values that the filter covers incompletely.
 
-    Parameters
-    ----------
-    input_rate_hz : float, [Hz]
-        Of the samples; roughly is enough.
-    rate_hz : float, [Hz]
-        The rate wanted after both stages.
-
-    Attributes
-    ----------
-    first, factor : int
-        Value j lies exactly at input sample ``first + j * factor``.
-    tail, bad_tail : arrays of shape (n_samples,)
-        Samples that the next values need.
+    `input_rate_hz` may be approximate; `rate_hz` is the output rate of both stages. Value j lies
+    exactly at input sample ``first + j * factor``. `tail` and `bad_tail` are the input samples that
+    the next values need.
     """
 
     def __init__(self, input_rate_hz: float, rate_hz: float) -> None:
@@ -77,7 +68,7 @@ class Decimator:
         self.tail, self.bad_tail = np.empty(0), np.empty(0, dtype=np.bool_)
 
     def push(self, values: FloatArray, bad: BoolArray) -> tuple[FloatArray, BoolArray]:
-        """Return the values that the next samples complete, and where a bad one took part."""
+        """Return the values that the next samples complete, and which a bad sample affects."""
         tail = np.concatenate([self.tail, values])
         bad_tail = np.concatenate([self.bad_tail, bad])
         n_new = max((len(tail) - 2 * self.first - 1) // self.factor + 1, 0)
@@ -93,26 +84,11 @@ class Decimator:
 
 
 class Resampler:
-    """The second stage, block by block: instants of the common clock as soon as they are covered.
+    """The second stage, block by block: values at the instants of the common clock.
 
-    Parameters
-    ----------
-    start_s : float, [s]
-        Time of the first sample before the first stage, on the common clock.
-    input_rate_hz : float, [Hz]
-        Before the first stage.
-    rate_hz : float, [Hz]
-        The rate wanted.
-    first, factor : int
-        As of `Decimator`.
-
-    Attributes
-    ----------
-    next : int
-        The next value is of the instant ``next / rate_hz``.
-    n_before : int
-        Number of values pushed that are no longer held.
-    held, held_touched : arrays of shape (n,)
+    `start_s` is the time of the first sample on the common clock; it and `input_rate_hz` refer to
+    the input of the first stage. `first` and `factor` are those of the `Decimator`. The next value
+    is that of the instant ``next / rate_hz``; `n_before` counts pushed values no longer held.
     """
 
     def __init__(
@@ -127,7 +103,7 @@ class Resampler:
         self.held, self.held_touched = np.empty(0), np.empty(0, dtype=np.bool_)
 
     def push(self, values: FloatArray, touched: BoolArray) -> tuple[FloatArray, BoolArray]:
-        """Return values at the instants that the next samples complete, and which are touched."""
+        """Return values at the instants that the next samples complete, and the affected ones."""
         self.held = np.concatenate([self.held, values]) if len(self.held) else values
         self.held_touched = np.concatenate([self.held_touched, touched])
         end = self.n_before + len(self.held) - 1 - self.half
@@ -149,9 +125,9 @@ class Resampler:
         return seconds * self.rate_hz
 
     def _positions(self, instants: IntArray) -> FloatArray:
-        """Return where some instants of the common clock lie among the decimated samples."""
+        """Return the positions of instants of the common clock, [decimated samples]."""
         positions = instants / self.rate_hz
-        positions -= self.start_s  # in place, as a long trip has many
+        positions -= self.start_s  # in place, to save memory on long trips
         positions *= self.input_rate_hz
         positions -= self.first
         positions /= self.factor
@@ -159,7 +135,7 @@ class Resampler:
 
 
 def support(oversampling: float) -> int:
-    """Return how many samples on either side the second stage needs."""
+    """Return how many samples the second stage needs on either side."""
     n_taps, _ = kaiserord(ATTENUATION_DB, 2 * (STOP - PASS) / oversampling)
     return math.ceil(int(n_taps) / 2)
 
@@ -167,20 +143,11 @@ def support(oversampling: float) -> int:
 def interpolate(
     values: FloatArray, touched: BoolArray, positions: FloatArray, oversampling: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the low-passed signal at any positions, and where a bad sample took part.
+    """Return the low-passed signal at positions (n_out,) [samples], and which a bad sample affects.
 
-    Parameters
-    ----------
-    values, touched : arrays of shape (n,)
-        A signal, and its bad samples.
-    positions : array of shape (n_out,), [samples]
-        From ``support(oversampling)`` to ``n - 1 - support(oversampling)``.
-    oversampling : float
-        Rate of the signal over the rate wanted; at least 1.
-
-    Returns
-    -------
-    values, touched : arrays of shape (n_out,)
+    `values`, `touched`: (n,), a signal and its bad samples. Positions must be from
+    ``support(oversampling)`` to ``n - 1 - support(oversampling)``. `oversampling` >= 1 is the rate
+    of the signal divided by the output rate.
     """
     half = support(oversampling)
     table = _sinc_table(half, oversampling)
@@ -199,7 +166,7 @@ def interpolate(
 
 
 def _first_stage(input_rate_hz: float, rate_hz: float, factor: int) -> FloatArray:
-    """Return an odd, symmetric low-pass whose half length is a multiple of `factor`."""
+    """Return a symmetric low-pass of odd length whose half length is a multiple of `factor`."""
     if factor == 1:
         return np.ones(1)
     low, high = PASS * rate_hz, input_rate_hz / factor - STOP * rate_hz
@@ -217,12 +184,12 @@ def _sinc_table(half: int, oversampling: float) -> FloatArray:
     sinc = PHASES * firwin(2 * half * PHASES + 1, cutoff, window=window)
     columns = (1 + np.arange(2 * half)) * PHASES
     table = np.asarray(sinc[columns - np.arange(PHASES + 1)[:, None]])
-    table.flags.writeable = False  # the next caller gets the same
+    table.flags.writeable = False  # the cache shares it
     return table
 
 
 def _touched(bad: BoolArray, first: IntArray, length: int) -> BoolArray:
-    """Return which of the windows of `length` samples from `first` hold a bad one."""
+    """Return which windows of `length` samples from `first` contain a bad sample."""
     if not bad.any():
         return np.zeros(len(first), dtype=np.bool_)
     count = np.zeros(len(bad) + 1, dtype=np.int32)

@@ -1,23 +1,24 @@
-"""A recording that grows while the train runs, and gives what the batch gives on the same samples.
+"""A recording that grows while the train runs; its result equals the batch's on the same samples.
 
-The batch takes steps of two kinds. Those up to the common clock are local, so that a stream takes
-them by the same code as its samples come (``sensor.py``): spikes, gaps, saturation and dead sensors
-are found in windows that begin at fixed samples, whatever the blocks; both filters are finite; the
-instants of the common clock are multiples of ``1 / rate_hz``.
+The steps up to the common clock are local, so a stream runs the code of the batch as its samples
+arrive (``sensor.py``): spikes, gaps, saturation and dead sensors are found in windows that start at
+fixed samples, whatever the blocks; both filters are finite; the instants of the common clock are
+multiples of ``1 / rate_hz``.
 
-All later steps look at the whole recording: whether clocks drift apart; which speeds are impossible
-or stuck; which segments share a speed; which are louder than ``LOUD`` medians, or less coherent
-than the others. Signals on the common clock are stored for them: 27 bytes for each instant of three
-sensors, 2.7 kB/s at 100 Hz. The spectra of segments would be no smaller (with half overlap, up to
-a quarter of the rate, as large), and sums of cross spectra can be made only once the segments are
-chosen. So a recording has to end; `longest_s` bounds it, and with it the memory.
+All later steps need the whole recording: clock drift, impossible or stuck speeds, segments of equal
+speed, and segments that are louder than ``LOUD`` medians or less coherent than the others. Signals
+on the common clock are stored for them: 27 bytes per instant of three sensors, 2.7 kB/s at 100 Hz.
+Spectra of segments would be no smaller (with half overlap, up to a quarter of the rate), and sums
+of cross spectra can be formed only once the segments are chosen. `longest_s` therefore bounds the
+recording and its memory.
 
-Besides, each sensor holds the samples whose window is not yet complete or waits for its turn (at
-most twice ``CORE_SAMPLES`` and two seconds or so, 4.3 MB): recordings of many suspensions begin at
-the same instant, and each sensor is cleaned at a time of its own, by its name. Then there are the
-frames of `Assembler`. The rate of a sensor is that of the manifest. Where the manifest leaves it to
-the file, as to a column of times, it is that of the sensor's first frame: the mean rate that the
-batch takes from such a column is known at its end only. Units are left to frames in the same way.
+In addition, each sensor holds the samples of windows that are incomplete or delayed (at most about
+twice ``CORE_SAMPLES`` plus two seconds, 4.3 MB). Many recordings start at the same instant, so the
+cleaning of each sensor is delayed by a time that depends on its name. `Assembler` holds frames.
+
+The rate of a sensor is that of the manifest. If the manifest leaves it to the file, for example to
+a column of times, it is that of the sensor's first frame; the mean rate of such a column, which the
+batch uses, is known only at the end. Units are taken from frames in the same way.
 """
 
 from __future__ import annotations
@@ -50,35 +51,35 @@ from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
 UNITS = {"acceleration": "m/s2", "speed": "m/s"}
-"""Units in which samples are stored where the manifest leaves them to the file."""
+"""Units in which samples are stored if the manifest leaves the unit to the file."""
 
 
 class Running:
-    """One recording of one suspension as it comes in.
+    """The recording of one suspension, extended frame by frame.
 
     Parameters
     ----------
     manifest : TripManifest
-        Files and times are not looked at. Frames say what it says nothing of, unit and rate.
+        Its files and times are not used. Frames give the unit and rate if it does not.
     zero_ns : int, [ns]
-        A whole second, from which it is counted how early or late a frame may be.
+        A whole second, to which `longest_s` and `before_s` refer.
     rate_hz : float, [Hz]
-        Of the common clock.
+        Rate of the common clock.
     cleaning : CleaningSettings, optional
     order : OrderSettings, optional
     longest_s : float, [s]
-        Frames that begin later after `zero_ns` are refused: then another recording is due.
+        Frames that start more than this after `zero_ns` are refused; they need a new recording.
     before_s : float, [s]
-        Frames that begin earlier before `zero_ns` are refused.
+        Frames that start more than this before `zero_ns` are refused.
 
     Attributes
     ----------
     begin_ns, end_ns : int, [ns]
-        When the first frame begins and the last one ends, by their times.
+        Start of the earliest and end of the latest frame, by their times.
     goes_on : bool
-        Whether it continues the trip of another one.
+        Whether it continues the trip of another recording.
     rest : Running or None
-        What follows of the same trip, where it is too short for a recording of its own.
+        Continuation of the same trip that is too short for a recording of its own.
 
     Raises
     ------
@@ -129,17 +130,17 @@ class Running:
 
     @property
     def sensors(self) -> dict[str, Counter[str]]:
-        """What was counted of each sensor's frames, as ``Assembler.counts``."""
+        """``Assembler.counts`` of each sensor."""
         return {name: order.counts for name, order in self._orders.items()}
 
     @property
     def n_frames(self) -> int:
-        """Number of frames that were taken or are held back."""
+        """Number of frames that were accepted or are held back."""
         return sum(order.n_frames for order in self._orders.values())
 
     @property
     def is_empty(self) -> bool:
-        """Whether no acceleration has come."""
+        """Whether no acceleration has been received."""
         return not any(self._orders[name].n_frames for name in self._sensors)
 
     @property
@@ -148,18 +149,18 @@ class Running:
 
     @property
     def n_seconds(self) -> float:
-        """Length of what has come of each sensor at least, with gaps, [s]; 0 before a first."""
+        """Least duration received from an accelerometer, with gaps, [s]; 0 if one sent nothing."""
         orders = [self._orders.get(name) for name in self._accelerations]
         return min(0.0 if order is None else order.n_samples / order.rate_hz for order in orders)
 
     def add(self, frame: Frame) -> None:
-        """Take a frame.
+        """Add a frame.
 
         Raises
         ------
         FrameError
-            If it is of another suspension or sensor, has another rate or unit, or lies before or
-            after the recording. What is already known of it is as before.
+            If its suspension, sensor, rate or unit is another one, or it lies before or after the
+            recording, which then remains unchanged.
         """
         source = self._sources.get(frame.sensor)
         if source is None or frame.suspension != self._name:
@@ -190,7 +191,7 @@ class Running:
         self._give(frame.sensor, given)
 
     def _order(self, frame: Frame) -> Assembler:
-        """Return what orders the frames of a sensor; its first frame may say its rate."""
+        """Return the assembler of a frame's sensor; the first frame may set the rate."""
         name, source = frame.sensor, self._sources[frame.sensor]
         if name not in self._orders:
             rate_hz = source.rate_hz
@@ -214,13 +215,14 @@ class Running:
         if channel is not None:
             unit = ACCELERATION_UNITS[channel.unit or UNITS["acceleration"]]
             full_scale = None if channel.range is None else unit * channel.range
+            # spread the cleaning of sensors that start together over time, reproducibly
             late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
             where = f"{self.manifest.path}: channel {name!r}"
             cleaner = Cleaner(name, rate_hz, full_scale, self.cleaning, late)
             self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
-        """Return why a sensor cannot have a rate; empty if it can."""
+        """Return why a sensor cannot have this rate; empty if it can."""
         least = 0.0 if name == "speed" else 0.99 * self.rate_hz
         most = 2 * HIGHEST_RATE_HZ if name == "speed" else HIGHEST_HZ
         if least < rate_hz < most:
@@ -231,15 +233,15 @@ class Running:
         )
 
     def flush(self) -> None:
-        """Take all frames that wait for earlier ones; those are missing then."""
+        """Add all frames that wait for earlier ones, which then count as missing."""
         for name, order in self._orders.items():
             self._give(name, order.flush())
 
     def recording(self) -> Recording:
-        """Return the recording up to the samples so far: what the batch makes of them.
+        """Return the recording of the samples so far, as the batch would.
 
-        Its clock begins with the second of `begin_ns`. Frames that wait for earlier ones are left
-        out; `flush` takes them. A `rest` of which nothing can be made is left out, too.
+        Its clock starts at the whole second of `begin_ns`. Frames that wait for earlier ones are
+        left out unless `flush` is called first. A `rest` that gives no recording is ignored.
 
         Raises
         ------
@@ -272,8 +274,8 @@ class Running:
     def _zero_ns(self, name: str) -> int:
         """Return the zero of a sensor's clock, since 1970, [ns].
 
-        It is the second of its own first sample, so that nothing depends on the order in which
-        frames came; between two seconds there are common instants if the rate is a whole number.
+        It is the whole second of the sensor's own first sample, so that the result does not depend
+        on the order of frames. Whole seconds are common instants if the rate is a whole number.
         """
         first_ns = self._orders[name].first_ns
         assert first_ns is not None
@@ -297,7 +299,7 @@ class Running:
         return (first_ns - zero_ns) / SECOND_NS
 
     def _track(self) -> SpeedTrack | None:
-        """Return the speeds so far as the batch reads them; None if the manifest gives one."""
+        """Return the speeds so far, as the batch reads them; None if the speed is constant."""
         source = self.manifest.speed
         if not isinstance(source, SpeedSource):
             return None
@@ -308,7 +310,7 @@ class Running:
         return speed_track(np.arange(len(speeds)) / rate_hz, speeds, start_s, rate_hz)
 
     def state(self) -> dict[str, Any]:
-        """Return arrays and JSON-able values that `restore` makes the same recording of."""
+        """Return arrays and JSON-able values from which `restore` continues."""
         self._speeds = [np.concatenate([np.empty(0), *self._speeds])]
         return {
             "speeds": self._speeds[0],
@@ -319,7 +321,7 @@ class Running:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state of a recording of the same identity."""
+        """Continue from the state of a recording of the same `identity`."""
         self._speeds = [state["speeds"]]
         self.begin_ns, self.end_ns, self.goes_on = state["times"]
         for name, rate_hz in state["rates"].items():
@@ -330,7 +332,7 @@ class Running:
 
     @property
     def identity(self) -> list[Any]:
-        """Return what a state must share with the recording that continues it."""
+        """Values that a state must share with the recording that continues it."""
         sensors = {
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
             for name, one in self._sources.items()
@@ -346,5 +348,5 @@ class Running:
 
 
 def _second(time_ns: int) -> int:
-    """Return the whole second in which a time lies, [ns]."""
+    """Round a time down to a whole second, [ns]."""
     return time_ns // SECOND_NS * SECOND_NS

@@ -1,4 +1,4 @@
-"""One sensor as its samples come, of a file or of a stream: cleaned, then on the common clock."""
+"""One sensor, from a file or a stream: cleaned, and resampled to the common clock."""
 
 from __future__ import annotations
 
@@ -15,18 +15,11 @@ from suspnet.recordings.resampling import Decimator, Growing, Resampler
 
 @dataclass(frozen=True)
 class SensorSignal:
-    """One sensor on the common clock, for as long as it recorded.
+    """The signal of one sensor on the common clock.
 
-    Attributes
-    ----------
-    start_s, end_s : float, [s]
-        Of the recording; the low-pass takes off a part of it.
-    first : int
-        Values are of the instants ``(first + arange(n)) / rate_hz``.
-    values, touched : arrays of shape (n,), [m/s2]
-        `touched` is True where a bad sample takes part.
-    words : str
-        How its file is read, where that had to be found out.
+    `start_s` and `end_s` are of the raw recording, which the low-pass shortens. `values`: (n,),
+    [m/s2], at the instants ``(first + arange(n)) / rate_hz``. `touched`: (n,), True where a bad
+    sample affects the value. `words` states how the file is read, if this was detected.
     """
 
     name: str
@@ -40,25 +33,11 @@ class SensorSignal:
 
 
 class Sensor:
-    """Cleans one sensor and puts it on the common clock, block by block.
+    """Cleans one sensor and resamples it to the common clock, block by block.
 
-    Its result depends on the cut into blocks by no more than rounding (1e-12).
-
-    Parameters
-    ----------
-    where : str
-        Named in errors.
-    cleaner : Cleaner
-        With the sensor's name and its rate; roughly, if only time stamps say it.
-    size : float, [m/s2]
-        Of the samples' unit; negative where the sensor is upside down.
-    rate_hz : float, [Hz]
-        Of the common clock.
-
-    Attributes
-    ----------
-    start_s : float or None, [s]
-        Time of the first sample on the trip's clock; None before `begin`.
+    The result does not depend on how the signal is cut into blocks, up to rounding (1e-12). The
+    rate of `cleaner` may be approximate. `size` is the unit of the samples [m/s2], negative if the
+    sensor is upside down. `rate_hz` is the rate of the common clock.
     """
 
     def __init__(self, where: str, cleaner: Cleaner, size: float, rate_hz: float) -> None:
@@ -74,31 +53,24 @@ class Sensor:
         return None if self._second_stage is None else self._second_stage.start_s
 
     def begin(self, start_s: float, input_rate_hz: float) -> None:
-        """Set the time of the first sample [s] and the exact rate [Hz], as soon as they are known.
+        """Set the time of the first sample [s] and the exact rate [Hz].
 
-        Of a stream that is before its first sample, of a file with time stamps after its last.
-        Until then samples wait behind the first stage.
+        They are known before the first sample of a stream, but after the last one of a file with
+        time stamps. Until then samples wait after the first stage.
         """
         first, factor = self._first_stage.first, self._first_stage.factor
         self._second_stage = Resampler(start_s, input_rate_hz, self.rate_hz, first, factor)
         self._first = self._second_stage.next
 
     def push(self, values: FloatArray) -> None:
-        """Take the next samples, in the sensor's unit."""
+        """Process the next samples, in the sensor's unit."""
         self._take(self._cleaner.push(self.size * values))
 
     def finish(self, shift_s: float = 0.0) -> SensorSignal:
-        """Return the sensor on the common clock; no sample may follow.
+        """Return the signal on the common clock, after the last sample; TripError if unusable.
 
-        Parameters
-        ----------
-        shift_s : float, [s]
-            Zero of the times of the signal on the sensor's clock, a multiple of the common step.
-
-        Raises
-        ------
-        TripError
-            If no sample is usable.
+        `shift_s` is the zero of the result's times on the sensor's clock, a multiple of the common
+        step.
         """
         self._take(self._cleaner.finish())
         self._resample()
@@ -118,7 +90,7 @@ class Sensor:
         )
 
     def signal(self, shift_s: float = 0.0) -> SensorSignal:
-        """Return what `finish` would of the samples so far; more may follow."""
+        """Return the result of `finish` for the samples so far; more may follow."""
         return copy.deepcopy(self).finish(shift_s)
 
     def _take(self, cleaned: Iterable[tuple[FloatArray, BoolArray]]) -> None:
@@ -133,7 +105,7 @@ class Sensor:
         self._signal.append(*self._second_stage.push(waiting.values, waiting.touched))
 
     def state(self) -> dict[str, Any]:
-        """Return arrays and JSON-able values that `restore` makes the same sensor of."""
+        """Return arrays and JSON-able values from which `restore` continues."""
         state: dict[str, Any] = {"start_s": self.start_s, "cleaner": self._cleaner.state()}
         if self._second_stage is not None:
             second = self._second_stage
@@ -143,13 +115,13 @@ class Sensor:
                 "at": [second.next, second.n_before],
                 "held": second.held,
                 "held_touched": second.held_touched,
-                "values": self._signal.values.copy(),  # the memory of the original moves
+                "values": self._signal.values.copy(),  # the original is resized in place
                 "touched": self._signal.touched.copy(),
             }
         return state
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a state of the same sensor of a stream."""
+        """Continue from the state of the same sensor of a stream."""
         self._cleaner.restore(state["cleaner"])
         if state["start_s"] is None:
             return

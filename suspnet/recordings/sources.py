@@ -1,4 +1,4 @@
-"""One source of a trip, open for reading: unit, rate and times by its file and the manifest."""
+"""One source of a trip, open for reading, with unit, rate and times from file and manifest."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from suspnet.recordings.manifest import Channel, Source, TripManifest
 from suspnet.recordings.manifest_keys import TripError
 
 RATE_TOLERANCE = 1e-4
-"""Largest relative difference of a stated rate from that in the header of a file."""
+"""Largest relative difference between a stated rate and that in the header of a file."""
 
 WHOLE_HZ = 0.5
-"""Largest difference [Hz] from a rate that the format keeps as a whole number."""
+"""Largest difference from a rate that the format stores as a whole number, [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +31,20 @@ class OpenSource:
     Attributes
     ----------
     size : float
-        Of its unit in SI; -1 turns a sensor. Of integers that are fractions of full scale, what
-        full scale is.
+        Factor from stored values to SI units, including the sign and, for fractions of full scale,
+        the range.
     rate_hz : float or None, [Hz]
-        As stated; None if only its times say it.
+        Stated rate; None if only the times give it.
     times : Times or None
-        Those of its blocks; None if it is evenly sampled from `zero` on.
-    zero : Zero
-        With `times`, known after the first block.
+        Converter of the times; None if the source is evenly sampled.
+    stated : Zero
+        Origin by the file's header.
     full_scale : float or None, [m/s2]
         Largest magnitude of an acceleration.
     words : str
-        How its file is read.
+        How the file is read.
+    where : str
+        Name of the source in errors.
     """
 
     path: Path
@@ -59,13 +61,13 @@ class OpenSource:
 
     @property
     def zero(self) -> Zero:
-        """What its times are counted from."""
+        """Origin of the times; if there are any, known after the first block."""
         if self.times is None:
             return self.stated
         return replace(self.times.zero, date=self.stated.date)
 
     def blocks(self) -> Iterator[tuple[FloatArray, ...]]:
-        """Yield times [s], if it has any, and values in its own unit."""
+        """Yield times [s], if there are any, and values in the source's unit."""
         for block in read_columns(self.path, self.file, self.names):
             if self.times is None:
                 yield block
@@ -73,7 +75,7 @@ class OpenSource:
                 yield self.times.seconds(block[0]), block[1]
 
     def even(self) -> Iterator[FloatArray]:
-        """Yield values in its own unit, evenly sampled: NaN where its times leave samples out."""
+        """Yield evenly sampled values in the source's unit; NaN where times are missing."""
         if self.timeline is not None:
             yield from self.timeline.even(self.blocks())
         else:
@@ -82,7 +84,7 @@ class OpenSource:
 
     @property
     def known_rate_hz(self) -> float:
-        """Rate as stated or by the times: roughly after the first even block, then exactly."""
+        """Rate as stated or by the times: approximate after the first block, exact at the end."""
         if self.timeline is None:
             assert self.rate_hz is not None  # a source has times or a rate
             return self.rate_hz
@@ -92,7 +94,7 @@ class OpenSource:
 
     @property
     def first_s(self) -> float:
-        """Time of the first sample since `zero`, after the first even block, [s]."""
+        """Time of the first sample since `zero` [s], known after the first even block."""
         return 0.0 if self.timeline is None else self.timeline.first_s
 
 
@@ -102,18 +104,8 @@ def open_source(
 ) -> Iterator[OpenSource]:
     """Open a channel or the speed of a trip.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    source : Source
-    where : str
-        Named in errors.
-    kind : {"acceleration", "speed"}
-
-    Raises
-    ------
-    TripError
-        If its file cannot be read or contradicts the manifest, or unit or rate are not known.
+    `where` names the source in errors; `kind` is "acceleration" or "speed". Raises TripError if the
+    file cannot be read or contradicts the manifest, or if unit or rate are unknown.
     """
     path = manifest.file_of(source)
     with open_file(path, source.csv) as file:
@@ -121,7 +113,7 @@ def open_source(
         column = file.column(name)
         if column.is_time:
             raise TripError(f"{path}: column {name!r} holds time stamps, not numbers")
-        # the rate, or else the times: by the manifest, the file, or its only column of time stamps
+        # rate and times by the manifest, the file, or else its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
         if time is None and rate_hz is None:
@@ -131,7 +123,7 @@ def open_source(
             raise TripError(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
             )
-        # what values are multiplied with
+        # factor to SI units, and the sensor's range in them
         size, words = _size(where, kind, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:
@@ -164,7 +156,7 @@ def _value_column(path: Path, file: OpenFile, source: Source) -> str:
 
 
 def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float | None:
-    """Return the rate by the manifest or else by the file; TripError if they differ."""
+    """Return the rate of the manifest or else of the file; TripError if they differ."""
     found_hz = column.rate_hz
     if stated_hz is None or found_hz is None:
         return stated_hz or found_hz
@@ -178,7 +170,7 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
 
 
 def _size(where: str, kind: str, source: Source, column: Column) -> tuple[float, str]:
-    """Return what values are multiplied with, and words where the file's unit is not known."""
+    """Return the factor to SI units, and a remark if the file's unit is unknown."""
     size = agreed_size(where, kind, source.unit, column.unit)
     words = ""
     if column.unit and size_of(kind, column.unit) is None:
@@ -194,7 +186,7 @@ def _size(where: str, kind: str, source: Source, column: Column) -> tuple[float,
 
 
 def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acceleration") -> Zero:
-    """Return what the times of a source are counted from; TripError if it cannot be read."""
+    """Return the origin of the times of a source; TripError if it cannot be read."""
     with open_source(manifest, source, where, kind) as opened:
         if opened.times is not None:
             for times in read_columns(opened.path, opened.file, opened.names[:1]):
@@ -204,32 +196,21 @@ def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acc
 
 
 GAP_STEPS = 1.5
-"""A time step longer than this multiple of the usual one is a gap."""
+"""Multiple of the usual time step above which a step is a gap."""
 
 LONGEST_GAP_S = 1800.0
-"""Longest gap within a trip [s]; after a longer one its time stamps are refused."""
+"""Longest gap within a trip, [s]; time stamps with a longer one are refused."""
 
 TIMES_TOLERANCE = 0.01
-"""Largest relative difference of the rate by time stamps from that in the manifest."""
+"""Largest relative difference between the rate by time stamps and that in the manifest."""
 
 
 class Timeline:
-    """Makes an evenly sampled stream of one with time stamps, whatever its blocks.
+    """Converts a stream with time stamps into an evenly sampled one, independent of its blocks.
 
-    Parameters
-    ----------
-    where : str
-        Named in errors, e.g. "trip.yaml: channel 'body'".
-    rate_hz : float, optional, [Hz]
-        Rate in the manifest; None if only the time stamps say it.
-
-    Attributes
-    ----------
-    rate_hz : float, [Hz]
-        One over the mean time step, gaps left out: roughly after the first block, exactly after
-        the last; NaN while there is no step.
-    first_s : float, [s]
-        The first time stamp.
+    `where` names the source in errors. The argument `rate_hz` is the rate of the manifest, or None;
+    the attribute is the inverse mean time step without gaps, which is approximate after the first
+    block, exact after the last, and NaN while there is no step. `first_s` is the first time stamp.
     """
 
     def __init__(self, where: str, rate_hz: float | None) -> None:
@@ -237,16 +218,13 @@ class Timeline:
         self.rate_hz = self.first_s = np.nan
         self._usual_s = self._last_s = np.nan
         self._n_steps, self._seconds = 0, 0.0
-        self._rest = 0.0  # what rounding gaps to whole samples has left over, [samples]
+        self._rest = 0.0  # accumulated rounding error of gaps, [samples]
 
     def even(self, blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[FloatArray]:
         """Yield the values of blocks of (times [s], values), with NaN where times are missing.
 
-        Raises
-        ------
-        TripError
-            If times do not rise or are not finite, leave out more than ``LONGEST_GAP_S``, or
-            disagree with the stated rate by more than ``TIMES_TOLERANCE``.
+        Raises TripError if times do not rise, are not finite, have gaps above ``LONGEST_GAP_S``, or
+        differ from the stated rate by more than ``TIMES_TOLERANCE``.
         """
         for times, values in _recut(blocks):
             before = self._last_s if self._n_steps else None
@@ -262,6 +240,7 @@ class Timeline:
             if len(gaps) == 0:
                 yield values
                 continue
+            # shift each value by the number of samples missing before it
             shift = np.zeros(len(times), dtype=np.intp)
             shift[gaps] = self._missing(steps[gaps])
             shift = np.cumsum(shift)
@@ -278,7 +257,7 @@ class Timeline:
             check_rate(self.where, self.stated_rate_hz, self.rate_hz)
 
     def _missing(self, gaps_s: FloatArray) -> FloatArray:
-        """Return how many samples each gap lacks; rounding does not add up."""
+        """Return the number of samples missing in each gap; rounding errors do not accumulate."""
         if gaps_s.sum() > LONGEST_GAP_S:
             raise TripError(
                 f"{self.where}: its times leave out {gaps_s.sum():.6g} s at once; the most is "
@@ -291,7 +270,7 @@ class Timeline:
 
 
 def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:
-    """Raise TripError unless times are finite and rise, from the one before them on."""
+    """Raise TripError unless times are finite and increase, also from the one before them."""
     if not np.isfinite(times).all():
         raise TripError(f"{where}: its times hold an empty or infinite value")
     all_times = times if before is None else np.concatenate([[before], times])
@@ -305,7 +284,7 @@ def check_rising(where: str, times: FloatArray, before: float | None = None) -> 
 
 
 def check_rate(where: str, stated_hz: float | None, found_hz: float) -> None:
-    """Raise TripError if a stated rate is not that of the time stamps."""
+    """Raise TripError if a stated rate differs from that of the time stamps."""
     if stated_hz is not None and abs(found_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
         raise TripError(
             f"{where}: `rate_hz` says {stated_hz:g} Hz, its times say {found_hz:.6g} Hz; they must "

@@ -1,4 +1,4 @@
-"""The speed of the train on the trip's clock, and what is missing or wrong in it."""
+"""The speed of the train on the trip's clock, and its faults."""
 
 from __future__ import annotations
 
@@ -20,49 +20,41 @@ LARGEST_SPEED_M_PER_S = 150.0
 """Largest speed of a train [m/s]; a larger value counts as unknown."""
 
 LONGEST_SPEED_GAP_S = 10.0
-"""Longest time [s] between two speeds that is interpolated; the speed is unknown in longer
-ones."""
+"""Longest gap between two speeds that is interpolated, [s]; in longer ones the speed is unknown."""
 
 HIGHEST_RATE_HZ = 20.0
-"""Speeds that come at twice this rate or faster are averaged to it, to save memory."""
+"""Rate [Hz] to which speeds of at least twice this rate are averaged, to save memory."""
 
 LARGEST_ACCELERATION, LARGEST_STEP = 5.0, 2.0
-"""Largest change of a train's speed, [m/s2] times the time step plus [m/s] for resolution."""
+"""Largest change of a train's speed: [m/s2] times the time step, plus [m/s] for resolution."""
 
 STANDING_M_PER_S = 0.5
-"""A receiver that has lost its satellites gives a speed below this."""
+"""Speed below which a train is at rest, or a receiver has lost its satellites, [m/s]."""
 
 BRAKING, NOISE = 2.5, 0.5
-"""Largest change of speed after equal ones, [m/s2] times the time step plus [m/s] for noise: that
-of an emergency brake."""
+"""Largest change after a run of equal speeds: [m/s2] of an emergency brake times the time step,
+plus [m/s] for noise."""
 
 SCATTERING = 0.25
-"""Least share of speeds that turn back from the one before for a receiver to scatter; those of a
-train that speeds up or keeps its speed do not, those of white noise do so in two of three."""
+"""Least share of steps with a sign opposite to the step before for a receiver to be noisy. Steady
+or accelerating trains have few, white noise two of three."""
 
 COARSE = 5.0
-"""Least difference of two steps, in steps of the receiver's resolution, for a scatter that does not
-come out equal at any speed: twice the resolution in standard deviations."""
+"""Least median difference of successive steps, in units of the receiver's resolution, for noise to
+prevent equal speeds: a standard deviation of twice the resolution."""
 
 LEAST_CHANCE, LEAST_STEPS = 1e-9, 30
-"""Chance of a run of equal speeds below which a receiver that scatters is stuck, and least number
-of other steps that say how it scatters."""
+"""Probability of a run of equal speeds below which a noisy receiver is stuck, and least number of
+other steps from which its noise is estimated."""
 
 
 @dataclass(frozen=True)
 class SpeedTrack:
-    """Speeds as they were recorded.
+    """Recorded speeds.
 
-    Attributes
-    ----------
-    seconds : array of shape (n_known,), [s]
-        Since `zero`, with the manifest's `start_s`.
-    speeds : array of shape (n_known,), [m/s]
-    step_s : float, [s]
-        Usual time between two of them; infinite if there is only one and no rate.
-    zero : Zero
-    words : str
-        How its file is read.
+    `seconds`: (n_known,), since `zero`, including the manifest's `start_s`. `speeds`: (n_known,),
+    [m/s]. `step_s`: usual time step, infinite for a single speed without a rate. `words` states how
+    the file is read.
     """
 
     seconds: FloatArray
@@ -73,12 +65,9 @@ class SpeedTrack:
 
 
 def read_speed(manifest: TripManifest) -> SpeedTrack | None:
-    """Return the speeds of a trip; None if the manifest gives one number.
+    """Return the speeds of a trip; None if the manifest gives a constant.
 
-    Raises
-    ------
-    TripError
-        If they cannot be read, their times are wrong, or the number is no speed of a train.
+    Raises TripError if they cannot be read, their times are wrong, or the constant is implausible.
     """
     source = manifest.speed
     if not isinstance(source, SpeedSource):
@@ -99,7 +88,7 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
 def speed_track(
     seconds: FloatArray, speeds: FloatArray, start_s: float, rate_hz: float | None
 ) -> SpeedTrack:
-    """Return speeds (n_known,) [m/s] by their times since `start_s` [s]."""
+    """Return the track of speeds (n_known,) [m/s] at times (n_known,) [s] since `start_s`."""
     step_s = 1 / (rate_hz or np.inf)
     if len(seconds) > 1:
         step_s = float(np.median(np.diff(seconds)))
@@ -109,26 +98,10 @@ def speed_track(
 def speed_at(
     manifest: TripManifest, track: SpeedTrack | None, offset_s: float, times_s: FloatArray
 ) -> tuple[FloatArray, tuple[Fault, ...]]:
-    """Return the speed at some instants of the trip's clock, NaN where unknown, and its faults.
+    """Return the speed (n,) [m/s] at instants of the trip's clock, and its faults in their range.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    track : SpeedTrack or None
-    offset_s : float, [s]
-        Zero of the speed's times on the trip's clock.
-    times_s : array of shape (n,), [s]
-
-    Returns
-    -------
-    speed : array of shape (n,), [m/s]
-    faults : tuple of Fault
-        Of the time that `times_s` cover.
-
-    Raises
-    ------
-    TripError
-        If it is never known.
+    The speed is NaN where unknown; TripError if it is unknown throughout. `offset_s` is the zero of
+    the track's times on the trip's clock.
     """
     if track is None:
         assert isinstance(manifest.speed, float)  # otherwise there is a track
@@ -139,6 +112,7 @@ def speed_at(
     speed = np.where(missing | zero | jump, np.nan, track.speeds)
     stuck = find_stuck(known_s, speed)
     speed[stuck] = np.nan
+    # interpolate, but not beyond the ends or across long gaps
     found = np.interp(times_s, known_s, speed)
     found[(times_s < known_s[0] - track.step_s) | (times_s > known_s[-1] + track.step_s)] = np.nan
     if len(known_s) > 1:
@@ -159,17 +133,11 @@ def speed_at(
 
 
 def find_wrong_speeds(known_s: FloatArray, speeds: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Return where a speed is a zero that stands for none, and where it jumps; both (n_known,).
+    """Return where a speed of zero means a missing value, and where it jumps; all (n_known,).
 
-    A train cannot stop or start at once, so that a run of zeros with an impossible step at one of
-    its ends is none of a train at rest. Other runs of at most ``LONGEST_SPEED_GAP_S`` between two
-    impossible steps are jumps.
-
-    Parameters
-    ----------
-    known_s : array of shape (n_known,), [s]
-    speeds : array of shape (n_known,), [m/s]
-        NaN where missing.
+    A train cannot stop or start at once, so a run of zeros with an impossible step at one of its
+    ends means missing values. Other runs of at most ``LONGEST_SPEED_GAP_S`` between two impossible
+    steps are jumps. `speeds` are NaN where missing.
     """
     zero, jump = (np.zeros(len(speeds), dtype=np.bool_) for _ in range(2))
     at = np.flatnonzero(np.isfinite(speeds))
@@ -187,29 +155,25 @@ def find_wrong_speeds(known_s: FloatArray, speeds: FloatArray) -> tuple[BoolArra
 
 
 def find_stuck(known_s: FloatArray, speeds: FloatArray) -> BoolArray:
-    """Return where a receiver repeats its last speed while that of the train changes, (n_known,).
+    """Return where a receiver repeats its last speed while the train's changes; all (n_known,).
 
-    The speed of a moving train is equal for more than ``LONGEST_SPEED_GAP_S`` where it is kept, or
-    where the receiver is stuck. It is stuck if the next speed is further off than a brake could
-    bring it, or if speeds scatter elsewhere so that as many do not come out equal by chance. The
-    first of them is right.
-
-    Parameters
-    ----------
-    known_s : array of shape (n_known,), [s]
-    speeds : array of shape (n_known,), [m/s]
-        NaN where missing or wrong.
+    Equal speeds of a moving train for more than ``LONGEST_SPEED_GAP_S`` mean that it keeps its
+    speed or that the receiver is stuck. It is stuck if the next speed is beyond the reach of an
+    emergency brake, or if speeds elsewhere are so noisy that such a run is improbable. The first of
+    the equal speeds is valid. `speeds` are NaN where missing or wrong.
     """
     stuck = np.zeros(len(speeds), dtype=np.bool_)
     at = np.flatnonzero(np.isfinite(speeds))
     seconds, steps = np.diff(known_s[at]), np.diff(speeds[at])
+    # long runs of equal speeds of a moving train
     starts, stops = runs(steps == 0)
     long = known_s[at[stops]] - known_s[at[starts]] > LONGEST_SPEED_GAP_S
     long &= speeds[at[starts]] >= STANDING_M_PER_S
     starts, stops = starts[long], stops[long]
+    # noise and resolution of the receiver, from all other steps
     others = steps[~paint(len(steps), starts, stops)]
     finest = float(np.abs(others[others != 0]).min(initial=np.inf))
-    most = BRAKING * seconds + NOISE + 2 * finest  # two steps of a coarse receiver are none
+    most = BRAKING * seconds + NOISE + 2 * finest  # two steps of resolution are no leap
     scatters = (
         len(others) >= LEAST_STEPS
         and (others[1:] * others[:-1] < 0).mean() > SCATTERING
@@ -224,13 +188,13 @@ def find_stuck(known_s: FloatArray, speeds: FloatArray) -> BoolArray:
 
 
 def _impossible(known_s: FloatArray, speeds: FloatArray) -> BoolArray:
-    """Return which steps from one speed to the next no train can make, shape (n - 1,)."""
+    """Return which steps between successive speeds are impossible for a train, (n - 1,)."""
     most = LARGEST_STEP + LARGEST_ACCELERATION * np.diff(known_s)
     return np.asarray(np.abs(np.diff(speeds)) > most)
 
 
 def _lost_rows(known_s: FloatArray, inside: BoolArray, step_s: float) -> Iterator[Fault]:
-    """Yield the faults of missing rows: those that are interpolated, and the longer ones."""
+    """Yield the faults of missing rows: short gaps, which are interpolated, and longer ones."""
     steps = np.diff(known_s)
     lost = (steps > GAP_STEPS * step_s) & inside[:-1] & inside[1:]
     short = steps <= LONGEST_SPEED_GAP_S
@@ -242,7 +206,7 @@ def _lost_rows(known_s: FloatArray, inside: BoolArray, step_s: float) -> Iterato
 
 
 def _timed(file: OpenSource, where: str) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield times [s] and speeds, with times that rise and agree with the rate."""
+    """Yield times [s] and speeds; TripError if times do not rise or contradict the rate."""
     last_s: float | None = None
     n_before = 0
     for *times, speeds in file.blocks():
@@ -262,7 +226,7 @@ def _timed(file: OpenSource, where: str) -> Iterator[tuple[FloatArray, FloatArra
 def _thinned(
     blocks: Iterable[tuple[FloatArray, FloatArray]],
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield blocks of times and speeds, averaged where they come faster than needed."""
+    """Yield blocks of times and speeds, averaged to about ``HIGHEST_RATE_HZ`` if faster."""
     for seconds, speeds in blocks:
         steps = np.diff(seconds)
         size = int(1 / (HIGHEST_RATE_HZ * np.median(steps)) + 1e-6) if len(steps) else 1
