@@ -82,7 +82,7 @@ def iso8608_density(n: FloatArray, roughness: float) -> FloatArray:
 
 
 def cross_level_spectrum(mean: TrackSpectrum) -> TrackSpectrum:
-    """Return the spectrum of a cross level up to its share: S(n) n^2 / (n^2 + n_0^2), [m^3].
+    """Return the spectrum of a cross level, S(n) n^2 / (n^2 + n_0^2) [m^3], for a fraction of 1.
 
     As in the German spectra, n_0 = 0.4380 / (2 pi); see ``CROSS_LEVEL_RAD_PER_M``.
     """

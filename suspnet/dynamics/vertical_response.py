@@ -1,6 +1,6 @@
 """Closed-form responses of a family of vehicles: body and two bogies on four wheelsets.
 
-Seen from the measured bogie, with s = j omega, kappa the dynamic stiffness of a suspension
+For a measured leading bogie, with s = j omega, kappa the dynamic stiffness of a suspension
 (`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers for one side::
 
     (kappa_p + kappa_s + s^2 M_p) z_i - kappa_s y_i                 = kappa_p m_i
@@ -222,7 +222,7 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     angles = torch.stack(
         [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1
     )
-    # The angles are those of a unit of cross level: scale them to the density of the mean.
+    # The angles are for a cross level of the mean's density: scale them to its own density.
     waves = (omega / p["speed"]) ** 2
     share = p["cross_level"] * waves / (waves + CROSS_LEVEL_RAD_PER_M**2)
     return share.sqrt()[:, None] * angles
