@@ -183,7 +183,7 @@ class LogNormal:
             raise ValueError(f"`names` must be from {UNMEASURED}, each once, got {self.names}")
         n = len(self.names)
         if len(self.mean) != n or len(rows) != n or any(len(row) != n for row in rows):
-            raise ValueError(f"`mean` and `covariance` must be of {n} numbers, as the names are")
+            raise ValueError(f"`mean` and `covariance` must have {n} numbers, one for each name")
         matrix = np.array(rows).reshape(n, n)
         if not (np.isfinite(self.mean).all() and np.isfinite(matrix).all()):
             raise ValueError("`mean` and `covariance` must be finite")

@@ -40,7 +40,7 @@ class QuarterCar:
     Raises
     ------
     ValueError
-        If torch cannot use the device here.
+        If torch cannot use the device on this machine.
 
     Examples
     --------

@@ -80,8 +80,7 @@ class Vehicle:
         float,
         Setting(
             "Damping of the primary suspension of one bogie side, c_p; c_p / (2 sqrt(k_p M_p)) "
-            "must "
-            "lie in 0.001 to 10",
+            "must lie in 0.001 to 10",
             "N s/m",
             above=0,
         ),
@@ -90,8 +89,7 @@ class Vehicle:
         float,
         Setting(
             "Stiffness of the secondary suspension of one bogie side, k_s; sqrt(k_s / M_s) / 2π "
-            "must "
-            "lie in 0.2 to 50 Hz",
+            "must lie in 0.2 to 50 Hz",
             "N/m",
             above=0,
         ),

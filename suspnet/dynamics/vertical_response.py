@@ -128,7 +128,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
         turned = pitch + p["bending_slope"] * bending
         over = over + p["bending_at_pivot"] * bending
         at_sensor = p["bending_at_sensor"] * bending
-    # The sensors sit where the layout says, not at the centres.
+    # Motion at the places of the sensors, which need not be at the centres.
     frame = first.link * over + first.free
     if layout.frame_sensor == "axle":
         tilted = first.swing - first.tilt * turned
@@ -208,6 +208,7 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
         coupling = coupling + above * yielding
         moment = moment + above * free
         push = push + aside * lever * free
+    # Sway is eliminated from the body's two equations, then roll is solved for.
     inertia, height = 2 * p["M_s"] * omega**2, p["body_lever"]
     swaying = stiffening - inertia
     bent = (coupling + height * stiffening) / swaying
@@ -215,6 +216,7 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     total = total - bent * (coupling + height * inertia)
     body = (moment - height * push + bent * push) / total
     over = -(push + (coupling + height * inertia) * body) / swaying
+    # Only the measured bogie carries sensors.
     link, yielding, free = bogies[0]
     frame = link * body - yielding * over + free
     box = torch.full_like(frame, 1 / RAIL_LATERAL_M)

@@ -257,7 +257,7 @@ class VerticalVehicle:
         if n_uncertain:
             return (
                 f"The vehicle pitches; {n_uncertain} of its numbers are uncertain and estimated "
-                "along, all others are taken as known exactly."
+                "too, all others are taken as known exactly."
             )
         return (
             "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "

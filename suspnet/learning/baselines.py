@@ -250,8 +250,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     settings: ClassVar[Mapping[str, Setting]] = {
         "n_starts": Setting(
             "Number of points scattered over the parameter range; the one with the nearest curves "
-            "is "
-            "the start of the fit",
+            "is the start of the fit",
             low=1,
         ),
         "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),

@@ -290,7 +290,7 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
     if int(info) or not bool(torch.isfinite(factor).all()):
         raise ValueError(
             f"the {len(matrix)} x {len(matrix)} system of IRWLS is singular to working precision "
-            f"with weights of {scale * gram.weight_sum:.1e} in all; lower C, or scale the outputs, "
+            f"with weights of total {scale * gram.weight_sum:.1e}; lower C, or scale the outputs, "
             "or use dtype='float64'"
         )
     return sums, weight_sum, factor

@@ -105,8 +105,8 @@ def equispaced_fourier(
     n_inputs = X.shape[1]
     if n_inputs > MAX_INPUTS:
         raise ValueError(
-            f"feature_map='equispaced' serves up to {MAX_INPUTS} inputs, these are {n_inputs}: "
-            "the modes grow with their power; use feature_map='rff'"
+            f"feature_map='equispaced' supports at most {MAX_INPUTS} inputs, got {n_inputs}: the "
+            "number of modes grows exponentially with them; use feature_map='rff'"
         )
     if not kernel_tol <= 1:
         raise ValueError(
@@ -115,6 +115,7 @@ def equispaced_fourier(
     X = X.double()
     low, high = X.amin(dim=0), X.amax(dim=0)
     reach = (high - low) / 2 + sigma
+    # The kernel's images must be so far away that together they stay below half the tolerance.
     images = math.sqrt(math.log(4 * n_inputs / kernel_tol)) * sigma
     spacing = 2 * math.pi / (high - low + sigma + images)
     # Modes beyond this radius sum to a hundredth of the tolerance, each counted with its cell.
@@ -126,6 +127,7 @@ def equispaced_fourier(
     k = torch.cartesian_prod(*axes).reshape(-1, n_inputs)
     rank = k @ (2.0 * float(counts.max()) + 1) ** torch.arange(n_inputs, dtype=torch.float64)
     k = k[rank >= 0]  # one of k and -k, its last non-zero part > 0
+    # The strength falls with the distance: sort, and drop the modes that sum to half the tolerance.
     distance = (k * spacing).norm(dim=1)
     order = distance.argsort(stable=True)
     k, distance = k[order], distance[order]

@@ -35,7 +35,7 @@ class FeatureMap(Protocol):
         ...
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what the map consists of, by name."""
+        """Return the tensors that define the map, by name."""
         ...
 
 
@@ -48,7 +48,7 @@ class TensorMap:
         return product
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what the map consists of, by name."""
+        """Return the tensors that define the map, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
 
@@ -222,6 +222,7 @@ def pivoted_cholesky(
         # The block's diagonal must equal the residual that the draws are from, despite rounding.
         block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
         accepted, lower = _accept(block.cpu(), chances)
+        # No more pivots than required: the factor has room for n_pivots rows.
         accepted = accepted[: n_pivots - len(pivots)]
         lower = lower[: len(accepted), : len(accepted)].to(X)
         new = drawn[accepted.to(X.device)]

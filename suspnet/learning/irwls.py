@@ -106,12 +106,12 @@ class IRWLS:
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
-        # Only a step of 0 leaves n_iter as it is: it changes the equations or, if these are the
-        # reweighted ones, ends the loop.
+        # The loop ends: every pass increases n_iter, except that a step of 0 switches from the
+        # fixed to the reweighted equations, or stops if these are in use.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
             direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
-            # One pass over the samples gives all that the step, the next gradient (of a whole step)
-            # and the bound need.
+            # One pass over the samples computes everything needed for the step, the next gradient
+            # (after a full step) and the bound.
             change, products = design.matvec_rmatvec(
                 direction, functional.columns(residual, gradient)
             )
@@ -119,8 +119,7 @@ class IRWLS:
             lower = max(
                 lower, functional.lower_bound(objective, gradient, direction, change, products)
             )
-            # The plain update raises F where epsilon is not small: only a step that lowers it is
-            # taken.
+            # The full step can raise F if epsilon is not small: backtrack until F decreases.
             decrement = functional.decrement(gradient, direction)
             step, objective = functional.backtrack(
                 coef, residual, direction, change, objective, decrement

@@ -141,13 +141,11 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         "feature_map": Setting(
             "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
             "landmarks, Fourier modes on a grid (at most three inputs), or the kernel itself "
-            "(memory "
-            "grows with the square of data.n_train)"
+            "(memory grows with the square of data.n_train)"
         ),
         "n_components": Setting(
             "Number of features of rff and orf (rounded up to an even number), and largest number "
-            "of "
-            "nystroem",
+            "of nystroem",
             low=1,
         ),
         "kernel_tol": Setting(

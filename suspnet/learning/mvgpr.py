@@ -201,7 +201,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     def predict(
         self, X: ArrayLike, return_std: bool = False, return_cov: bool = False
     ) -> FloatArray | tuple[FloatArray, FloatArray]:
-        """Return the predictive mean, and the spread of a new noisy output if asked.
+        """Return the predictive mean and, if requested, the spread of a new noisy output.
 
         Parameters
         ----------

@@ -132,7 +132,7 @@ class GridSearch:
             trials.measure([setting for setting in near if setting not in result.settings])
         wider, capped = self._beyond(name, levels, trials)
         why = (
-            f"the box was widened {self.widen} times" if self.widen else "the box is that asked for"
+            f"the box was widened {self.widen} times" if self.widen else "the box is as configured"
         )
         result.edges.update(capped)
         result.edges.update({key: _words(key, result.best[key], why) for key in wider})
@@ -181,12 +181,14 @@ class _Trials:
 
     def measure(self, settings: Sequence[dict[str, Any]]) -> None:
         """Add settings and their RMSE to the result; call the listener with each."""
+        # Settings are measured group by group, not in order; inf marks those that cannot be fitted.
         result, first = self.result, len(self.result.settings)
         result.settings.extend(settings)
         result.rmse.extend([math.inf] * len(settings))
         self.errors.extend([np.full(len(self.folds), math.inf)] * len(settings))
         actual = [self.output_scaling.undo(self.Y[rows]) for rows in self.folds]
         for group in _groups(self.estimator, settings):
+            # The settings of a group share one predictor, and so its Gram matrices.
             predict: Predictor | None = None
             for k in group:
                 setting = settings[k]

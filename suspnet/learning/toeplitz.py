@@ -78,6 +78,8 @@ class ToeplitzEquations:
         self._design, self._fit_intercept, self._reweighted = design, fit_intercept, reweighted
         self._solver = solver
         self._shape = tuple(next_fast_len(4 * count + 1, real=True) for count in design.counts)
+        # Spectra of real fields are stored as rfftn does: the last axis has half the frequencies,
+        # and in its plane 0 both k and -k are needed.
         half = (*self._shape[:-1], self._shape[-1] // 2 + 1)
         self._half = half
         size = torch.tensor(self._shape)
@@ -87,6 +89,7 @@ class ToeplitzEquations:
         self._mirrored = flat_index(-design.waves[plane] % size, half)
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
+        # The first preconditioner is that of weights 2 C, also for reweighted equations.
         self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
@@ -174,8 +177,8 @@ class ToeplitzEquations:
         factor, info = torch.linalg.cholesky_ex(self._leading_block())
         if int(info):
             raise ValueError(
-                f"the system of IRWLS is singular to working precision with weights of "
-                f"{self._centre:.1e} in all; lower C, or scale the outputs"
+                "the system of IRWLS is singular to working precision with weights of total "
+                f"{self._centre:.1e}; lower C, or scale the outputs"
             )
         self._inverse = torch.cholesky_inverse(factor)
 

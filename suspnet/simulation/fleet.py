@@ -63,7 +63,7 @@ class Fleet:
         self.loggers()
 
     def loggers(self) -> dict[str, Sensor]:
-        """Return each channel's sensor, by default with the rate of Table II and an SNR of 34 dB."""
+        """Return each channel's sensor, by default with the rates of Table II and 34 dB SNR."""
         given = dict(self.sensors or {})
         if set(given) - set(CHANNELS):
             raise ValueError(f"`sensors` must be named as in {CHANNELS}, got {sorted(given)}")

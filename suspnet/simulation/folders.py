@@ -59,10 +59,10 @@ def unfinished(
     elif read_json(mark).get("made_from") != made_from:
         raise FolderTakenError(
             f"{folder} already holds trips; give another folder, or the settings of that "
-            "unfinished simulation to go on with it"
+            "unfinished simulation to continue it"
         )
     elif ledger.begin(folder) and n_missing < n_all:
-        log.info("%d of %d %s are there, going on", n_all - n_missing, n_all, what)
+        log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, what)
     try:
         yield
     except BaseException:
@@ -80,7 +80,7 @@ def _holds_trips(folder: Path) -> bool:
 
 
 def is_finished(folder: Path) -> bool:
-    """Return whether a folder holds all trips of the simulation of a suspension."""
+    """Return whether a folder holds all trips of a suspension's simulation."""
     return (folder / TRUTH).is_file() and not (folder / UNFINISHED).exists()
 
 

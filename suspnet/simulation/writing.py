@@ -102,7 +102,7 @@ def write_fleet(
     n_jobs: int = 1,
     progress: bool = False,
 ) -> list[Path]:
-    """Simulate trips, write each as a manifest with a folder of Parquet files, return the manifests.
+    """Simulate trips, write each as a manifest and Parquet files, and return the manifests.
 
     The true numbers of the healthy vehicle are stored in ``truth.json``. Until all trips are
     written, ``unfinished.json`` identifies the simulation, so that the same one can continue with
