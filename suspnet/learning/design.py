@@ -142,7 +142,7 @@ class DenseDesign:
         self._width = first.shape[1]
         self.n_features = self._width if self._basis is None else self._basis.shape[1]
         whole = len(X) * self._width * first.element_size()
-        self._kept = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
+        self._blocks = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
         self._gram: Gram | None = None
 
     @classmethod
@@ -155,15 +155,15 @@ class DenseDesign:
             for part, start in zip(parts, starts, strict=False)
             for rows in part.slices
         ]
-        if all(part._kept for part in parts):
-            whole._kept = [phi for part in parts for phi in part._kept]
+        if all(part._blocks for part in parts):
+            whole._blocks = [phi for part in parts for phi in part._blocks]
         whole._gram = gram
         return whole
 
     def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
         """Yield (rows, Phi[rows]), or K in place of Phi."""
-        if self._kept:
-            yield from zip(self.slices, self._kept, strict=True)
+        if self._blocks:
+            yield from zip(self.slices, self._blocks, strict=True)
         else:
             for rows in self.slices:
                 yield rows, self._make(self.X[rows])

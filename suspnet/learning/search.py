@@ -135,7 +135,7 @@ class GridSearch:
             f"the box was widened {self.widen} times" if self.widen else "the box is as configured"
         )
         result.edges.update(capped)
-        result.edges.update({key: _words(key, result.best[key], why) for key in wider})
+        result.edges.update({key: _edge_message(key, result.best[key], why) for key in wider})
         return result
 
     def _beyond(
@@ -159,7 +159,7 @@ class GridSearch:
             if cap.get("low", 0.0) <= beyond <= cap.get("high", math.inf):
                 wider[key] = beyond
             else:
-                capped[key] = _words(key, value, cap["reason"])
+                capped[key] = _edge_message(key, value, cap["reason"])
         return wider, capped
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
@@ -217,7 +217,7 @@ class _Trials:
         return float(rise.mean()) <= max(FLAT * float(best.mean()), scatter)
 
 
-def _words(key: str, value: float, why: str) -> str:
+def _edge_message(key: str, value: float, why: str) -> str:
     return f"the best {key}, {value:g}, is on the edge: {why}"
 
 
