@@ -7,7 +7,7 @@ from suspnet.dynamics.vehicle import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle, best_generator
 
 GENERATORS: dict[str, Any] = {"quarter_car": QuarterCar, "vertical_vehicle": VerticalVehicle}
-"""Every generator by the name of its file in configs/generator/."""
+"""Every response generator by the name of its file in configs/generator/."""
 
 __all__ = [
     "GENERATORS",

@@ -1,20 +1,20 @@
 """Dynamic stiffness of springs and dampers, kappa(s) with s = j omega, batched over vehicles.
 
-Each is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
+Each element is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
 
     kappa = k (1 + eta Lambda(s)) + c s + sum_i b_i s / (s + r_i)
 
-A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds one of a
-share of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an orifice
-(Nishimura) is k_1 in series with k_2 parallel to the orifice, all parallel to the stiffness k_3
-of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 that is the branch
-b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c; c_s is its damping at low frequency, c times the
-square of k_1 / (k_1 + k_2).
+A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds a branch of
+a fraction of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an
+orifice (Nishimura) is k_1 in series with k_2 parallel to the orifice, all parallel to the stiffness
+k_3 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 this is the
+branch b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c. c_s is its damping at low frequency, c
+times the square of k_1 / (k_1 + k_2).
 
-A loss factor eta that no frequency changes has no causal motion in time: j eta cannot be. In its
-place Lambda(s) = sum_i l_i (s / (s + r_i) - (their real part at 2.7 Hz)) is a ladder of Maxwell
-branches (``LOSS_HZ``, ``LOSS_SHARES``): from 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
-stiffness rises through k at 2.7 Hz, as causality asks, from (1 - 1.5 eta) k at 0.3 Hz to
+A constant loss factor, j eta at every frequency, is not causal and has no motion in time. Instead,
+Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of Maxwell branches
+(``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
+stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
 (1 + 1.4 eta) k at 20 Hz.
 """
 
@@ -29,21 +29,20 @@ import torch
 from torch import Tensor
 
 LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
-"""Relaxation frequencies of the branches that stand for a loss factor, [Hz]."""
+"""Relaxation frequencies of the branches that represent a loss factor, [Hz]."""
 LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
-"""Stiffness of each over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
+"""Stiffness of each branch over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
 LOSS_REFERENCE_HZ = 2.7
-"""Frequency at which the ladder leaves the stiffness as it is, the middle of its band, [Hz]."""
+"""Frequency at which the ladder does not change the stiffness, the middle of its band, [Hz]."""
 RAIL_LATERAL_M = 0.75
-"""Half distance of the rails' centres, of standard gauge."""
+"""Half distance of the rails' centres at standard gauge [m]."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What describes a vehicle besides numbers: its parts, and where it is measured.
+    """Parts of a vehicle and places of its sensors, as the fields of ``VerticalVehicle``.
 
-    The fields are those of ``VerticalVehicle``, but `empty_body_kg`: M_s without payload [kg],
-    which the stiffness against bending belongs to.
+    `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds.
     """
 
     bogie: str
@@ -58,14 +57,8 @@ class Layout:
 class Element:
     """A spring and damper with Maxwell branches, its numbers of shape (n_vehicles, 1).
 
-    Attributes
-    ----------
-    stiffness : tensor, [N/m]
-    damping : tensor or None, [N s/m]
-    branches : sequence of pairs of tensors
-        Stiffness [N/m] and rate [1/s] of each.
-    loss : tensor or None, [-]
-        Loss factor of the spring.
+    `stiffness` [N/m], `damping` [N s/m], `branches`: pairs of stiffness [N/m] and rate [1/s],
+    `loss`: loss factor of the spring [-]; None is absent.
     """
 
     stiffness: Tensor
@@ -87,14 +80,10 @@ class Element:
         return torch.complex(*torch.broadcast_tensors(real, imaginary))
 
     def causal(self) -> tuple[float, float, dict[float, float]]:
-        """Return stiffness, damping and branches of one vehicle's element for motion in time.
+        """Return stiffness [N/m], damping [N s/m] and branches of one vehicle for motion in time.
 
-        Returns
-        -------
-        stiffness : float, [N/m]
-        damping : float, [N s/m]
-        branches : dict of float
-            Stiffness [N/m] of the branch of each rate [1/s]; those of a loss factor are a ladder.
+        The branches map a rate [1/s] to a stiffness [N/m]; they include the ladder of a loss
+        factor.
         """
         stiffness = float(self.stiffness)
         damping = 0.0 if self.damping is None else float(self.damping)
@@ -153,19 +142,19 @@ def secondary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str])
 
 
 def guidance_element(p: Mapping[str, Tensor]) -> Element:
-    """Return the axle guidance of a bogie's side, which acts on its pitch times a."""
+    """Return the axle guidance of one bogie side, which acts on its pitch times a."""
     return Element(
         p["guidance_stiffness"] * p["healthy_k_p"], p["guidance_damping"] * p["healthy_c_p"]
     )
 
 
 def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
-    """Return the links along the train between body and bogie, of one side."""
+    """Return the longitudinal links between body and bogie, for one side."""
     return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
 
 
 def lateral_element(p: Mapping[str, Tensor]) -> Element:
-    """Return the suspension across the train between body and bogie, of one side."""
+    """Return the lateral suspension between body and bogie, for one side."""
     return Element(p["lateral_stiffness"], p["lateral_damping"])
 
 

@@ -1,4 +1,4 @@
-"""Motion in time: linear systems driven at the wheels, solved exactly for the sampled input."""
+"""Motion in time of linear systems driven at the wheels, exact for input linear between samples."""
 
 from __future__ import annotations
 
@@ -16,25 +16,15 @@ LARGEST_CONDITION = 1e10
 SERIES_BELOW = 0.1
 """Where |lambda h| is below this, `_foh_weights` sums a power series to avoid cancellation."""
 BLOCK = 1 << 14
-"""Number of samples stepped at once, so that all modes of a block stay in the cache."""
+"""Number of samples per block, for which all modes stay in the CPU cache."""
 
 
 @dataclass(frozen=True)
 class Branch:
     """A Maxwell branch: a spring b in series with a damper b / r, along u = g z - h w.
 
-    Its force is b (u - xi), where the damper's share xi of the stretch obeys xi' = r (u - xi).
-
-    Attributes
-    ----------
-    stiffness : float, [N/m]
-        b.
-    rate : float, [1/s]
-        r.
-    stretch : array of shape (n_dof,)
-        g.
-    input : array of shape (n_inputs,)
-        h.
+    Its force is b (u - xi), where the damper's part xi of the stretch obeys xi' = r (u - xi).
+    `stiffness`: b [N/m], `rate`: r [1/s], `stretch`: g (n_dof,), `input`: h (n_inputs,).
     """
 
     stiffness: float
@@ -52,15 +42,16 @@ class LinearSystem:
     mass, damping, stiffness : arrays of shape (n_dof, n_dof)
         M, D and K in SI units.
     input_damping, input_stiffness : arrays of shape (n_dof, n_inputs)
-        D_w and K_w. Inputs: the track under each wheelset, then with roll its angle there.
+        D_w and K_w. The inputs are the track's height under each wheelset and, with roll, then its
+        angle there.
     sensors : array of shape (2, n_dof) or (4, n_dof)
-        Displacement under the sensors on frame and body, from z; with roll then that of sensors
-        as far off the middle on the other side.
+        Matrix from z to the displacement under the sensors on frame and body; with roll the last
+        two rows are of sensors at the mirrored lateral place.
     behind_m : tuple of float, [m]
-        How far each wheelset runs behind the one whose axle box is measured; negative is ahead.
+        Distance of each wheelset behind the one whose axle box is measured; negative is ahead.
     branches : tuple of Branch
     roll_per_m : float, [rad/m]
-        The track's angle over an independent process of `cross_level_spectrum`; 0 without roll.
+        The track's angle over a profile of `cross_level_spectrum`; 0 without roll.
     lateral_m : tuple of 3 floats, [m]
         Lateral place of the first sensors on axle box, frame and body.
     """
@@ -79,9 +70,8 @@ class LinearSystem:
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return A, B, C, D with inputs w and the displacements under the sensors as outputs.
 
-        The state x = (z, z' - M^-1 D_w w, xi) absorbs the derivative of the input.
-        Accelerations of the wheels as inputs give accelerations of the sensors as outputs: the
-        same system.
+        The state x = (z, z' - M^-1 D_w w, xi) absorbs the derivative of the input. The same system
+        maps accelerations of the wheels to accelerations of the sensors.
         """
         n, m = len(self.mass), len(self.branches)
         inverse = np.linalg.inv(self.mass)
@@ -108,19 +98,9 @@ class SampledMotion:
         q[k+1] = exp(lambda h) q[k] + h (phi_1 - phi_2) g[k] + h phi_2 g[k+1],
         phi_1 = (exp(z) - 1) / z,  phi_2 = (exp(z) - 1 - z) / z^2,  z = lambda h.
 
-    One first-order recursion for each mode neither drifts nor loses digits, however finely it is
-    sampled (Hochbruck and Ostermann, Exponential integrators, 2010, section 2).
-
-    Parameters
-    ----------
-    system : LinearSystem
-    rate_hz : float, [Hz]
-        Sampling rate, 1 / h.
-
-    Raises
-    ------
-    ValueError
-        If two modes coincide (critical damping), so that the eigenvectors are not independent.
+    This recursion for each mode neither drifts nor loses digits at any sampling rate 1 / h
+    (Hochbruck and Ostermann, Exponential integrators, 2010, section 2). Raises ValueError if two
+    modes coincide (critical damping), so that the eigenvectors are not independent.
     """
 
     def __init__(self, system: LinearSystem, rate_hz: float) -> None:
@@ -132,7 +112,8 @@ class SampledMotion:
                 "two modes of the vehicle coincide (critical damping): change one of its "
                 "parameters by a millionth"
             )
-        # real modes first, then one of each pair: the conjugate of the other adds its conjugate
+        # Real modes first, then one of each conjugate pair: the outputs of the other one are the
+        # conjugates, so that the weights of these modes are doubled.
         kept = np.concatenate(
             [np.flatnonzero(eigenvalues.imag == 0), *np.nonzero(eigenvalues.imag > 0)]
         )
@@ -148,22 +129,14 @@ class SampledMotion:
         self._last: FloatArray | None = None
 
     def _split(self, rows: ComplexArray) -> FloatArray:
-        """Return rows of the real modes, then real parts of the others, then imaginary ones."""
+        """Return rows of real modes, then real and then imaginary parts of the complex modes."""
         n = self._n_real
         return np.concatenate([rows.real, rows[n:].imag])
 
     def advance(self, inputs: Sequence[FloatArray]) -> FloatArray:
-        """Return the outputs at the next samples; the system is at rest before the first.
+        """Return the outputs (n_sensors, n_samples) at the next samples, in the unit of the inputs.
 
-        Parameters
-        ----------
-        inputs : sequence of arrays of shape (n_samples,)
-            One for each input of the system.
-
-        Returns
-        -------
-        array of shape (n_sensors, n_samples)
-            In the unit of the inputs.
+        `inputs`: one array (n_samples,) per input. The system is at rest before the first sample.
         """
         outputs = np.empty((len(self._outputs), len(inputs[0])))
         for first in range(0, outputs.shape[1], BLOCK):
@@ -190,7 +163,7 @@ class SampledMotion:
         return np.asarray(self._outputs @ modes)
 
     def _filter(self, j: int, decay: complex, forcing: Any) -> Any:
-        """Return mode j, q[k+1] = decay q[k] + forcing[k+1], and keep its last value."""
+        """Return mode j, q[k+1] = decay q[k] + forcing[k+1], and store its last value."""
         mode, _ = lfilter([1.0], [1.0, -decay], forcing, zi=[decay * self._state[j]])
         self._state[j] = mode[-1]
         return mode

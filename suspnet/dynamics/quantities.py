@@ -1,10 +1,10 @@
 """Numbers of a vehicle that its drawings do not determine well, and their log-normal priors.
 
-Each multiplies a nominal value: that of the vehicle file or, for the parts of a vehicle that files
-rarely hold, the one below. Priors are log-normal, their medians the nominal values, their
-deviations from what public vehicle models disagree about. Of numbers that may as well be 0, one
-plus the ratio to nominal is log-normal: their logarithm could not come near 0, and what is fitted
-of a part that a vehicle does not have is then taken from its neighbours.
+Each multiplies a nominal value: that of the vehicle file or, for parts that files rarely describe,
+the one below. Priors are log-normal with the nominal values as medians and the spread between
+public vehicle models as deviations. For numbers that may be 0, one plus the ratio to nominal is
+log-normal: with a log-normal ratio a part that the vehicle does not have could not be fitted as
+absent, and its neighbours would be fitted wrongly in compensation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.types import FloatArray
 
 TOLERANCE = 1e-9
-"""Largest negative eigenvalue of a covariance, relative to its largest one, that is rounding."""
+"""A negative eigenvalue of a covariance up to this fraction of the largest one is rounding."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,13 @@ class Quantity:
     Attributes
     ----------
     part : str
-        The one of ``PARTS`` that it belongs to; empty if every vehicle has it.
-    name : str
+        One of ``PARTS``; empty if every vehicle has the number.
     deviation : float, [-]
-        Standard deviation of its logarithm before any trip; 0 where it is taken as known.
+        Prior standard deviation of its logarithm; 0 if it is taken as known.
     unit : str
-        Of the nominal value; "" for ratios.
-    meaning : str
+        Unit of the nominal value; "" for ratios.
     nominal : float or None
-        None where the vehicle or the generator's settings give it.
+        None if the vehicle or the generator's settings give it.
     may_be_absent : bool
         Whether it may be 0; `deviation` is then that of log(1 + ratio to nominal).
     """
@@ -138,37 +136,37 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("area_share", 1.0, "", "change of area over k_s", 0.1),
     ),
 }
-"""The numbers by part, "" for those of every vehicle: the fields of ``Quantity`` but the part."""
+"""Fields of ``Quantity`` after the part, by part; "" is for every vehicle."""
 PARTS = tuple(part for part in _NUMBERS if part)
 """Parts that a vehicle may have beyond rigid bodies on linear springs and dampers."""
 QUANTITIES = tuple(Quantity(part, *row) for part, rows in _NUMBERS.items() for row in rows)
-"""Every number, that of ``UNMEASURED`` of the same place."""
+"""Every number, in the order of ``UNMEASURED``."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 OFFSETS = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
-"""What is added to each ratio before its logarithm is taken: 1 where it may be absent, else 0."""
+"""Number added to each ratio before its logarithm is taken: 1 if it may be absent, else 0."""
 
 
 @dataclass(frozen=True)
 class LogNormal:
     """A joint log-normal distribution of numbers relative to their nominal values.
 
-    Of numbers that may be absent, 1 + ratio is log-normal: they reach 0, and where trips show none
-    of them may come out between -1 and 0.
+    For numbers that may be absent, 1 + ratio is log-normal: the ratio can reach 0, and estimates of
+    an absent part may lie between -1 and 0.
 
     Parameters
     ----------
     names : tuple of str
         From ``UNMEASURED``.
     mean : tuple of n floats, [-]
-        Of the logarithms; nominal is 0, of numbers that may be absent log 2.
+        Means of the logarithms; nominal is 0, or log 2 for numbers that may be absent.
     covariance : tuple of n tuples of n floats, [-]
-        Of the logarithms.
+        Covariance of the logarithms.
 
     Raises
     ------
     ValueError
-        If names are unknown or repeated, shapes differ, or the covariance is not one.
+        If names are unknown or repeated, shapes differ, or `covariance` is not a covariance matrix.
     """
 
     names: tuple[str, ...]
@@ -185,7 +183,7 @@ class LogNormal:
             raise ValueError(f"`names` must be from {UNMEASURED}, each once, got {self.names}")
         n = len(self.names)
         if len(self.mean) != n or len(rows) != n or any(len(row) != n for row in rows):
-            raise ValueError(f"`mean` and `covariance` must be of {n} numbers, as the names are")
+            raise ValueError(f"`mean` and `covariance` must have {n} numbers, one for each name")
         matrix = np.array(rows).reshape(n, n)
         if not (np.isfinite(self.mean).all() and np.isfinite(matrix).all()):
             raise ValueError("`mean` and `covariance` must be finite")
@@ -197,7 +195,7 @@ class LogNormal:
 
     @classmethod
     def independent(cls, deviations: Mapping[str, float]) -> LogNormal:
-        """Return independent numbers about nominal with the standard deviations of their logs."""
+        """Return independent numbers with nominal medians and these deviations of their logs."""
         for name, value in deviations.items():
             check_number(f"distribution.{name}", value, low=0, below=10)
         names = tuple(name for name, value in deviations.items() if value > 0)
@@ -207,7 +205,7 @@ class LogNormal:
 
     @classmethod
     def prior(cls, parts: Sequence[str]) -> LogNormal:
-        """Return the prior of a vehicle with some of ``PARTS``."""
+        """Return the prior of a vehicle with these of ``PARTS``."""
         known = ("", *parts)
         return cls.independent({q.name: q.deviation for q in QUANTITIES if q.part in known})
 
@@ -215,7 +213,7 @@ class LogNormal:
     def read(
         cls, given: LogNormal | Mapping[str, Any] | str | None, parts: Sequence[str]
     ) -> LogNormal | None:
-        """Return a distribution from what a configuration or a model file may hold of one."""
+        """Return a distribution from its form in a configuration or in a model file."""
         if given is None or isinstance(given, LogNormal):
             return given
         if isinstance(given, str):
@@ -235,7 +233,7 @@ class LogNormal:
 
     @property
     def offsets(self) -> FloatArray:
-        """What is taken off the exponential of each logarithm, shape (n,), [-]."""
+        """Number subtracted from the exponential of each logarithm, shape (n,), [-]."""
         return np.array([OFFSETS[name] for name in self.names])
 
     @property
@@ -244,17 +242,17 @@ class LogNormal:
         return self.quantile(0.0)
 
     def quantile(self, n_deviations: float) -> FloatArray:
-        """Return each number so many standard deviations of its logarithm above the median."""
+        """Return each number at `n_deviations` standard deviations of its log above the median."""
         logs = np.array(self.mean) + n_deviations * self.deviations
         return np.asarray(np.exp(logs) - self.offsets)
 
     @property
     def factor(self) -> FloatArray:
-        """A matrix F with F F^T the covariance, its columns ever less important, (n, n)."""
+        """A matrix F with F F^T the covariance, its columns in descending importance, (n, n)."""
         n = len(self.names)
         values, vectors = np.linalg.eigh(np.array(self.covariance).reshape(n, n))
         return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1])
 
     def ratios(self, standard: FloatArray) -> FloatArray:
-        """Return numbers relative to nominal, (n_rows, n), from standard normal ones."""
+        """Return numbers relative to nominal from standard normal ones, both (n_rows, n)."""
         return np.asarray(np.exp(np.array(self.mean) + standard @ self.factor.T) - self.offsets)

@@ -35,12 +35,12 @@ class QuarterCar:
     vehicle : Vehicle
         The healthy vehicle.
     device : str
-        Torch device of the tensors that come back.
+        Torch device of the returned tensors.
 
     Raises
     ------
     ValueError
-        If torch cannot use the device here.
+        If torch cannot use the device on this machine.
 
     Examples
     --------
@@ -54,15 +54,15 @@ class QuarterCar:
     device: str = "cpu"
 
     speed_m_per_s: ClassVar[None] = None
-    """The responses belong to any speed."""
+    """The responses do not depend on the speed."""
     bogie: ClassVar[None] = None
-    """The model suits both bogies."""
+    """The model applies to both bogies."""
     distribution: ClassVar[None] = None
     """Every number is taken as known."""
     further_places: ClassVar[tuple[str, ...]] = ()
     """There is no place for a fourth sensor."""
     sensor_lateral_m: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """It does not roll: each sensor is as good as the mean of two."""
+    """The model does not roll: one sensor measures the mean of a left and a right one."""
 
     def __post_init__(self) -> None:
         check_vehicle(self.vehicle)
@@ -79,7 +79,7 @@ class QuarterCar:
         """
         ratios = as_tensor(ratios)
         if ratios.ndim == 2 and ratios.shape[1] == len(PARAMETERS) + 1:
-            ratios = ratios[:, : len(PARAMETERS)]  # the responses belong to any speed
+            ratios = ratios[:, : len(PARAMETERS)]  # the responses do not depend on the speed
         check_ratios(ratios, len(PARAMETERS))
         healthy = torch.tensor(self.vehicle.healthy_values(), dtype=torch.float64)
         return (ratios.to(self.device, torch.float64) * healthy.to(self.device)).T.unsqueeze(-1)
@@ -142,7 +142,7 @@ class QuarterCar:
         """Return abs(G_p) and abs(G_s) from ratios of real polynomials in omega^2.
 
         For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
-        coefficients: no complex arithmetic is needed on the grid.
+        coefficients, which avoids complex arithmetic on the grid.
 
         Returns
         -------
@@ -162,11 +162,11 @@ class QuarterCar:
         return torch.empty(shape, dtype=torch.complex128, device=self.device)
 
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
-        """Return the ratios as they are: this generator has no uncertain numbers."""
+        """Return the ratios unchanged, as this generator has no uncertain numbers."""
         return ratios
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return the ratios as they are: this generator has no uncertain quantities."""
+        """Return the ratios unchanged, as this generator has no uncertain numbers."""
         return ratios
 
     def of(self, vehicle: Vehicle) -> QuarterCar:
@@ -178,7 +178,7 @@ class QuarterCar:
         return replace(self, device=device)
 
     def assumptions(self) -> str:
-        """Return a sentence on the assumptions of the generator."""
+        """Return a sentence that states the assumptions of the generator."""
         return (
             "The quarter car has three places for sensors; generator=vertical_vehicle, where the "
             "geometry is known, has more."

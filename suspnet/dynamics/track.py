@@ -1,4 +1,4 @@
-"""A track in space: random elevation profiles of given spectra, interpolated with derivatives."""
+"""Random elevation profiles of a track with a given spectrum, interpolated with derivatives."""
 
 from __future__ import annotations
 
@@ -20,22 +20,8 @@ BLOCK = 1 << 15  # positions interpolated at once: the working arrays stay in th
 class TrackProfile:
     """Elevation of a track and its first two derivatives along it, on a regular grid from x = 0.
 
-    Parameters
-    ----------
-    step_m : float, [m]
-        Distance of two grid points.
-    elevation_m : array of shape (n_points,), [m]
-        z, positive upwards.
-    slope : array of shape (n_points,), [-]
-        dz/dx.
-    curvature_per_m : array of shape (n_points,), [1/m]
-        d^2z/dx^2; at a constant speed v the vertical acceleration is v^2 times this.
-
-    Raises
-    ------
-    ValueError
-        If the step is not positive and finite, or the arrays are not finite, one-dimensional and
-        of one length of at least 2.
+    `elevation_m`: z, positive upwards, `slope`: dz/dx [-], `curvature_per_m`: d^2z/dx^2; each
+    (n_points,). At a constant speed v the vertical acceleration is v^2 times the curvature.
     """
 
     step_m: float
@@ -61,26 +47,14 @@ class TrackProfile:
         return self.step_m * (self.elevation_m.size - 1)
 
     def at(self, x: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return elevation, slope and curvature at any positions on the profile.
+        """Return elevation [m], slope [-] and curvature [1/m] at positions `x` [m], shape of `x`.
 
-        Between two grid points it is the polynomial of degree five that has the elevation, slope
-        and curvature of both (quintic Hermite); slope and curvature are its exact derivatives, so
-        the three agree with each other everywhere. Of a wave sampled p times per length, p >= 8,
-        the elevation is off by at most (2 pi / p)^6 / 46080, the curvature by (2 pi / p)^4 / 1920.
-
-        Parameters
-        ----------
-        x : array of any shape, [m]
-            In any order; fastest if monotone.
-
-        Returns
-        -------
-        elevation [m], slope [-], curvature [1/m] : arrays of the shape of `x`
-
-        Raises
-        ------
-        ValueError
-            If a position lies off the profile (by more than a millionth of a step) or is NaN.
+        Between two grid points the elevation is the polynomial of degree five that has the
+        elevation, slope and curvature of both (quintic Hermite); slope and curvature are its exact
+        derivatives, so the three are consistent everywhere. For a wave sampled p times per length,
+        p >= 8, the error of the elevation is at most (2 pi / p)^6 / 46080, that of the curvature
+        (2 pi / p)^4 / 1920. Monotone positions are fastest. Raises ValueError if a position is
+        outside the profile (by more than a millionth of a step) or NaN.
         """
         positions = np.asarray(x, dtype=np.float64)
         slack = 1e-6 * self.step_m
@@ -107,7 +81,7 @@ class TrackProfile:
         z0, d0, w0 = self.elevation_m[cell], h * self.slope[cell], h**2 * self.curvature_per_m[cell]
         cell += 1
         d1, w1 = h * self.slope[cell], h**2 * self.curvature_per_m[cell]
-        # What the parabola of the left point misses at the right one.
+        # Errors of the left point's parabola at the right point.
         rise = self.elevation_m[cell] - z0 - d0 - w0 / 2
         turn = d1 - d0 - w0
         bend = w1 - w0
@@ -127,25 +101,8 @@ def make_profile(
 
     ``z(x) = sum_k a_k cos(2 pi k dn x) + b_k sin(2 pi k dn x)`` with a_k and b_k independent and
     normal with variance S(k dn) dn. Slope and curvature are the exact derivatives of this sum.
-    The period 1 / dn is longer than the profile by at least `longest_m`, so that the two ends
-    of the profile are no neighbours.
-
-    Parameters
-    ----------
-    spectrum : TrackSpectrum
-    length_m : float, [m]
-        The profile reaches from 0 to at least here.
-    step_m : float, [m]
-        Grid step. Wavelengths of two steps or shorter are absent.
-    seed : int
-    longest_m : float, [m]
-        Wavelengths longer than this are absent.
-
-    Raises
-    ------
-    ValueError
-        If a length is not positive and finite, if `length_m` is shorter than one step, or if
-        `longest_m` is not above two steps or no wave of the period lies between the two.
+    The period 1 / dn is longer than the profile by at least `longest_m`, so that the ends of the
+    profile are not correlated. Wavelengths up to two steps, or longer than `longest_m`, are absent.
     """
     check_number("length_m", length_m, above=0)
     check_number("step_m", step_m, above=0)
@@ -167,6 +124,7 @@ def make_profile(
     amplitudes = np.zeros(n_period // 2 + 1, dtype=np.complex128)
     band = amplitudes[first : last + 1]
     band[:] = draws.view(np.complex128)[:, 0] * scale
+    # Each derivative is a factor j 2 pi n in the spectrum.
     derivatives = []
     for _ in range(3):
         wave: FloatArray = irfft(amplitudes, n_period, norm="forward")

@@ -1,8 +1,8 @@
 """Spectra of track and road unevenness in space, and of the axle box's acceleration on them.
 
-S(n) is one-sided in the spatial frequency n [cycles/m] and given in m^3: the integral of S over
-n > 0 is the variance of the elevation in m^2. No standard's text was at hand; each spectrum is
-as public simulators code it, and its `source` says which.
+S(n) [m^3] is one-sided in the spatial frequency n [cycles/m]: the integral of S over n > 0 is the
+variance of the elevation in m^2. The standards' texts were not available; each spectrum follows the
+code of a public simulator, which its `source` names.
 """
 
 from __future__ import annotations
@@ -33,16 +33,8 @@ _ISO = "ISO 8608 as public road simulators code it; the standard's text was not 
 class TrackSpectrum:
     """One-sided power spectral density of the vertical unevenness of a rail or a road.
 
-    Parameters
-    ----------
-    name : str
-        What the spectrum is called in files and plots.
-    density : callable
-        Takes n, an array [cycles/m], n > 0, gives S(n), an array of the same shape [m^3].
-    source : str
-        Where formula and numbers come from.
-    surface : {"rail", "road"}
-        Short waves of the rail head can be joined to a rail only.
+    `density` maps n > 0 [cycles/m] to S(n) [m^3] of the same shape; `source` is the origin of
+    formula and numbers. Short waves of the rail head can be added only if `surface` is "rail".
     """
 
     name: str
@@ -56,13 +48,7 @@ def german_density(n: FloatArray, amplitude: float) -> FloatArray:
 
     ``S(n) = A / (2 pi) * nc^2 / ((n^2 + nr^2) (n^2 + nc^2))`` with nc = 0.8246 / (2 pi) and
     nr = 0.0206 / (2 pi): the usual form in rad/m, A wc^2 / ((w^2 + wr^2) (w^2 + wc^2)), written
-    for cycles/m.
-
-    Parameters
-    ----------
-    n : array, [cycles/m]
-    amplitude : float, [m rad]
-        A = 4.032e-7 (low) or 1.08e-6 (high).
+    for cycles/m. `amplitude`: A = 4.032e-7 (low) or 1.08e-6 (high) [m rad].
     """
     nc, nr = 0.8246 / (2 * math.pi), 0.0206 / (2 * math.pi)
     return amplitude / (2 * math.pi) * nc**2 / ((n**2 + nr**2) * (n**2 + nc**2))
@@ -73,10 +59,6 @@ def chinese_ballastless_density(n: FloatArray) -> FloatArray:
 
     ``S(n) = A n^-k`` mm^2 m in four pieces that meet at n = 0.0187, 0.0474 and 0.1533 cycles/m,
     with A = 1.0544e-5, 3.5588e-3, 1.9784e-2, 3.9488e-4 and k = 3.3891, 1.9271, 1.3643, 3.4516.
-
-    Parameters
-    ----------
-    n : array, [cycles/m]
     """
     amplitudes = np.array([1.0544e-5, 3.5588e-3, 1.9784e-2, 3.9488e-4])
     exponents = np.array([3.3891, 1.9271, 1.3643, 3.4516])
@@ -93,17 +75,14 @@ def short_wave_density(n: FloatArray) -> FloatArray:
 def iso8608_density(n: FloatArray, roughness: float) -> FloatArray:
     """Return the road spectrum G0 (n / n0)^-2 with n0 = 0.1 cycles/m, [m^3].
 
-    Parameters
-    ----------
-    n : array, [cycles/m]
-    roughness : float, [m^3]
-        G0, the density at n0: 16e-6 for class A, four times more for each further class.
+    `roughness`: G0, the density at n0 [m^3]: 16e-6 for class A, four times as much for each further
+    class.
     """
     return roughness * (n / 0.1) ** -2.0
 
 
 def cross_level_spectrum(mean: TrackSpectrum) -> TrackSpectrum:
-    """Return the spectrum of a cross level up to its share: S(n) n^2 / (n^2 + n_0^2), [m^3].
+    """Return the spectrum of a cross level, S(n) n^2 / (n^2 + n_0^2) [m^3], for a fraction of 1.
 
     As in the German spectra, n_0 = 0.4380 / (2 pi); see ``CROSS_LEVEL_RAD_PER_M``.
     """
@@ -147,28 +126,12 @@ TRACKS: dict[str, TrackSpectrum] = {
 def track_spectrum(
     name: str, short_waves: bool = False, short_wave_from_m: float = 2.5
 ) -> TrackSpectrum:
-    """Return the spectrum called `name`, with the short waves of the rail head if asked.
+    """Return the spectrum called `name`, optionally with the short waves of the rail head.
 
     Below the wavelength `short_wave_from_m`, 0.036 n^-3.15 mm^2 m replaces the spectrum. The two
     spectra are discontinuous there: at 2.5 m the density jumps up by a factor of 16.6
     (german_low), 6.2 (german_high) or 69 (chinese_ballastless), at 1 m still by 33, 12 or 91. The
-    jump is left as it is, as in the simulator that the numbers come from; neither side is
-    rescaled.
-
-    Parameters
-    ----------
-    name : str
-        A key of ``TRACKS``.
-    short_waves : bool
-        Whether to add the short waves of the rail head.
-    short_wave_from_m : float, [m]
-        Where they take over.
-
-    Raises
-    ------
-    ValueError
-        If the name is unknown, if the wavelength is not positive and finite, or if short waves
-        of the rail head are asked for on a road.
+    jump is not smoothed, as in the simulator that the numbers come from; neither side is rescaled.
 
     Examples
     --------
@@ -198,11 +161,6 @@ def band_rms(spectrum: TrackSpectrum, shortest_m: float, longest_m: float) -> fl
     """Return the RMS elevation of all wavelengths between two bounds, [m].
 
     ``sqrt(integral of S(n) dn from 1 / longest_m to 1 / shortest_m)``, integrated over log n.
-
-    Raises
-    ------
-    ValueError
-        If not 0 < `shortest_m` < `longest_m` < infinity.
     """
     check_band(shortest_m, longest_m)
     variance, _ = quad(
@@ -219,25 +177,10 @@ def band_rms(spectrum: TrackSpectrum, shortest_m: float, longest_m: float) -> fl
 def acceleration_density(
     spectrum: TrackSpectrum, frequencies_hz: ArrayLike, speed_m_per_s: float
 ) -> FloatArray:
-    """Return the spectrum of the vertical acceleration of an axle box on a rigid track.
+    """Return the spectrum of an axle box's vertical acceleration on a rigid track.
 
-    ``(2 pi f)^4 S(f / v) / v``, one-sided; 0 at f = 0, as every S here grows more slowly than
-    n^-4.
-
-    Parameters
-    ----------
-    spectrum : TrackSpectrum
-    frequencies_hz : array, [Hz]
-    speed_m_per_s : float, [m/s]
-
-    Returns
-    -------
-    array of the shape of `frequencies_hz`, [(m/s^2)^2/Hz]
-
-    Raises
-    ------
-    ValueError
-        If a frequency is negative or not finite, or the speed not positive and finite.
+    ``(2 pi f)^4 S(f / v) / v`` [(m/s^2)^2/Hz], one-sided, of the shape of `frequencies_hz`; 0 at
+    f = 0, as every S here grows more slowly than n^-4.
     """
     check_number("speed_m_per_s", speed_m_per_s, above=0)
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)

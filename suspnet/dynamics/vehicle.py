@@ -1,4 +1,4 @@
-"""Parameters of a vehicle in SI units, checked, and the interface of what gives its responses."""
+"""Checked parameters of a vehicle in SI units, and the interface of response generators."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from suspnet.ground.settings import Setting, check_settings, setting
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 
 FREQUENCY_RANGE_HZ = (0.2, 50.0)
+"""Uncoupled natural frequencies outside this range mean that a unit is wrong."""
 DAMPING_RATIO_RANGE = (1e-3, 10.0)
+"""Uncoupled damping ratios outside this range mean that a unit is wrong."""
 _FIELD = {
     "k_p": "primary_stiffness_n_per_m",
     "c_p": "primary_damping_ns_per_m",
@@ -33,7 +35,7 @@ _FIELD = {
 class Vehicle:
     """Six parameters of one bogie side's share of a vehicle, in SI units (Table III of the paper).
 
-    On a road vehicle the tyre takes the place of the primary suspension.
+    On a road vehicle the primary suspension is the tyre.
 
     Raises
     ------
@@ -41,7 +43,7 @@ class Vehicle:
         If a parameter is not a number.
     ValueError
         If a parameter is not positive and finite, or if an uncoupled natural frequency or damping
-        ratio is so far off that a unit must be wrong; the message names the likely slip.
+        ratio is so far off that a unit must be wrong; the message names the likely mistake.
 
     Examples
     --------
@@ -78,8 +80,7 @@ class Vehicle:
         float,
         Setting(
             "Damping of the primary suspension of one bogie side, c_p; c_p / (2 sqrt(k_p M_p)) "
-            "must "
-            "lie in 0.001 to 10",
+            "must lie in 0.001 to 10",
             "N s/m",
             above=0,
         ),
@@ -88,8 +89,7 @@ class Vehicle:
         float,
         Setting(
             "Stiffness of the secondary suspension of one bogie side, k_s; sqrt(k_s / M_s) / 2π "
-            "must "
-            "lie in 0.2 to 50 Hz",
+            "must lie in 0.2 to 50 Hz",
             "N/m",
             above=0,
         ),
@@ -143,7 +143,7 @@ class Vehicle:
 
     @property
     def known_limits(self) -> dict[str, Limits]:
-        """Limits of each parameter that has any, its own or the default ones."""
+        """Limits of each parameter that has any: those of the vehicle, else the default ones."""
         return read_limits(self.limits or {}, DEFAULT_LIMITS, f"the file of vehicle {self.name}")
 
     @property
@@ -230,18 +230,18 @@ class ResponseGenerator(Protocol):
     vehicle : Vehicle
         The healthy vehicle.
     device : str
-        Torch device of the tensors that come back.
+        Torch device of the returned tensors.
     speed_m_per_s : float or None, [m/s]
-        The speed that the responses belong to; None if they do not depend on it.
+        Speed of the responses; None if they do not depend on it.
     bogie : str or None
-        The bogie that is measured, "leading" or "trailing"; None if the model suits both.
+        The measured bogie, "leading" or "trailing"; None if the model applies to both.
     distribution : LogNormal or None
-        Of the generator's uncertain numbers; None if there are none.
+        Distribution of the generator's uncertain numbers; None if there are none.
     further_places : tuple of str
-        Names of further places for sensors: one on the frame, one on the body, and the second
-        axle box; or none.
+        Names of further places for sensors (on the frame, on the body, the second axle box), or
+        empty.
     sensor_lateral_m : tuple of 3 floats, [m]
-        Lateral place of the sensors on axle box, frame and body; 0 for the mean of a left and a
+        Lateral place of the sensors on axle box, frame and body; 0 is the mean of a left and a
         right one.
     """
 
@@ -269,29 +269,18 @@ class ResponseGenerator(Protocol):
     def sensor_lateral_m(self) -> tuple[float, float, float]: ...  # noqa: D102
 
     def responses(self, ratios: Tensor, frequencies_hz: Tensor) -> tuple[Tensor, Tensor]:
-        """Return complex G_p and G_s.
+        """Return complex G_p and G_s, (n_vehicles, n_freq), [-].
 
-        Parameters
-        ----------
-        ratios : tensor of shape (n_vehicles, 5) or (n_vehicles, 6)
-            k_p, c_p, k_s, c_s, M_s relative to healthy, [-]; then the speed relative to
-            ``speed_m_per_s``.
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
-
-        Returns
-        -------
-        tuple of complex tensors of shape (n_vehicles, n_freq), [-]
+        `ratios`: (n_vehicles, 5) or (n_vehicles, 6), k_p, c_p, k_s, c_s, M_s relative to healthy,
+        then the speed relative to ``speed_m_per_s``; `frequencies_hz`: (n_freq,).
         """
         ...
 
     def channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return axle box, frame and body for each independent input of the track.
+        """Return axle box, frame and body for each independent input of the track, complex [-].
 
-        Returns
-        -------
-        complex tensor of shape (n_vehicles, n_inputs, 3, n_freq), [-]
-            Each input is scaled to the density of the first, the mean of both rails: expected
-            spectra are sums over inputs.
+        Shape (n_vehicles, n_inputs, 3, n_freq). Each input is scaled to the density of the first,
+        the mean of both rails, so that expected spectra are sums over inputs.
         """
         ...
 
@@ -300,19 +289,19 @@ class ResponseGenerator(Protocol):
         ...
 
     def further_channels(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return ``further_places`` for each input, (n_vehicles, n_inputs, n_places, n_freq)."""
+        """Return responses at ``further_places``, (n_vehicles, n_inputs, n_places, n_freq)."""
         ...
 
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
-        """Return ratios with further columns: those with a distribution have values `numbers`."""
+        """Return ratios with all columns; the uncertain ones are `numbers`, (n_vehicles, n)."""
         ...
 
     def sample_unmeasured(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return ratios with further columns: draws of the generator's uncertain quantities."""
+        """Return ratios with all columns; the uncertain ones are drawn from their distribution."""
         ...
 
     def dynamic_stiffness(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
-        """Return kappa_p and kappa_s of a bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
+        """Return kappa_p and kappa_s of one bogie side, complex (n_vehicles, 2, n_freq), [N/m]."""
         ...
 
     def motion_system(self, ratios: Tensor) -> LinearSystem:
@@ -320,7 +309,7 @@ class ResponseGenerator(Protocol):
         ...
 
     def of(self, vehicle: Vehicle) -> ResponseGenerator:
-        """Return the generator for another vehicle, a simpler one where the geometry is missing."""
+        """Return the generator for another vehicle, a simpler one if its geometry is missing."""
         ...
 
     def on(self, device: str) -> ResponseGenerator:
@@ -328,7 +317,7 @@ class ResponseGenerator(Protocol):
         ...
 
     def assumptions(self) -> str:
-        """Return a sentence on the assumptions of the generator."""
+        """Return a sentence that states the assumptions of the generator."""
         ...
 
 

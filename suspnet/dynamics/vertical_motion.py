@@ -1,11 +1,11 @@
 """Motion in time of the vertical vehicle, assembled element by element.
 
 Each spring, damper and Maxwell branch acts along a stretch u = g z - h w of coordinates z and
-inputs w, and adds an outer product: k g g^T to the stiffness, k g h^T to that of the input.
-Letters and equations are those of `suspnet.dynamics.vertical_vehicle`. Coordinates: z and phi of
-the body, z_i and psi_i of the measured bogie (1) and of the other one (2), then q of the bending
-and, where there are such, the body's way aside y and the three angles of roll. Inputs: the mean of
-both rails under each wheelset, w, then with roll the angle of the track there, x.
+inputs w, and adds an outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters
+and equations are those of `suspnet.dynamics.vertical_response`. The coordinates are z and phi of
+the body, z_i and psi_i of the measured bogie (1) and of the other one (2), q with bending, and with
+roll the lateral displacement y of the body and the three roll angles. The inputs are the mean of
+both rails under each wheelset, w, and with roll the angle of the track there, x.
 """
 
 from __future__ import annotations
@@ -32,11 +32,10 @@ from suspnet.dynamics.motion import Branch, LinearSystem
 from suspnet.ground.types import FloatArray
 
 BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
-"""Prefix of its numbers, suffix of its coordinates, the sign of phi above it and the suffixes of
-its wheelsets, of each bogie."""
+"""Each bogie: prefix of its numbers, suffix of its coordinates, sign of phi, its wheelsets."""
 
 Acting = tuple[Element, FloatArray]
-"""An element and the stretch along which it acts, over coordinates and inputs."""
+"""An element and the vector (g, -h) of its stretch over coordinates and inputs."""
 
 
 def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
@@ -74,7 +73,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
 
 
 def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
-    """Return each coordinate with its mass or, of an angle, its moment of inertia."""
+    """Return each coordinate with its mass, or its moment of inertia if it is an angle."""
     bogie = n["bogie_mass"]
     pitch = bogie * (n["bogie_gyration"] / n["half_wheelbase"]) ** 2
     body_pitch = 2 * n["M_s"] * (n["body_gyration"] / n["half_pivot_distance"]) ** 2
@@ -93,7 +92,7 @@ def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
 def _above(
     n: Mapping[str, float], parts: Sequence[str], e: Mapping[str, FloatArray], shape: str
 ) -> FloatArray:
-    """Return the bounce of the body with its bending, at the pivots or at the sensor."""
+    """Return the bounce of the body, with its bending of the given `shape` at a pivot or sensor."""
     return e["z"] + n[shape] * e["q"] if "bending" in parts else e["z"].copy()
 
 
@@ -125,7 +124,7 @@ def _links(
     e: Mapping[str, FloatArray],
     forward: float,
 ) -> list[Acting]:
-    """Return the links along the train: phi counts positive where the measured bogie rises."""
+    """Return the longitudinal links; phi is positive if the measured bogie rises."""
     body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
     lever = n["bogie_lever"] / n["half_wheelbase"]
     acting = []
@@ -143,7 +142,7 @@ def _rolling(
     parts: Sequence[str],
     e: Mapping[str, FloatArray],
 ) -> list[Acting]:
-    """Return what turns each bogie and the body in roll, and pushes it aside, one side's share."""
+    """Return the suspensions in roll and sway, for one side."""
     acting = []
     aside = e["y"] + n["body_lever"] * e["theta"]
     for which, i, _, (first, last) in BOGIES:
@@ -160,7 +159,7 @@ def _rolling(
 def _assembled(
     masses: list[float], acting: list[Acting], sensors: FloatArray, behind_m: tuple[float, ...]
 ) -> LinearSystem:
-    """Return the system of masses and of elements along their stretches."""
+    """Return the system of these masses, with each element added along its stretch."""
     n, n_all = len(masses), sensors.shape[1]
     stiffness, damping = np.zeros((2, n_all, n_all))
     branches = []
@@ -183,7 +182,7 @@ def _assembled(
 
 
 def _behind(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
-    """Return how far the wheelsets run behind the measured one, its bogie's two first, [m]."""
+    """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
     shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
     pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)
     own = [shift - n["half_wheelbase"], shift + n["half_wheelbase"]]

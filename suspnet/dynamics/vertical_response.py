@@ -1,7 +1,7 @@
-"""Closed responses of a family of vehicles: body and two bogies on four wheelsets.
+"""Closed-form responses of a family of vehicles: body and two bogies on four wheelsets.
 
-Seen from above the leading bogie, with s = j omega, kappa the dynamic stiffness of a suspension
-(`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers of one side::
+For a measured leading bogie, with s = j omega, kappa the dynamic stiffness of a suspension
+(`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers for one side::
 
     (kappa_p + kappa_s + s^2 M_p) z_i - kappa_s y_i                 = kappa_p m_i
     (kappa_p + gamma + s^2 M_p (rho_b / a)^2) psi_i + kappa_x (h_3 / a) r_i = kappa_p d_i
@@ -10,29 +10,29 @@ Seen from above the leading bogie, with s = j omega, kappa the dynamic stiffness
     (M_s s^2 + c_q s + k_q) q + p sum_i F_i + sigma (G_1 - G_2) = 0
 
 z_i is the bounce of bogie i, psi_i its pitch times the half wheelbase a, m_i and d_i half the sum
-and half the difference of the track under its axles; z is the bounce of the body, phi its pitch
-times the half pivot distance L, q its first bending with the shape p at the pivots and the slope
-sigma / L there, so that the body moves by y_1 = z + phi + p q and y_2 = z - phi + p q above the
-bogies and turns by phi_1 = phi + sigma q and phi_2 = phi - sigma q, over L; F_i = kappa_si (y_i -
-z_i). gamma is the axle guidance, kappa_x the links between body and bogie along the train with the
-levers h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
+and half the difference of the track under its axles. z is the bounce of the body, phi its pitch
+times the half pivot distance L, q its first bending with the shape p and the slope sigma / L at the
+pivots. Above the bogies the body moves by y_1 = z + phi + p q and y_2 = z - phi + p q and turns by
+phi_1 / L and phi_2 / L, phi_1 = phi + sigma q, phi_2 = phi - sigma q; F_i = kappa_si (y_i - z_i).
+gamma is the axle guidance, kappa_x the longitudinal links between body and bogie with the levers
+h_2 and h_3, their stretch r_i = h_2 phi_i / L + h_3 psi_i / a, G_i = kappa_x (h_2 / L) r_i.
 
-Roll and sway are separate where left and right are alike, with x_i the mean of half the cross level
-at both axles, b the half distances of springs and of the rails, S_i = kappa_si b_s^2 + k_bar / 2,
-y the way of the body aside, kappa_y the lateral suspension between body and bogie at the levers h_2
-and h_3, whose stretch is e_i = y + h_2 theta + h_3 theta_i::
+Roll and sway decouple if left and right are alike, with x_i the mean of half the cross level at
+both axles, b the half distances of springs and of the rails, S_i = kappa_si b_s^2 + k_bar / 2, y
+the lateral displacement of the body, kappa_y the lateral suspension between body and bogie at the
+levers h_2 and h_3, whose stretch is e_i = y + h_2 theta + h_3 theta_i::
 
     (kappa_p b_p^2 + S_i + s^2 M_p r_b^2) theta_i - S_i theta + kappa_y h_3 e_i
                                                                     = kappa_p b_p^2 x_i / b_rail
     2 M_s r_c^2 s^2 theta + sum_i S_i (theta - theta_i) + h_2 sum_i kappa_y e_i = 0
     2 M_s s^2 y + sum_i kappa_y e_i = 0
 
-Bogies and wheelsets do not move aside. The bogies are eliminated; three equations in z, phi and q,
-and two in theta and y remain. k_p, c_p, k_s,
-c_s are one bogie side's, M_s a quarter of the body as in the quarter car. All wheelsets follow the
-same track, each delayed by its distance over the speed. Cross level and mean are independent
-processes: spectra are sums over both. The cross level has a share of the mean's density, times
-n^2 / (n^2 + n_0^2) as in the German spectra.
+Bogies and wheelsets do not move laterally. The bogies are eliminated; three equations in z, phi and
+q, and two in theta and y remain. k_p, c_p, k_s, c_s belong to one bogie side, M_s is a quarter of
+the body as in the quarter car. All wheelsets follow the same track, each delayed by its distance
+over the speed. Cross level and mean are independent processes, so that spectra are sums over both.
+The density of the cross level is a fraction of the mean's, times n^2 / (n^2 + n_0^2) as in the
+German spectra.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
 
 @dataclass(frozen=True)
 class _Bogie:
-    """One bogie without its coordinates: bounce z_i = link y_i + free, pitch = swing - tilt phi_i.
+    """One eliminated bogie: bounce z_i = link y_i + free, pitch psi_i = swing - tilt phi_i.
 
-    Its secondary suspension pushes the body down by resistance y_i - force, its links turn it
-    back by upright phi_i - push; phi_i is the body's pitch over the bogie.
+    Its secondary suspension acts on the body with the force resistance y_i - force downwards, its
+    links with the moment upright phi_i - push against the body's pitch phi_i above the bogie.
     """
 
     link: Tensor
@@ -75,13 +75,14 @@ class _Bogie:
 
 
 def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the motion under the sensors on frame and body for 1 m of mean track."""
+    """Return the motion under the sensors on frame and body per metre of mean track, [-]."""
     wheels = wheels_of(layout, p, omega)
     forward = 1.0 if layout.bogie == "leading" else -1.0
-    # phi counts positive where the measured bogie rises, psi where the leading axle does
+    # phi is positive if the measured bogie rises, psi if the leading axle rises: the lever of the
+    # links below the body changes its sign for a trailing bogie.
     p = {**p, "body_lever": forward * p["body_lever"]}
     link_x = longitudinal_element(p).at(omega) if "longitudinal" in layout.parts else None
-    # Each bogie is eliminated: what remains of it is a force and a stiffness under the body.
+    # Each bogie is eliminated: it acts as a force and a stiffness under the body.
     first = _bogie(p, "", omega, wheels[:2], link_x, layout.parts)
     other = _bogie(p, "other_", omega, wheels[2:], link_x, layout.parts)
     # Bounce and pitch of the body: a symmetric matrix (bounce, coupling, pitch) and two forces.
@@ -119,7 +120,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
     determinant = a * b - coupling**2
     bounce = (b * bounce_force - coupling * pitch_force) / determinant
     pitch = (a * pitch_force - coupling * bounce_force) / determinant
-    # Back to what was eliminated: the bending, then how the body moves and turns over the bogie.
+    # Substitute back: the bending, then the motion and the turn of the body above the bogie.
     turned, over = pitch, bounce + pitch
     at_sensor: Tensor | float = 0.0
     if "bending" in layout.parts:
@@ -127,7 +128,7 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
         turned = pitch + p["bending_slope"] * bending
         over = over + p["bending_at_pivot"] * bending
         at_sensor = p["bending_at_sensor"] * bending
-    # The sensors sit where the layout says, not at the centres.
+    # Motion at the places of the sensors, which need not be at the centres.
     frame = first.link * over + first.free
     if layout.frame_sensor == "axle":
         tilted = first.swing - first.tilt * turned
@@ -180,7 +181,7 @@ def _bogie(
 
 
 def _modal(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
-    """Return the dynamic stiffness of the body's bending by itself."""
+    """Return the dynamic stiffness of the body's free bending, its modal mass included."""
     own = bending_element(p, layout.empty_body_kg)
     return own.at(omega) - p["M_s"] * omega**2
 
@@ -190,7 +191,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     wheels = wheels_of(layout, p, omega)
     bogie_inertia = p["bogie_mass"] * (p["bogie_roll_gyration"] * omega) ** 2
     aside, lever = lateral_element(p).at(omega), p["bogie_lever"]
-    # theta_i = link theta - yielding u + free, u the body's way aside at the height of the springs
+    # theta_i = link theta - yielding u + free, with u the lateral displacement of the body at the
+    # height of the springs. Each bogie is eliminated, its effects on the body are added up.
     bogies = []
     resistance = stiffening = coupling = moment = push = torch.zeros_like(wheels[0])
     for which, pair in (("", wheels[:2]), ("other_", wheels[2:])):
@@ -206,6 +208,7 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
         coupling = coupling + above * yielding
         moment = moment + above * free
         push = push + aside * lever * free
+    # Sway is eliminated from the body's two equations, then roll is solved for.
     inertia, height = 2 * p["M_s"] * omega**2, p["body_lever"]
     swaying = stiffening - inertia
     bent = (coupling + height * stiffening) / swaying
@@ -213,6 +216,7 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     total = total - bent * (coupling + height * inertia)
     body = (moment - height * push + bent * push) / total
     over = -(push + (coupling + height * inertia) * body) / swaying
+    # Only the measured bogie carries sensors.
     link, yielding, free = bogies[0]
     frame = link * body - yielding * over + free
     box = torch.full_like(frame, 1 / RAIL_LATERAL_M)
@@ -220,6 +224,7 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     angles = torch.stack(
         [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1
     )
+    # The angles are for a cross level of the mean's density: scale them to its own density.
     waves = (omega / p["speed"]) ** 2
     share = p["cross_level"] * waves / (waves + CROSS_LEVEL_RAD_PER_M**2)
     return share.sqrt()[:, None] * angles
@@ -232,7 +237,7 @@ def _phasor(angle: Tensor) -> Tensor:
 def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Tensor]:
     """Return the motion of each wheelset relative to the measured one, exp(-j omega delay)."""
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
-    # one exponential for each length, not for each wheelset
+    # One exponential for each of the two lengths is enough for all four wheelsets.
     unit = _phasor(omega * 2 * a / p["speed"])
     other = _phasor(omega * 2 * pivot / p["speed"])
     one = torch.ones_like(unit)

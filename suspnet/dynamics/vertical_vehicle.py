@@ -1,7 +1,7 @@
 """A family of vehicles: body and two bogies that pitch, four wheelsets on one track.
 
-Its numbers, sensors and uncertain quantities; the equations are in
-`suspnet.dynamics.vertical_response`, their motion in time in `suspnet.dynamics.vertical_motion`.
+This module holds its numbers, sensors and uncertain quantities. The equations are in
+`suspnet.dynamics.vertical_response`, the motion in time in `suspnet.dynamics.vertical_motion`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _OTHER = slice(
 )
 """Columns of the bogie that is not measured."""
 _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
-"""What makes every column of ratios positive."""
+"""Added to ratios before they are checked: those that may be absent must be above -1, not 0."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class VerticalVehicle:
     def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
         """Return ratios (n_vehicles, 5 or 6) with a column for each name of ``UNMEASURED``.
 
-        They are drawn from the distribution; 1 where nothing is uncertain.
+        The uncertain columns are drawn from the distribution, the others are 1.
         """
         rows = as_tensor(ratios).to("cpu", torch.float64)
         if self.distribution is None or not self.distribution.names:
@@ -156,7 +156,7 @@ class VerticalVehicle:
     def with_uncertain(self, ratios: Tensor, numbers: Tensor) -> Tensor:
         """Return ratios (n_vehicles, 5 or 6) with a column for each name of ``UNMEASURED``.
 
-        `numbers` are those that the distribution is of, shape (n_vehicles, n_names), [-].
+        `numbers` are the values of the distribution's names, shape (n_vehicles, n_names), [-].
         """
         columns = torch.tensor(self.uncertain_columns, device=ratios.device)
         return self.complete(ratios).index_copy(1, columns, numbers)
@@ -181,8 +181,8 @@ class VerticalVehicle:
         Raises
         ------
         ValueError
-            If `ratios` has another shape or a value that is not positive and finite; of numbers
-            that may be absent, not above -1.
+            If `ratios` has another shape or a value that is not positive and finite (not above -1
+            for numbers that may be absent).
         """
         frame, body = bounced(self._layout, *self._prepared(ratios, frequencies_hz))
         return frame, body / frame
@@ -190,8 +190,8 @@ class VerticalVehicle:
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
 
-        Inputs: the mean of both rails, and with roll and a sensor off the middle the cross level,
-        scaled such that each input has the density of the mean.
+        The inputs are the mean of both rails and, if `rolls`, the cross level, scaled such that
+        each input has the density of the mean.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
         frame, body = bounced(self._layout, p, omega)
@@ -202,7 +202,7 @@ class VerticalVehicle:
 
     @property
     def rolls(self) -> bool:
-        """Whether a sensor feels roll: the vehicle has it, and a sensor is off the middle."""
+        """Whether sensors measure roll: the vehicle has roll, and a sensor is off the middle."""
         return "roll" in self.parts and any(self.sensor_lateral_m)
 
     def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
@@ -220,9 +220,9 @@ class VerticalVehicle:
     def further_channels(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return ``further_places`` for each input, (n_vehicles, n_inputs, n_places, n_freq).
+        """Return responses at ``further_places``, (n_vehicles, n_inputs, n_places, n_freq), [-].
 
-        The track reaches the second axle box a wheelbase later, or earlier if it leads.
+        The second axle box follows the track a wheelbase later, or earlier if it leads.
         """
         channels = self._elsewhere.channels(ratios, frequencies_hz)
         both = wheels_of(self._layout, *self._prepared(ratios, frequencies_hz))[:2]
@@ -231,7 +231,7 @@ class VerticalVehicle:
 
     @property
     def _elsewhere(self) -> VerticalVehicle:
-        """Return the generator with its frame and body sensor moved to the further places."""
+        """The generator with its frame and body sensor moved to the further places."""
         half_pivot_m = self.vehicle.half_pivot_distance_m
         assert half_pivot_m is not None
         other_m = -2 * half_pivot_m if self.bogie == "leading" else 2 * half_pivot_m
@@ -252,12 +252,12 @@ class VerticalVehicle:
         return replace(self, device=device)
 
     def assumptions(self) -> str:
-        """Return a sentence on the assumptions of the generator."""
+        """Return a sentence that states the assumptions of the generator."""
         n_uncertain = 0 if self.distribution is None else len(self.distribution.names)
         if n_uncertain:
             return (
                 f"The vehicle pitches; {n_uncertain} of its numbers are uncertain and estimated "
-                "along, all others are taken as known exactly."
+                "too, all others are taken as known exactly."
             )
         return (
             "The vehicle pitches; speed, geometry, inertias and the other bogie are taken as known "
@@ -267,9 +267,9 @@ class VerticalVehicle:
     def dynamic_stiffness(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return kappa_p and kappa_s of a side of the measured bogie, (n_vehicles, 2, n_freq).
+        """Return kappa_p and kappa_s of one side of the measured bogie, bushings and rubber too.
 
-        Complex, in N/m, bushings and rubber included.
+        Complex, shape (n_vehicles, 2, n_freq), [N/m].
         """
         p, omega = self._prepared(ratios, frequencies_hz)
         return torch.stack(
@@ -284,7 +284,7 @@ class VerticalVehicle:
         return vertical_motion(layout, self._numbers(as_tensor(ratios)[None]))
 
     def complete(self, ratios: Tensor) -> Tensor:
-        """Return ratios with all columns: what is not given is the distribution's median."""
+        """Return ratios with all columns: missing ones are the distribution's median, else 1."""
         if ratios.ndim == 2 and ratios.shape[1] > len(PARAMETERS) + 1:
             fits = ratios.shape[1] == N_ALL
             check_ratios(ratios + _OFFSETS.to(ratios) if fits else ratios, N_ALL)
@@ -303,7 +303,7 @@ class VerticalVehicle:
 
     @property
     def uncertain_columns(self) -> list[int]:
-        """Columns of the numbers that the distribution is of."""
+        """Columns of the distribution's names."""
         assert self.distribution is not None
         return [len(PARAMETERS) + UNMEASURED.index(name) for name in self.distribution.names]
 
@@ -315,7 +315,7 @@ class VerticalVehicle:
     def _prepared(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> tuple[dict[str, Tensor], Tensor]:
-        """Return every number of the vehicles, and the angular frequencies [rad/s]."""
+        """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
         bins = as_tensor(frequencies_hz).to(self.device, torch.float64)
         return self._numbers(ratios), 2 * math.pi * bins
 
@@ -325,15 +325,15 @@ class VerticalVehicle:
         nominal = torch.tensor(self.nominal_values(), dtype=torch.float64, device=self.device)
         values = (columns * nominal).T.unsqueeze(-1)
         p = dict(zip((*PARAMETERS, *UNMEASURED), values, strict=True))
-        for name in PARAMETERS[:4]:  # healthy first, then what is worn of it
+        for name in PARAMETERS[:4]:  # these columns are relative to the uncertain healthy values
             p[name] = p[name] * p[f"healthy_{name}"]
             p[f"other_{name}"] = p[f"other_{name}"] * p[f"healthy_{name}"]
         return p
 
     def nominal_values(self) -> tuple[float, ...]:
-        """Return what a ratio of 1 stands for: ``PARAMETERS``, then ``UNMEASURED``.
+        """Return the values at a ratio of 1: ``PARAMETERS``, then ``UNMEASURED``, SI units.
 
-        SI units, but 1 for k_p, c_p, k_s, c_s of both bogies: they multiply the healthy values.
+        k_p, c_p, k_s and c_s of both bogies are 1, as they multiply the healthy values.
         """
         v = self.vehicle
         given = dict(
@@ -351,10 +351,9 @@ class VerticalVehicle:
 
 
 def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> ResponseGenerator:
-    """Return a vertical vehicle where the geometry is known, else a quarter car.
+    """Return a vertical vehicle if the geometry is known, else a quarter car.
 
-    The settings are those of ``VerticalVehicle``; a vehicle without geometry (a road vehicle) has
-    no use for them.
+    `settings` are those of ``VerticalVehicle``; the quarter car ignores them.
     """
     if all(getattr(vehicle, name) is None for name in GEOMETRY):
         return QuarterCar(vehicle, device)

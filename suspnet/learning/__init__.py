@@ -1,4 +1,4 @@
-"""Module 3 of the paper: regression. Knows nothing of trains."""
+"""Module 3 of the paper: regression, independent of trains."""
 
 from typing import Any
 
@@ -17,9 +17,10 @@ METHODS: dict[str, Any] = {
 }
 """Every method by the name of its file in configs/model/.
 
-Besides scikit-learn's interface each has `state` and `restore`, and says of itself:
+In addition to scikit-learn's interface each has `state`, `restore` and three flags:
 `works_on_curves` (it fits curves, not features), `distributable` (torchrun may spread its fit over
-processes) and `gives_deviations` (``predict(X, return_std=True)`` gives standard deviations too).
+processes) and `gives_deviations` (``predict(X, return_std=True)`` also returns standard
+deviations).
 """
 
 __all__ = [

@@ -1,6 +1,6 @@
 """The methods MSVR is compared with: an SVR for each output, linear regression, and a direct fit.
 
-The last, `CurveFit`, is what a structural dynamicist would do instead of a regression.
+`CurveFit` fits the model's curves directly, the usual approach in structural dynamics.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 
 Forward = Callable[[Tensor, Tensor], Tensor]
+"""``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points)."""
 PREDICT_ROWS = 1024
+"""Rows predicted at once, so that their kernel fits into memory."""
 
 
 class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -44,8 +46,8 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
     tol : float, default=1e-3
         libsvm's stopping tolerance.
     max_iter : int, default=10_000_000
-        libsvm's iterations for each output. It needs about as many as samples to some hundred
-        times as many, and never ends by itself where `tol` is below rounding.
+        Largest number of libsvm's iterations for each output. It needs one to some hundred times
+        the number of samples, and does not end by itself if `tol` is below rounding.
     cache_size_mb : float, default=400.0
         libsvm's kernel cache for each output.
     n_jobs : int or None, default=2
@@ -160,14 +162,14 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return predicted[:, 0] if self._single_output else predicted
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that, with the parameters, make up the fitted model."""
+        """Return the arrays that define the fitted model together with the parameters."""
         check_is_fitted(self)
         arrays = {f"support_vectors.{j}": v for j, v in enumerate(self.support_vectors_)}
         arrays |= {f"dual_coef.{j}": v for j, v in enumerate(self.dual_coef_)}
         return arrays | {"intercept": self.intercept_}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         try:
             self.intercept_ = state["intercept"]
             outputs = range(len(self.intercept_))
@@ -223,7 +225,7 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
         return {"coef": np.atleast_2d(self.coef_), "intercept": np.atleast_1d(self.intercept_)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         try:
             self.coef_, self.intercept_ = state["coef"], state["intercept"]
         except KeyError as error:
@@ -237,7 +239,7 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
 
 
 class CurveFit(BaseEstimator):  # type: ignore[misc]
-    """Fit a model's curves directly, starting from the nearest of a set of scattered curves.
+    """Least-squares fit of a model's curves, started from the nearest of a set of Sobol points.
 
     Raises
     ------
@@ -248,8 +250,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     settings: ClassVar[Mapping[str, Setting]] = {
         "n_starts": Setting(
             "Number of points scattered over the parameter range; the one with the nearest curves "
-            "is "
-            "the start of the fit",
+            "is the start of the fit",
             low=1,
         ),
         "max_iter": Setting("Largest number of Levenberg-Marquardt iterations", low=1),
@@ -274,17 +275,17 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     def fit_curves(
         self, forward: Forward, observed: Tensor, known: Tensor, lower: float, upper: float, n: int
     ) -> LeastSquaresSolution:
-        """Return the positive parameters whose curves lie nearest to those observed.
+        """Return the positive parameters whose curves are nearest to those observed.
 
         The residual of each curve is divided by its rms, to which the noise is proportional.
 
         Parameters
         ----------
         forward : callable
-            ``forward(parameters, known)`` gives curves (n_rows, n_curves, n_points).
+            ``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points).
         observed : tensor of shape (n_rows, n_curves, n_points)
         known : tensor of shape (n_rows, n_known)
-            What is known of each row.
+            Known parameters of each row.
         lower, upper : float
             Range of the starts.
         n : int
@@ -310,7 +311,7 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         start_range: tuple[float, float],
         n: int,
     ) -> Tensor:
-        """Return for each row the Sobol point whose curves lie nearest to the row's."""
+        """Return for each row the Sobol point whose curves are nearest to the row's."""
         lower, upper = start_range
         points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
         starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))

@@ -1,8 +1,8 @@
 """The design matrix Phi of a training set, and the normal equations of Eq. (9) on it.
 
-Phi is never whole in memory unless it is small: products are made block by block of its rows, each
-summed over all ranks where the samples are spread over several processes. `DenseDesign` serves any
-feature map that can be called; ``equispaced`` has a design of its own.
+Phi is in memory as a whole only if it is small: products are computed in blocks of its rows, and
+summed over ranks where the samples are spread over several processes. `DenseDesign` serves any
+feature map that can be called; ``equispaced`` has its own design in ``toeplitz``.
 """
 
 from __future__ import annotations
@@ -19,21 +19,14 @@ from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
-"""Size [bytes] up to which the features of a training set stay in memory between passes."""
+"""Largest size of a training set's features that stay in memory between passes [bytes]."""
 Columns = Callable[[slice, Tensor], Tensor]
-"""A function that gives V[rows], (n_rows, n_columns), from rows of a design and Phi W + b
-there."""
+"""Function that returns V[rows], (n_rows, n_columns), from `rows` and (Phi W + b)[rows]."""
 
 
 @dataclass(frozen=True)
 class Direction:
-    """A change of W and b.
-
-    Attributes
-    ----------
-    coef : tensor of shape (n_features, n_outputs)
-    intercept : tensor of shape (n_outputs,)
-    """
+    """A change of W and b: `coef` (n_features, n_outputs), `intercept` (n_outputs,)."""
 
     coef: Tensor
     intercept: Tensor
@@ -43,13 +36,8 @@ class Direction:
 class Gradient:
     """The gradient of F at a point, and the samples' weights a_i of Eq. (10) there.
 
-    Attributes
-    ----------
-    coef : tensor of shape (n_features, n_outputs)
-    intercept : tensor of shape (n_outputs,)
-        Zero if b is not fitted.
-    weights : tensor of shape (n_samples,)
-        Of this rank's samples.
+    `coef`: (n_features, n_outputs), `intercept`: (n_outputs,), 0 if b is not fitted, `weights`:
+    (n_samples,) of this rank's samples.
     """
 
     coef: Tensor
@@ -58,12 +46,12 @@ class Gradient:
 
     @property
     def norm(self) -> float:
-        """Its Euclidean norm."""
+        """Euclidean norm over W and b."""
         return float(torch.cat([self.coef, self.intercept[None]]).norm())
 
 
 class NormalEquations(Protocol):
-    """Gives the solver a direction, exactly or nearly that of Eq. (9)."""
+    """Interface of equations that give a direction, exactly or approximately that of Eq. (9)."""
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return a direction; `accuracy` is the error of F that may remain."""
@@ -96,13 +84,9 @@ class Design(Protocol):
 
 @dataclass(frozen=True)
 class Gram:
-    """Sums over the samples: of w phi phi^T, of w phi, and of w.
+    """Sums over the samples of w phi phi^T, w phi and w, in float64.
 
-    Attributes
-    ----------
-    products : float64 tensor of shape (n_features, n_features)
-    sums : float64 tensor of shape (n_features,)
-    weight_sum : float
+    `products`: (n_features, n_features), `sums`: (n_features,).
     """
 
     products: Tensor
@@ -118,7 +102,7 @@ class Gram:
         )
 
     def __sub__(self, other: Gram) -> Gram:
-        """Return the sums over the samples of this that are not in `other`."""
+        """Return the sums over the samples that are not in `other`."""
         return Gram(
             self.products - other.products,
             self.sums - other.sums,
@@ -129,21 +113,12 @@ class Gram:
 class DenseDesign:
     """Phi in blocks of rows.
 
-    Where a map ends with a product with a fixed basis, Phi = K V, the blocks are those of K, and V
-    multiplies coefficients and sums instead of every block; the Gram matrix alone is made of Phi.
+    If a map ends with a product with a fixed basis, Phi = K V, the blocks are those of K, and V
+    multiplies coefficients and sums instead of every block; only the Gram matrix uses Phi itself.
 
-    Parameters
-    ----------
-    feature_map : FeatureMap
-    X : tensor of shape (n_samples, n_inputs)
-    block_rows : int
-        Rows of Phi in memory at once, unless all of it fits `cache_bytes`.
-    cache_bytes : int
-        Largest size of Phi that is stored between passes.
-    gram_columns : int
-        Columns of the Gram matrix computed at a time, from the diagonal on: it is symmetric.
-    all_reduce : callable, optional
-        Sums a tensor over ranks.
+    Phi is stored between passes if it fits into `cache_bytes`, else `block_rows` of it are in
+    memory at once. `gram_columns` columns of the Gram matrix are computed at a time, from the
+    diagonal on, as it is symmetric. `X`: (n_samples, n_inputs).
     """
 
     def __init__(
@@ -167,12 +142,12 @@ class DenseDesign:
         self._width = first.shape[1]
         self.n_features = self._width if self._basis is None else self._basis.shape[1]
         whole = len(X) * self._width * first.element_size()
-        self._kept = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
+        self._blocks = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
         self._gram: Gram | None = None
 
     @classmethod
     def joined(cls, parts: Sequence[DenseDesign], gram: Gram) -> DenseDesign:
-        """Return the design of the samples of all parts, whose Gram matrix is known; no copies."""
+        """Return the design of the samples of all parts from their known Gram matrix."""
         whole = cls(parts[0].feature_map, torch.cat([part.X for part in parts]), cache_bytes=0)
         starts = accumulate((len(part.X) for part in parts), initial=0)
         whole.slices = [
@@ -180,15 +155,15 @@ class DenseDesign:
             for part, start in zip(parts, starts, strict=False)
             for rows in part.slices
         ]
-        if all(part._kept for part in parts):
-            whole._kept = [phi for part in parts for phi in part._kept]
+        if all(part._blocks for part in parts):
+            whole._blocks = [phi for part in parts for phi in part._blocks]
         whole._gram = gram
         return whole
 
     def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
         """Yield (rows, Phi[rows]), or K in place of Phi."""
-        if self._kept:
-            yield from zip(self.slices, self._kept, strict=True)
+        if self._blocks:
+            yield from zip(self.slices, self._blocks, strict=True)
         else:
             for rows in self.slices:
                 yield rows, self._make(self.X[rows])
@@ -220,7 +195,7 @@ class DenseDesign:
         return moved, self.all_reduce(self._projected(product))
 
     def gram(self) -> Gram:
-        """Return the Gram matrix of all samples, made once."""
+        """Return the Gram matrix of all samples, computed once."""
         if self._gram is None:
             self._gram = self.weighted_gram(None)
         return self._gram
@@ -270,8 +245,9 @@ class DenseDesign:
 class FixedGram:
     """Directions of I + 2 C Phi^T Phi, b eliminated: one factorisation serves every iteration.
 
-    No weight exceeds 2 C, so F lies below this quadratic: a whole step never raises F. It is the
-    step "project each residual onto the epsilon-ball, then regress the rest by ridge regression".
+    No weight exceeds 2 C, so this quadratic bounds F from above and a full step never raises F. The
+    step projects each residual onto the epsilon-ball and regresses the remainder by ridge
+    regression.
     """
 
     def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
@@ -288,7 +264,7 @@ class FixedGram:
 
 
 class ReweightedGram:
-    """Directions of Eq. (9), one factorisation an iteration: the textbook's IRWLS."""
+    """Directions of Eq. (9), one factorisation per iteration: textbook IRWLS."""
 
     def __init__(self, design: DenseDesign, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
@@ -314,7 +290,7 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
     if int(info) or not bool(torch.isfinite(factor).all()):
         raise ValueError(
             f"the {len(matrix)} x {len(matrix)} system of IRWLS is singular to working precision "
-            f"with weights of {scale * gram.weight_sum:.1e} in all; lower C, or scale the outputs, "
+            f"with weights of total {scale * gram.weight_sum:.1e}; lower C, or scale the outputs, "
             "or use dtype='float64'"
         )
     return sums, weight_sum, factor
@@ -325,8 +301,8 @@ def without_intercept(
 ) -> Direction:
     """Solve for W and b with b eliminated: weight_sum db = -g_b - sums . dW.
 
-    `sums` and `weight_sum` are those of the weighted samples, 0 where b is not fitted; `solve`
-    solves the remaining equations for W.
+    `sums` and `weight_sum` are those of the weighted samples, 0 if b is not fitted; `solve` solves
+    the remaining equations for W.
     """
     shift = torch.zeros_like(gradient.intercept)
     if weight_sum > 0:

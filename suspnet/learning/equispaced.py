@@ -1,10 +1,10 @@
 """Fourier modes on a regular grid: the RBF kernel to a given accuracy, for up to three inputs.
 
-The trapezoidal rule turns the spectrum of the kernel into modes with a regular spacing. Then the
-weighted Gram matrix is Toeplitz, one non-uniform FFT of the weights makes it, its products are
-FFTs, and the normal equations are solved by preconditioned conjugate gradients (Barnett,
-Greengard and Rachh, 2023: "Uniform approximation of common Gaussian process kernels using
-equispaced Fourier grids"). The cost of a fit is a few non-uniform FFTs over the samples.
+The trapezoidal rule turns the spectrum of the kernel into modes with a regular spacing. The
+weighted Gram matrix is then Toeplitz: one non-uniform FFT of the weights computes it, its products
+are FFTs, and preconditioned conjugate gradients solve the normal equations (Barnett, Greengard and
+Rachh, 2023: "Uniform approximation of common Gaussian process kernels using equispaced Fourier
+grids"). A fit costs a few non-uniform FFTs over the samples.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from suspnet.learning.ranks import AllReduce, identity
 
 MAX_INPUTS = 3
 MAX_BOX = 800_000
-"""Largest number of points of the grid of modes, for which all arrays fit about 1 GB."""
+"""Largest number of points of the grid of modes, for which all arrays fit into about 1 GB."""
 FFT_ACCURACY = 1e-2
 """Accuracy of the non-uniform FFTs, relative to the kernel's."""
 
@@ -35,18 +35,12 @@ class EquispacedFeatures(TensorMap):
 
     theta_k = k spacing for whole numbers k, one of each pair k and -k, the constant first; s_k is
     the kernel's spectral density at theta_k times the cell of the grid, so that
-    phi(x) . phi(z) = exp(-|x - z|^2 / sigma^2) to the accuracy asked for, where z lies within the
-    data that the map was made for, and x within `reach` of the centre, sigma farther. Inputs beyond
-    are moved to that border, as the features repeat.
+    phi(x) . phi(z) = exp(-|x - z|^2 / sigma^2) to `kernel_tol`, where z lies within the data that
+    the map was made for, and x within `reach` of the centre, which is sigma farther. Inputs beyond
+    are clipped to that border, as the features are periodic.
 
-    Attributes
-    ----------
-    wave_numbers : tensor of shape (n_waves, n_inputs)
-        The k, whole numbers; the first is 0.
-    strengths : tensor of shape (n_waves,)
-        s_k.
-    spacing, centre, reach : tensors of shape (n_inputs,)
-    kernel_tol : tensor of shape ()
+    `wave_numbers`: k, whole numbers, the first 0 (n_waves, n_inputs), `strengths`: s_k (n_waves,),
+    `spacing`, `centre`, `reach`: (n_inputs,), `kernel_tol`: ().
     """
 
     wave_numbers: Tensor
@@ -83,7 +77,7 @@ class EquispacedFeatures(TensorMap):
         return 2 * len(self.strengths) - 1
 
     def angles(self, X: Tensor) -> Tensor:
-        """Return spacing * (x - centre), inputs out of reach moved to the border; shape of X."""
+        """Return spacing * (x - centre), inputs out of reach clipped to the border; shape of X."""
         offset = (X.double() - self.centre).clamp(-self.reach, self.reach)
         return offset * self.spacing
 
@@ -102,30 +96,17 @@ class EquispacedFeatures(TensorMap):
 def equispaced_fourier(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 1e-6
 ) -> EquispacedFeatures:
-    """Return the Fourier modes that give the kernel to `kernel_tol` on the data of `X`.
+    """Return the Fourier modes that give the kernel to an error of `kernel_tol` on the data `X`.
 
-    Up to half of it goes to the modes left out, the weakest, and half to the images of the kernel
-    that the grid repeats every 2 pi / spacing.
-
-    Parameters
-    ----------
-    X : tensor of shape (n_samples, n_inputs), n_inputs <= 3
-    sigma : float
-    n_components, seed : int
-        Not used.
-    kernel_tol : float
-        Largest error of the kernel.
-
-    Raises
-    ------
-    ValueError
-        If there are more than three inputs, or the modes would be too many.
+    Half of this error is allowed for the weakest modes, which are left out, and half for the images
+    of the kernel that the grid repeats every 2 pi / spacing. `X`: (n_samples, n_inputs), n_inputs
+    <= 3; `n_components` and `seed` are not used.
     """
     n_inputs = X.shape[1]
     if n_inputs > MAX_INPUTS:
         raise ValueError(
-            f"feature_map='equispaced' serves up to {MAX_INPUTS} inputs, these are {n_inputs}: "
-            "the modes grow with their power; use feature_map='rff'"
+            f"feature_map='equispaced' supports at most {MAX_INPUTS} inputs, got {n_inputs}: the "
+            "number of modes grows exponentially with them; use feature_map='rff'"
         )
     if not kernel_tol <= 1:
         raise ValueError(
@@ -134,9 +115,10 @@ def equispaced_fourier(
     X = X.double()
     low, high = X.amin(dim=0), X.amax(dim=0)
     reach = (high - low) / 2 + sigma
+    # The kernel's images must be so far away that together they stay below half the tolerance.
     images = math.sqrt(math.log(4 * n_inputs / kernel_tol)) * sigma
     spacing = 2 * math.pi / (high - low + sigma + images)
-    # beyond this radius lies a hundredth of the tolerance, each mode counted with its cell
+    # Modes beyond this radius sum to a hundredth of the tolerance, each counted with its cell.
     radius = float(chi.isf(kernel_tol / 200, n_inputs)) * math.sqrt(2) / sigma
     counts = ((radius + spacing.norm()) / spacing).floor()
     if not float((2 * counts + 1).prod()) <= 4 * MAX_BOX:
@@ -145,6 +127,7 @@ def equispaced_fourier(
     k = torch.cartesian_prod(*axes).reshape(-1, n_inputs)
     rank = k @ (2.0 * float(counts.max()) + 1) ** torch.arange(n_inputs, dtype=torch.float64)
     k = k[rank >= 0]  # one of k and -k, its last non-zero part > 0
+    # The strength falls with the distance: sort, and drop the modes that sum to half the tolerance.
     distance = (k * spacing).norm(dim=1)
     order = distance.argsort(stable=True)
     k, distance = k[order], distance[order]
@@ -173,19 +156,9 @@ def _too_many(sigma: float, extent: Tensor) -> str:
 
 
 class EquispacedTransform:
-    """Products with Phi by non-uniform FFTs of the samples; only these are in memory.
+    """Products with Phi by non-uniform FFTs of the samples, without Phi in memory.
 
-    Parameters
-    ----------
-    modes : EquispacedFeatures
-    X : tensor of shape (n_samples, n_inputs)
-    all_reduce : callable, optional
-        Sums a tensor over ranks.
-
-    Raises
-    ------
-    ValueError
-        If finufft is not installed.
+    `X`: (n_samples, n_inputs). Raises ValueError if finufft is not installed.
     """
 
     def __init__(
@@ -235,8 +208,8 @@ class EquispacedTransform:
     def spectrum(self, vector: Tensor) -> Tensor:
         """Return sqrt(s_k) f_k of a vector over features, (n_features, n) to (n, n_waves).
 
-        f_0 is the coefficient of the constant, f_k = (cosine's - i sine's) / sqrt(2), and f_-k its
-        conjugate: a unitary change of basis.
+        f_0 is the coefficient of the constant, f_k = (that of the cosine - i that of the sine) /
+        sqrt(2), and f_-k its conjugate: a unitary change of basis.
         """
         n_waves = len(self.waves)
         sines = torch.cat([torch.zeros_like(vector[:1]), vector[n_waves:]])
@@ -251,7 +224,7 @@ class EquispacedTransform:
         return torch.cat([found.real, -found.imag[1:]])
 
     def _transform(self, kind: int, width: int, values: Tensor) -> Tensor:
-        """Transform: kind 1 from samples to modes, kind 2 back; width 2 for twice the modes."""
+        """Return the transform from samples to modes (kind 1) or back (2), for `width` x modes."""
         shape = tuple(2 * width * count + 1 for count in self.counts)
         if not self.n_samples:
             return torch.zeros(shape if kind == 1 else 0, dtype=torch.complex128)

@@ -1,8 +1,8 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
-What a map is, random Fourier features, and maps from landmarks: Nystroem, and the exact kernel with
-every sample as a landmark. That on a regular grid of frequencies is in ``equispaced``;
-``msvr.MAPS`` lists them all.
+This module holds the interface of a map, random Fourier features, and maps from landmarks: Nystroem
+and the exact kernel, with every sample as a landmark. The map on a regular grid of frequencies is
+in ``equispaced``; ``msvr.MAPS`` lists all maps.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 ROUNDING = 1e-13
-"""Residual of the kernel's diagonal, which is 1, below which it is rounding and counts as 0."""
+"""Residual of the kernel's unit diagonal below which it is rounding and counts as 0."""
 
 
 class FeatureMap(Protocol):
@@ -35,7 +35,7 @@ class FeatureMap(Protocol):
         ...
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what the map consists of, by name."""
+        """Return the tensors that define the map, by name."""
         ...
 
 
@@ -48,7 +48,7 @@ class TensorMap:
         return product
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return what the map consists of, by name."""
+        """Return the tensors that define the map, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
 
@@ -56,11 +56,8 @@ class TensorMap:
 class FourierFeatures(TensorMap):
     """phi(x) = sqrt(2 / D) (cos(x . w_1), ..., sin(x . w_1), ...) for D / 2 frequencies w_j.
 
-    Squared norm 1 and exact shift invariance for any draw (Rahimi and Recht, 2007).
-
-    Attributes
-    ----------
-    random_weights : tensor of shape (n_inputs, D / 2)
+    The squared norm is 1, and shift invariance exact, for any draw (Rahimi and Recht, 2007).
+    `random_weights`: (n_inputs, D / 2).
     """
 
     random_weights: Tensor
@@ -93,8 +90,8 @@ def orthogonal_fourier(
 ) -> FourierFeatures:
     """Draw orthogonal random features: blocks of orthogonal directions (Yu et al., 2016).
 
-    Each direction is uniform on the sphere and its length that of a Gaussian vector, so every
-    single w_j is still N(0, 2 / sigma^2 I). `kernel_tol` is not used.
+    Each direction is uniform on the sphere and has the length of a Gaussian vector, so each w_j by
+    itself is still N(0, 2 / sigma^2 I). `kernel_tol` is not used.
     """
     n_inputs, source, blocks = X.shape[1], generator(seed), []
     for _ in range(-(-_pairs(n_components) // n_inputs)):
@@ -112,19 +109,15 @@ def _pairs(n_components: int) -> int:
 
 
 def generator(seed: int) -> torch.Generator:
-    """Return a generator of its own for a seed, on the CPU."""
+    """Return a new random generator on the CPU."""
     return torch.Generator().manual_seed(seed)
 
 
 @dataclass(frozen=True)
 class LandmarkFeatures(TensorMap):
-    """phi(x) = V k(Z, x) with V^T V the inverse of k(Z, Z) on landmarks Z (Nystroem).
+    """phi(x) = V^T k(Z, x) with V V^T the inverse of k(Z, Z) on landmarks Z (Nystroem).
 
-    Attributes
-    ----------
-    landmarks : tensor of shape (n_landmarks, n_inputs)
-    whitening : tensor of shape (n_landmarks, n_features)
-    sigma : tensor of shape ()
+    `landmarks`: Z (n_landmarks, n_inputs), `whitening`: V (n_landmarks, n_features), `sigma`: ().
     """
 
     landmarks: Tensor
@@ -138,7 +131,7 @@ class LandmarkFeatures(TensorMap):
 
     @property
     def basis(self) -> Tensor:
-        """Matrix V that the kernel's columns are multiplied by, (n_landmarks, n_features)."""
+        """Matrix V in Phi = K V, (n_landmarks, n_features)."""
         return self.whitening
 
     def raw(self, X: Tensor) -> Tensor:
@@ -160,7 +153,7 @@ def rbf_kernel(X: Tensor, Z: Tensor, sigma: float) -> Tensor:
 
 
 def squared_distances(X: Tensor, Z: Tensor) -> Tensor:
-    """Return |x_i - z_j|^2 from the differences, which do not cancel far from the origin."""
+    """Return |x_i - z_j|^2 from differences, which do not cancel far from the origin."""
     return torch.cdist(X, Z, compute_mode="donot_use_mm_for_euclid_dist").square_()
 
 
@@ -175,8 +168,8 @@ def nystroem(
 ) -> LandmarkFeatures:
     """Choose landmarks by randomly pivoted Cholesky (Chen et al., 2023) and whiten.
 
-    As many landmarks as it takes to bring the mean error of k(x, x) down to `kernel_tol`, at most
-    `n_components`, among at most `n_candidates` samples drawn at random.
+    Landmarks are added until the mean error of k(x, x) is at most `kernel_tol` or there are
+    `n_components`, from at most `n_candidates` samples drawn at random.
     """
     chosen = torch.arange(len(X))
     if len(X) > n_candidates:
@@ -190,10 +183,10 @@ def nystroem(
 def exact(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
 ) -> LandmarkFeatures:
-    """Take every sample as a landmark: the exact kernel on the training data; for small n.
+    """Use every sample as a landmark: the exact kernel on the training data, for small n.
 
-    Eigenvectors of the kernel matrix with eigenvalues below rounding are dropped;
-    `n_components`, `seed` and `kernel_tol` are not used.
+    Eigenvectors of the kernel matrix with eigenvalues below rounding are dropped. `n_components`,
+    `seed` and `kernel_tol` are not used.
     """
     return _landmarks(X, X, sigma)
 
@@ -209,15 +202,15 @@ def pivoted_cholesky(
 ) -> Tensor:
     """Return row indices drawn in proportion to the residual of the kernel's diagonal.
 
-    `n_proposals` are drawn at a time, and each is accepted with the probability that makes the
-    outcome that of drawing one at a time (Epperly, Tropp and Webber, 2024). Stops when the mean of
-    the residual is at most `kernel_tol`, or all of it is rounding.
+    `n_proposals` are drawn at a time, and each is accepted with the probability for which the
+    distribution is that of drawing one at a time (Epperly, Tropp and Webber, 2024). The search
+    stops when the mean of the residual is at most `kernel_tol`, or all of it is rounding.
     """
     source = generator(seed)
     residual = X.new_ones(len(X))
     factor = X.new_zeros(n_pivots, len(X))
     pivots = torch.empty(0, dtype=torch.int64, device=X.device)
-    # A round accepts its first proposal at least, so no more rounds are needed than pivots.
+    # Each round accepts at least its first proposal, so n_pivots rounds are enough.
     for _ in range(n_pivots):
         if len(pivots) == n_pivots or float(residual.mean()) <= kernel_tol:
             break
@@ -226,9 +219,10 @@ def pivoted_cholesky(
         drawn = drawn.to(X.device)
         known = factor[: len(pivots)]
         block = rbf_kernel(X[drawn], X[drawn], sigma) - known[:, drawn].T @ known[:, drawn]
-        # Rounding must not separate the block from the residual of the draws.
+        # The block's diagonal must equal the residual that the draws are from, despite rounding.
         block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
         accepted, lower = _accept(block.cpu(), chances)
+        # No more pivots than required: the factor has room for n_pivots rows.
         accepted = accepted[: n_pivots - len(pivots)]
         lower = lower[: len(accepted), : len(accepted)].to(X)
         new = drawn[accepted.to(X.device)]
@@ -245,8 +239,8 @@ def pivoted_cholesky(
 def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
     """Return which proposals are accepted, and the Cholesky factor of their block.
 
-    A proposal is accepted if its residual after those before it exceeds its chance, in [0, 1),
-    times its residual before the round: the first always is.
+    A proposal is accepted if its residual after the earlier ones exceeds its chance, in [0, 1),
+    times its residual before the round; the first always is.
     """
     remaining, columns, accepted = block.clone(), [], []
     for i in range(len(block)):
@@ -261,7 +255,7 @@ def _accept(block: Tensor, chances: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _landmarks(X: Tensor, landmarks: Tensor, sigma: float) -> LandmarkFeatures:
-    """Return the feature map of landmarks, their kernel's null space left out."""
+    """Return the feature map of landmarks without the null space of their kernel."""
     exact_landmarks = landmarks.double()
     values, vectors = torch.linalg.eigh(rbf_kernel(exact_landmarks, exact_landmarks, sigma))
     kept = values > values[-1] * len(values) * torch.finfo(values.dtype).eps

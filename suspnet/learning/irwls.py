@@ -6,9 +6,9 @@ Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
 with the hyperspherical epsilon-insensitive loss L of Eq. (8). F is convex and continuously
 differentiable, so it has one value at the optimum. Each iteration takes a direction from the normal
-equations of Eq. (9) (Eq. 11) and backtracks along it. The equations are those of a fixed Gram
-matrix until they slow down, then the reweighted ones, in turns: the optimum and the stopping rule
-are the same.
+equations of Eq. (9) (Eq. 11) and backtracks along it. The solver alternates between the equations
+of a fixed Gram matrix and the reweighted ones whenever progress is slow; both have the same optimum
+and the same stopping rule.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Iteration:
-    """Argument of the callback after each iteration."""
+    """State of the solver, passed to the callback after each iteration."""
 
     n_iter: int
     objective: float
@@ -52,18 +52,11 @@ class Iteration:
 class Solution:
     """Result of the solver.
 
-    Attributes
-    ----------
-    coef : tensor of shape (n_features, n_outputs)
-    intercept : tensor of shape (n_outputs,)
-    objective, grad_norm : float
-        F and the norm of its gradient over W and b, at (coef, intercept).
-    gap : float
-        Proven bound on (F - F*) / F, and the stopping rule; see `_Functional.lower_bound`.
-    support_fraction : float
-        Fraction of the samples outside the tube.
-    objectives : list of float
-        F before the first and after every iteration; it never rises.
+    `coef`: (n_features, n_outputs), `intercept`: (n_outputs,). `objective` and `grad_norm` are F
+    and the norm of its gradient over W and b. `gap` is a proven bound on (F - F*) / F, on which the
+    solver stops; see `_Functional.lower_bound`. `support_fraction` is the fraction of the samples
+    outside the tube. `objectives` holds F before the first and after every iteration; it never
+    rises.
     """
 
     coef: Tensor
@@ -79,22 +72,12 @@ class Solution:
 
 @dataclass(frozen=True)
 class IRWLS:
-    """The solver: minimises F over W and b, and bounds how far it is from the optimum.
+    """The solver: minimises F over W and b, and bounds the distance from the optimum.
 
-    Parameters
-    ----------
-    C, epsilon : float
-        Penalty and radius of the tube.
-    fit_intercept : bool
-    max_iter : int
-    tol : float
-        Stop when ``gap`` falls to this value.
-    slow_decrease : float
-        A step is slow if the Newton decrement falls to no less than this fraction of that before.
-    max_slow_steps : int
-        Slow steps in a row after which the reweighted equations give way to the fixed ones: where
-        many samples lie on the border of the tube they can cycle. The fixed ones give way after
-        one.
+    It stops when ``gap`` falls to `tol`. A step is slow if it leaves more than `slow_decrease` of
+    the previous Newton decrement. The solver leaves the fixed equations after one slow step, and
+    the reweighted ones after `max_slow_steps` in a row: these can cycle where many samples lie on
+    the border of the tube.
     """
 
     C: float
@@ -111,25 +94,9 @@ class IRWLS:
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
     ) -> Solution:
-        """Return the minimiser of F and how far it is from the optimum.
+        """Return the minimiser of F and a bound on its distance from the optimum.
 
-        Parameters
-        ----------
-        design : Design
-            Phi, (n_samples, n_features).
-        Y : tensor of shape (n_samples, n_outputs)
-        on_iteration : callable, optional
-            Called with an ``Iteration`` after each.
-
-        Returns
-        -------
-        Solution
-            Its status says whether `tol` was reached.
-
-        Raises
-        ------
-        ValueError
-            If a system is singular to working precision.
+        `Y`: (n_samples, n_outputs). Raises ValueError if a system is singular to working precision.
         """
         functional = _Functional(design, self.C, self.epsilon, self.fit_intercept)
         equations = _Equations(design, self)
@@ -139,12 +106,12 @@ class IRWLS:
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
-        # Only a step of 0 leaves n_iter as it is: it changes the equations or, if these are the
-        # reweighted ones, ends the loop.
+        # The loop ends: every pass increases n_iter, except that a step of 0 switches from the
+        # fixed to the reweighted equations, or stops if these are in use.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
             direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
-            # One pass over the samples gives all that the step, the next gradient (of a whole step)
-            # and the bound need.
+            # One pass over the samples computes everything needed for the step, the next gradient
+            # (after a full step) and the bound.
             change, products = design.matvec_rmatvec(
                 direction, functional.columns(residual, gradient)
             )
@@ -152,8 +119,7 @@ class IRWLS:
             lower = max(
                 lower, functional.lower_bound(objective, gradient, direction, change, products)
             )
-            # The plain update raises F where epsilon is not small: only a step that lowers it is
-            # taken.
+            # The full step can raise F if epsilon is not small: backtrack until F decreases.
             decrement = functional.decrement(gradient, direction)
             step, objective = functional.backtrack(
                 coef, residual, direction, change, objective, decrement
@@ -190,7 +156,7 @@ class IRWLS:
 
 
 class _Equations:
-    """The fixed normal equations until a step is slow, the reweighted ones until many are."""
+    """The current normal equations: fixed until a step is slow, then reweighted until many are."""
 
     def __init__(self, design: Design, solver: IRWLS) -> None:
         self.is_fixed, self._solver, self._design = True, solver, design
@@ -202,7 +168,7 @@ class _Equations:
         return self._current.direction(gradient, accuracy)
 
     def follow(self, step: float, decrement: float) -> None:
-        """Change to the other equations after a slow step of the fixed ones, or many others."""
+        """Switch equations after one slow step of the fixed ones, or many of the reweighted."""
         solver = self._solver
         is_slow = step == 0 or decrement > solver.slow_decrease * self._decrement
         self._decrement, self._n_slow = decrement, self._n_slow + 1 if is_slow else 0
@@ -249,7 +215,7 @@ class _Functional:
         return Gradient(coef - product, offset, weights)
 
     def columns(self, residual: Tensor, gradient: Gradient) -> Columns:
-        """Return the columns that Phi^T multiplies: of the next gradient, and of the bound."""
+        """Return the columns that Phi^T multiplies for the next gradient and for the bound."""
 
         def make(rows: slice, change: Tensor) -> Tensor:
             here = gradient.weights[rows, None]
@@ -306,7 +272,7 @@ class _Functional:
         return 0.0, objective
 
     def decrement(self, gradient: Gradient, direction: Direction) -> float:
-        """Return -g . d: how fast F falls along a direction."""
+        """Return -g . d, the rate at which F decreases along a direction."""
         inner = (gradient.coef * direction.coef).sum()
         return float(self._broadcast(-inner - (gradient.intercept * direction.intercept).sum()))
 

@@ -1,8 +1,8 @@
 """Batched Levenberg-Marquardt: the least-squares fit of many rows at once.
 
-Three parts make up the solver: `_Descent` gives damped steps of the quadratic models of all rows,
-`_Damping` searches for a step that is short enough, and `LevenbergMarquardt` puts them together and
-decides when a row has converged.
+The solver has three parts: `_Descent` gives damped steps of the quadratic models of all rows,
+`_Damping` adapts the damping of each row, and `LevenbergMarquardt` combines them and decides when a
+row has converged.
 """
 
 from __future__ import annotations
@@ -15,34 +15,30 @@ import torch
 from torch import Tensor
 
 Residual = Callable[[Tensor, Tensor], Tensor]
-"""``residual(theta, rows)`` gives (n, n_points) residuals for theta (n, n_parameters) and the
-indices (n,) of the rows that it belongs to; row by row, differentiable in theta."""
+"""``residual(theta, rows)`` returns (n, n_points) for theta (n, n_parameters) and row indices (n,).
+
+Each residual depends on its own row of theta only, and is differentiable in it."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
-"""Range of the damping, relative to the diagonal of J^T J; a row whose damping reaches an end
-stops."""
+"""Range of the damping, relative to the diagonal of J^T J; a row stops at the largest."""
 SMALLEST_SHRINKAGE, FIRST_GROWTH = 0.2, 2.0
-"""Smallest factor on the damping after a step that is taken, and factor after the first one that is
-not, which doubles with each further one."""
+"""Smallest factor on the damping after an accepted step, and the factor after a rejected one.
+
+The second doubles with each further rejection."""
 DIFFERENCE, ONE_SIDED_DIFFERENCE = 1e-4, 1e-5
-"""Steps of central and of one-sided differences; parameters are of the order of 1. In a shorter
-step the second differences would be mostly rounding."""
+"""Steps of central and of one-sided differences, for parameters of the order of 1.
+
+Second differences of a shorter step would be mostly rounding."""
 AT_ONCE = 128
-"""Least number of residuals of the Jacobian evaluated in one call: one takes as long as 30."""
+"""Smallest number of residuals of the Jacobian per call: a call for 1 takes as long as for 30."""
 
 
 @dataclass(frozen=True)
 class LeastSquaresSolution:
     """One fit for each row of the data.
 
-    Attributes
-    ----------
-    parameters : tensor of shape (n_rows, n_parameters)
-    cost : tensor of shape (n_rows,)
-        Half the sum of squared residuals.
-    information : tensor of shape (n_rows, n_parameters, n_parameters)
-        J^T J, with J the derivative of the residuals at the parameters.
-    converged : bool tensor of shape (n_rows,)
-    n_iter : int
+    `parameters`: (n_rows, n_parameters), `cost`: half the sum of squared residuals (n_rows,),
+    `information`: J^T J with J the derivative of the residuals at the parameters (n_rows,
+    n_parameters, n_parameters), `converged`: bool (n_rows,).
     """
 
     parameters: Tensor
@@ -54,34 +50,35 @@ class LeastSquaresSolution:
 
 @dataclass(frozen=True)
 class LevenbergMarquardt:
-    """Minimises 1/2 |r(theta)|^2 for each row on its own, all rows at once.
+    """Minimises 1/2 |r(theta)|^2 for each row separately, all rows at once.
 
     A step d solves (H + lambda diag H) d = -J^T r, where H is J^T J or J^T J + diag max(s, 0) with
-    s_i = r^T d^2 r / d theta_i^2, whichever predicted the decrease by the step before better (as
-    NL2SOL: Dennis, Gay, Welsch, An adaptive nonlinear least-squares algorithm, 1981). The second
-    derivatives come with the central differences of J. They shorten the steps along parameters in
-    which the residuals are curved, where those of Gauss-Newton are too long and are not taken. The
+    s_i = r^T d^2 r / d theta_i^2, whichever predicted the decrease of the previous step better (as
+    NL2SOL: Dennis, Gay, Welsch, An adaptive nonlinear least-squares algorithm, 1981). The central
+    differences of J also give the second derivatives. These shorten the steps along parameters in
+    which the residuals are curved, where Gauss-Newton steps are too long and are rejected. The
     damping lambda follows the ratio of the decrease to the one predicted (Nielsen, Damping
     parameter in Marquardt's method, 1999).
 
     Rows that have converged take one more step. Two searches of the same row can differ by a whole
-    step of length `tol`, as rounding decides whether one of about that length ends them; the
-    further step reduces this difference twice by the rate of convergence of Gauss-Newton.
+    step of length `tol`, as rounding decides whether a step of about that length ends them; the
+    extra step reduces this difference twice by the rate of convergence of Gauss-Newton.
 
     Parameters
     ----------
     max_iter : int
     tol : float
-        A row has converged when every parameter moves by less than this (relative to 1 + |theta|).
+        A row has converged when every parameter moves by at most this times 1 + |theta|.
     first_damping : float
-        Of the first step, relative to the diagonal of J^T J; a good start needs little.
+        Damping of the first step, relative to the diagonal of J^T J; a good start needs little.
     bounds : pair of tensors of shape (n_parameters,), optional
-        Lower and upper. A parameter that is pressed against one counts as having no effect.
+        Lower and upper bounds. A parameter pressed against a bound counts as having no effect.
     one_sided : bool
-        Half the evaluations, for a Jacobian that is right to 1e-5 and no second derivatives.
+        Use one-sided differences: half the evaluations, a Jacobian accurate to 1e-5 and no second
+        derivatives.
     least_decrease : float
-        A row has also converged when its next step would lower the cost by no more: for
-        residuals in units of the noise, by a hundredth of what the noise does, say.
+        A row has also converged when its next step would lower the cost by at most this, e.g. a
+        hundredth of the contribution of the noise for residuals in units of the noise.
     """
 
     max_iter: int = 100
@@ -92,7 +89,7 @@ class LevenbergMarquardt:
     least_decrease: float = 0.0
 
     def minimise(self, residual: Residual, start: Tensor) -> LeastSquaresSolution:
-        """Return the fit of each row from its start, (n_rows, n_parameters)."""
+        """Return the fit of each row from `start`, (n_rows, n_parameters)."""
         unbounded = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
         descent = _Descent(residual, start, self.bounds or unbounded, self.one_sided)
         damping = _Damping(start.new_full((len(start),), self.first_damping))
@@ -108,7 +105,7 @@ class LevenbergMarquardt:
             descent.take(rows, better, trial)
             rows = rows[~converged[rows] & (damping.value[rows] < LARGEST_DAMPING)]
         trial = descent.trial(every, damping.value)
-        # so small a step changes the cost by no more than its rounding, which must not decide
+        # Such a small step changes the cost by about its rounding, which must not reject the step.
         last = converged & trial.solved & trial.is_small(self.tol)
         last &= trial.cost <= trial.cost_before * (1 + 1e-12)
         descent.take(every, last, trial)
@@ -118,7 +115,7 @@ class LevenbergMarquardt:
         )
 
     def _has_converged(self, trial: _Trial, better: Tensor, damping: Tensor) -> Tensor:
-        # a small step that raises the cost is an end only if it is not the damping that made it so
+        # A small step that raises the cost means convergence only if damping did not shorten it.
         converged = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
         if self.least_decrease:
             converged |= trial.solved & (trial.left <= self.least_decrease)
@@ -127,7 +124,7 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Steps of some rows that may be taken, and what the quadratic models expected of them."""
+    """Proposed steps of some rows, and the decrease that the quadratic models predict for them."""
 
     before: Tensor
     theta: Tensor
@@ -136,7 +133,7 @@ class _Trial:
     cost_before: Tensor
     predicted: Tensor
     left: Tensor
-    """-g^T d / 2 of the step before the bounds cut it: about what there is left to gain."""
+    """-g^T d / 2 of the step before bounds shorten it: about the decrease still possible."""
 
     @property
     def cost(self) -> Tensor:
@@ -157,7 +154,7 @@ class _Trial:
 
 
 class _Descent:
-    """Where every row is, with its quadratic models, made again only for rows that moved."""
+    """The point of every row and its quadratic models, recomputed only for rows that moved."""
 
     def __init__(
         self, residual: Residual, start: Tensor, bounds: tuple[Tensor, Tensor], one_sided: bool
@@ -179,7 +176,7 @@ class _Descent:
         theta, values, (low, high) = self.theta[rows], self.values[rows], self.bounds
         jacobian, second = _derivatives(self.residual, theta, rows, values, self.one_sided)
         slope = (jacobian @ values[:, :, None])[:, :, 0]
-        # what is pressed against a bound is left out
+        # A parameter pressed against a bound cannot move: it is left out of this row's model.
         pressed = ((theta <= low) & (slope > 0)) | ((theta >= high) & (slope < 0))
         jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
         self.gradient[rows] = slope.masked_fill(pressed, 0.0)
@@ -188,7 +185,7 @@ class _Descent:
         self._moved[rows] = False
 
     def trial(self, rows: Tensor, damping: Tensor) -> _Trial:
-        """Return damped steps; from then on a row has the model that predicted its step better."""
+        """Return damped steps, and select for each row the model that predicted its step better."""
         self.linearise()
         before, gradient, plain = self.theta[rows], self.gradient[rows], self.information[rows]
         is_curved, curvature = self.is_curved[rows], torch.diag_embed(self.second[rows])
@@ -205,7 +202,7 @@ class _Descent:
         return _Trial(before, theta, values, solved, cost_before, predicted, left)
 
     def take(self, rows: Tensor, taken: Tensor, trial: _Trial) -> None:
-        """Move rows to the end of their steps, where these are taken."""
+        """Move the rows whose steps are `taken` to the end of their steps."""
         self.theta[rows] = torch.where(taken[:, None], trial.theta, self.theta[rows])
         self.values[rows] = torch.where(taken[:, None], trial.values, self.values[rows])
         self._moved[rows] = taken
@@ -218,7 +215,7 @@ class _Damping:
         self.value, self._growth = first, torch.full_like(first, FIRST_GROWTH)
 
     def follow(self, rows: Tensor, better: Tensor, ratio: Tensor) -> None:
-        """Shrink it as far as the decrease was the one predicted; grow it if there was none."""
+        """Scale the damping by how well the decrease was predicted; raise it after a rejection."""
         shrinkage = (1 - (2 * ratio.nan_to_num(1.0) - 1) ** 3).clamp(SMALLEST_SHRINKAGE, 2.0)
         factor = torch.where(better, shrinkage, self._growth[rows])
         self._growth[rows] = torch.where(better, FIRST_GROWTH, 2 * self._growth[rows])
@@ -237,8 +234,8 @@ def _model_decrease(gradient: Tensor, hessian: Tensor, step: Tensor) -> Tensor:
 
 
 def _damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """Return -(H + damping diag H)^-1 g, or 0 where that is singular, and where it is not."""
-    # damping times the diagonal must have a reciprocal, or a parameter of no effect stops its row
+    """Return -(H + damping diag H)^-1 g, 0 for singular rows, and which rows are solved."""
+    # Damping times the diagonal must have a reciprocal, or a parameter of no effect stops its row.
     smallest = torch.finfo(hessian.dtype).tiny / SMALLEST_DAMPING
     scale = hessian.diagonal(dim1=1, dim2=2).clamp(min=smallest)
     system = hessian + torch.diag_embed(damping[:, None] * scale)
@@ -254,17 +251,11 @@ def _derivatives(
     values: Tensor,
     one_sided: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Return derivatives of the residuals r by differences, with `values` those at `theta`.
+    """Return d r / d theta_i and r^T d^2 r / d theta_i^2 by differences; `values` is r at `theta`.
 
-    On a CPU differences take a fifth of the time of dual numbers. One-sided ones are right to about
-    1e-5, central ones to 1e-8.
-
-    Returns
-    -------
-    jacobian : tensor of shape (n, n_parameters, n_points)
-        d r / d theta_i.
-    second : tensor of shape (n, n_parameters)
-        r^T d^2 r / d theta_i^2; 0 of one-sided differences.
+    Shapes (n, n_parameters, n_points) and (n, n_parameters); the second is 0 for one-sided
+    differences. These are accurate to about 1e-5, central ones to 1e-8. On a CPU differences take a
+    fifth of the time of dual numbers.
     """
     n_rows = len(theta)
     size = ONE_SIDED_DIFFERENCE if one_sided else DIFFERENCE

@@ -1,4 +1,4 @@
-"""MAPE and RMSE of Eqs. (14) and (15), on parameters relative to healthy; coverage, width."""
+"""MAPE and RMSE of Eqs. (14) and (15) on ratios to healthy; coverage and width of intervals."""
 
 from __future__ import annotations
 
@@ -20,12 +20,8 @@ def score(
     """Return {output: {"mape_percent": ..., "rmse": ...}}.
 
     MAPE = 100/n sum |A - F| / A (Eq. 14) and RMSE = sqrt(1/n sum (A - F)^2) (Eq. 15) with A the
-    actual and F the predicted ratio to healthy: relative *changes* would divide by 0 at healthy.
-
-    Parameters
-    ----------
-    actual, predicted : arrays of shape (n_samples, n_outputs), [-]
-    outputs : sequence of str
+    actual and F the predicted ratio to healthy, (n_samples, n_outputs). Relative *changes* would
+    divide by 0 at healthy.
     """
     mape = 100 * mean_absolute_percentage_error(actual, predicted, multioutput="raw_values")
     rmse = root_mean_squared_error(actual, predicted, multioutput="raw_values")
@@ -38,20 +34,10 @@ def score(
 def interval_scores(
     actual: FloatArray, intervals: Ends, joint: Ends, outputs: Sequence[str]
 ) -> dict[str, Any]:
-    """Return how often intervals hold the actual value, and how wide they are.
+    """Return coverage and width of intervals for each output, and of joint ones for all outputs.
 
-    Parameters
-    ----------
-    actual : array of shape (n_samples, n_outputs), [-]
-    intervals, joint : pairs of such arrays
-        Lower and upper ends of the intervals for each output, and for all outputs at once.
-    outputs : sequence of str
-
-    Returns
-    -------
-    dict
-        outputs: {output: {"coverage_percent": ..., "half_width_percent": ...}} with the half
-        width relative to the actual value; joint_coverage_percent: all outputs at once.
+    `actual` and the lower and upper ends of intervals: (n_samples, n_outputs). Half widths are
+    relative to the actual value.
     """
     within = covers(actual, intervals)
     half = 50 * (intervals[1] - intervals[0]) / actual

@@ -36,6 +36,7 @@ from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
 from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
+"""Rows predicted at once, so that their features fit into memory."""
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
@@ -48,7 +49,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         1/2 |W|^2 + C sum_i L(|y_i - W^T phi(x_i) - b|),   L(u) = max(0, u - epsilon)^2
 
     by IRWLS in the primal. phi approximates the RBF kernel ``exp(-|x - z|^2 / sigma^2)``, i.e.
-    scikit-learn's gamma = 1 / sigma^2. Scale inputs and outputs before, as by
+    scikit-learn's gamma = 1 / sigma^2. Scale inputs and outputs first, e.g. with
     `suspnet.learning.Scaling`.
 
     Parameters
@@ -57,39 +58,39 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         Penalty of residuals outside the tube, > 0. At epsilon = 0 and without intercept it is
         ``alpha = 1 / (2 C)`` of scikit-learn's ``KernelRidge``; its ``SVR`` has an absolute loss.
     sigma : float, default=3.0
-        Kernel width, > 0, in units of the inputs; for standardised ones the square root of their
-        number is ``gamma="scale"`` of scikit-learn.
+        Kernel width, > 0, in units of the inputs; for n standardised inputs, sigma = sqrt(n)
+        equals ``gamma="scale"`` of scikit-learn.
     epsilon : float, default=1e-3
-        Radius of the tube, >= 0, in units of the outputs. One that holds many samples takes tens
-        to hundreds of iterations, a small one a few.
+        Radius of the tube, >= 0, in units of the outputs. A tube that contains many samples needs
+        tens to hundreds of iterations, a narrow one a few.
     feature_map : {"rff", "orf", "nystroem", "equispaced", "exact"}, default="rff"
         Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
-        Fourier modes on a regular grid (up to three inputs), or the exact kernel: the choice for
-        up to some 2,000 samples (its memory grows with the square of their number).
+        Fourier modes on a regular grid (up to three inputs), or the exact kernel, suited to at
+        most about 2,000 samples (its memory grows with the square of their number).
     n_components : int, default=1024
         Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
         rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
-        The time of an iteration grows with its cube: with more of them than samples, take `exact`.
+        The time of an iteration grows with its cube: with more features than samples, use `exact`.
     kernel_tol : float, default=1e-6
-        Error of the kernel that `equispaced` may make, and at which `nystroem` needs no more
-        landmarks, > 0.
+        Largest error of the kernel in `equispaced`, and the error at which `nystroem` stops
+        adding landmarks, > 0.
     fit_intercept : bool, default=True
         Whether to fit b, unpenalised.
     max_iter : int, default=1000
-        Iterations after which to give up with a ``ConvergenceWarning``.
+        Largest number of iterations; the fit then ends with a ``ConvergenceWarning``.
     tol : float, default=1e-8
         Stop when the objective is proven to lie within this fraction of its minimum.
     random_state : int, RandomState or None, default=0
         Seed of the feature map's draws.
     dtype : {"float64", "float32"}, default="float64"
         Precision of the features of `rff` and `orf` and of products with them; sums over blocks
-        and solves are float64. With float32 `gap_` does not count the rounding of products: at
+        and solves are float64. With float32 `gap_` does not include the rounding of products: at
         C = 1e4 the objective may lie 1e-5 above its minimum.
     device : str, default="cpu"
         Torch device; `equispaced` runs on the CPU only.
     distributed : bool, default=False
-        Take the samples given to `fit` as this rank's part of those of all ranks of
-        ``torch.distributed``; every rank ends with the same model. A part may be empty.
+        Treat the samples given to `fit` as this rank's shard of the samples of all ranks of
+        ``torch.distributed``; every rank gets the same model. A shard may be empty.
     callback : callable, optional
         Called after each iteration with an ``Iteration`` (n_iter, objective, grad_norm, step,
         support_fraction).
@@ -140,13 +141,11 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         "feature_map": Setting(
             "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
             "landmarks, Fourier modes on a grid (at most three inputs), or the kernel itself "
-            "(memory "
-            "grows with the square of data.n_train)"
+            "(memory grows with the square of data.n_train)"
         ),
         "n_components": Setting(
             "Number of features of rff and orf (rounded up to an even number), and largest number "
-            "of "
-            "nystroem",
+            "of nystroem",
             low=1,
         ),
         "kernel_tol": Setting(
@@ -244,12 +243,13 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def cross_predictor(
         self, X: ArrayLike, y: ArrayLike, folds: Sequence[IntArray]
     ) -> Callable[[Mapping[str, float]], list[FloatArray]]:
-        """Return a predictor of each fold's samples by a model fitted to all other folds.
+        """Return a function that predicts each fold by a model fitted to all other folds.
 
-        It takes a mapping with C and epsilon, where they are not the model's own, and gives a list
-        of predictions (n_fold, n_outputs). The models are those of `fit`, but all values of C and
-        epsilon share one Gram matrix, from which a fold's own is subtracted. Only for maps that do
-        not depend on the samples (``shares_gram``); `folds` are row indices, each row in one fold.
+        It takes a mapping with values of C and epsilon that replace the model's own, and returns a
+        list of predictions (n_fold, n_outputs). The models are those of `fit`, but all values of C
+        and epsilon share one Gram matrix, from which a fold's own is subtracted. It requires a map
+        that does not depend on the samples (``shares_gram``). `folds` are row indices; each row is
+        in one fold.
         """
         self._check_parameters()
         samples, targets = self._validated(X, y)
@@ -280,7 +280,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     @property
     def shares_gram(self) -> bool:
-        """Whether `cross_predictor` serves this feature map."""
+        """Whether `cross_predictor` supports this feature map."""
         return self.feature_map in MAPS and not MAPS[self.feature_map].of_data
 
     def predict(self, X: ArrayLike) -> FloatArray:
@@ -297,13 +297,13 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return predicted[:, 0] if self._single_output else predicted
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that, with the parameters, make up the fitted model."""
+        """Return the arrays that define the fitted model together with the parameters."""
         check_is_fitted(self)
         arrays = {f"map.{k}": v.cpu().numpy() for k, v in self._map.tensors().items()}
         return {"coef": self.coef_, "intercept": self.intercept_, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         self._check_parameters()
         map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
@@ -368,21 +368,12 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
 @dataclass(frozen=True)
 class MapKind:
-    """A kind of feature map: how it is made, what it is, and the design matrix it gives.
+    """A kind of feature map: its constructor, its class and its design matrix.
 
-    Attributes
-    ----------
-    make : callable
-        ``make(X, sigma, n_components, seed, kernel_tol)`` gives the map for samples X.
-    holds : type
-        What the map is, made again from its tensors.
-    design : type
-    of_data : bool
-        Whether the map depends on the samples.
-    float32 : bool
-        Whether its Gram matrix may be summed in single precision.
-    on_gpu : bool
-        Whether it runs on other devices than the CPU.
+    ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
+    class that `restore` rebuilds from its tensors. `of_data`: the map depends on the samples;
+    `float32`: its Gram matrix may be summed in single precision; `on_gpu`: it runs on other devices
+    than the CPU.
     """
 
     make: Callable[[Tensor, float, int, int, float], Any]
@@ -400,4 +391,4 @@ MAPS = {
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
     "exact": MapKind(exact, LandmarkFeatures),
 }
-"""The feature maps by name. To add one, write it next to these and enter it here."""
+"""Every feature map by name; a new one is added here."""

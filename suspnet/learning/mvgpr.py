@@ -24,21 +24,19 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning.feature_maps import rbf_kernel, squared_distances
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
+"""Ranges of Table V, from which the random starts are drawn."""
 BOUNDS = {"length_scale": (1e-3, 1e3), "noise_to_signal": (1e-8, 1e2)}
+"""Bounds of the optimiser."""
 PREDICT_ROWS = 1024
+"""Rows predicted at once, so that their kernel fits into memory."""
 
 
 def log_marginal_likelihood(Y: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the log density of Y ~ MN(0, K', Omega) at its best Omega, and that Omega.
+    """Return the log density of Y ~ MN(0, K', Omega) at the most likely Omega, and that Omega.
 
     log p = -n Q/2 log(2 pi) - Q/2 log|K'| - n/2 log|Omega| - tr(Omega^-1 Y^T K'^-1 Y) / 2,
-    greatest for Omega = Y^T K'^-1 Y / n, where the last term is -n Q / 2.
-
-    Parameters
-    ----------
-    Y : tensor of shape (n_samples, n_outputs)
-    factor : tensor of shape (n_samples, n_samples)
-        Lower Cholesky factor of K' = K + sigma_n^2 I.
+    greatest for Omega = Y^T K'^-1 Y / n, where the last term is -n Q / 2. `Y`: (n, Q), `factor`:
+    lower Cholesky factor of K' = K + sigma_n^2 I, (n, n).
     """
     n, Q = Y.shape
     whitened = torch.linalg.solve_triangular(factor, Y, upper=False)
@@ -70,8 +68,8 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     length_scale, signal_variance, noise_variance : float
         l, sigma_f^2 and sigma_n^2: the values used, or the first start of the optimiser.
     optimizer : {"marginal_likelihood"} or None, default="marginal_likelihood"
-        None uses the three values as they are, and so do linearly dependent outputs, whose
-        likelihood is unbounded.
+        None uses the three values as they are. Linearly dependent outputs are also fitted without
+        the optimiser, as their likelihood is unbounded.
     n_restarts : int, default=2
         Further starts, drawn log-uniformly from Table V's ranges.
     n_optimize : int, default=1000
@@ -203,7 +201,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     def predict(
         self, X: ArrayLike, return_std: bool = False, return_cov: bool = False
     ) -> FloatArray | tuple[FloatArray, FloatArray]:
-        """Return the predictive mean, and the spread of a new noisy output if asked.
+        """Return the predictive mean and, if requested, the spread of a new noisy output.
 
         Parameters
         ----------
@@ -241,7 +239,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return mean, std[:, 0] if self._single_output else std
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that, with the parameters, make up the fitted model."""
+        """Return the arrays that define the fitted model together with the parameters."""
         check_is_fitted(self)
         kernel = [self.length_scale_, self.signal_variance_, self.noise_variance_]
         return {
@@ -253,7 +251,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         }
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
-        """Become the model whose `state` this is; ValueError if arrays are missing or disagree."""
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         try:
             self._samples = torch.tensor(state["samples"], device=self.device)
             self.weights_, self.mean_ = state["weights"], state["mean"]
@@ -277,7 +275,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return self.signal_variance_ * rbf_kernel(X, Z, math.sqrt(2) * self.length_scale_)
 
     def _factor(self) -> Tensor:
-        """Return the Cholesky factor of K'; made again after loading, when first needed."""
+        """Return the Cholesky factor of K', recomputed on first use after loading."""
         if self._kept_factor is not None:
             return self._kept_factor
         kernel = self._kernel(self._samples, self._samples)
@@ -298,7 +296,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     def _optimize(self, samples: Tensor, centred: Tensor) -> None:
         """Set the three hyperparameters to the best of several maximisations of the likelihood."""
         random = check_random_state(self.random_state)
-        # An evaluation costs the cube of the samples: a random part of them is enough.
+        # An evaluation costs the cube of the number of samples: a random subset is enough.
         chosen = random.permutation(len(samples))[: self.n_optimize]
         samples, centred = samples[chosen], centred[chosen]
         squared = squared_distances(samples, samples)

@@ -1,6 +1,6 @@
 """Collective operations over the processes that fit one model, one rank each (see torchrun).
 
-In a single process each returns what it is given. gloo serves the CPU, NCCL a GPU.
+In a single process each returns its argument. The backend is gloo on the CPU, NCCL on a GPU.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 AllReduce = Callable[[Tensor], Tensor]
-"""A sum over ranks: `all_reduce`, or `identity` for a fit that is not distributed."""
+"""Sum over ranks, in place: `all_reduce`, or `identity` for a fit that is not distributed."""
 
 
 def is_distributed() -> bool:
@@ -27,7 +27,7 @@ def is_rank_zero() -> bool:
 
 
 def start(device: str) -> None:
-    """Join the other ranks if torchrun started this process, each with a GPU of its own."""
+    """Join the other ranks, each with its own GPU, if torchrun started this process."""
     if "TORCHELASTIC_RUN_ID" in os.environ and not dist.is_initialized():
         if torch.device(device).type == "cuda":
             torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
@@ -41,7 +41,7 @@ def stop() -> None:
 
 
 def identity(values: Tensor) -> Tensor:
-    """Return the values: their sum over a single rank."""
+    """Return the values, their sum over a single rank."""
     return values
 
 
@@ -60,7 +60,7 @@ def broadcast(values: Tensor) -> Tensor:
 
 
 def all_gather(rows: Tensor) -> Tensor:
-    """Return the rows (n, n_columns) of all ranks, rank after rank; n may differ, or be 0."""
+    """Return the rows (n, n_columns) of all ranks, in the order of ranks; n may differ, or be 0."""
     if not is_distributed():
         return rows
     counts = torch.zeros(dist.get_world_size(), dtype=torch.int64, device=rows.device)
@@ -74,7 +74,7 @@ def all_gather(rows: Tensor) -> Tensor:
 
 
 def shard(n_items: int) -> slice:
-    """Return which of `n_items` are this rank's; the last ranks may have none."""
+    """Return the slice of `n_items` that this rank processes; the last ranks may have none."""
     if not is_distributed():
         return slice(0, n_items)
     each = -(-n_items // dist.get_world_size())

@@ -19,7 +19,7 @@ class Scaling:
     ----------
     mean, scale : arrays of shape (n_columns,)
     log : bool
-        Whether the logarithm is taken; values must then be positive.
+        Whether to take the logarithm; values must then be positive.
     """
 
     mean: FloatArray
@@ -30,12 +30,12 @@ class Scaling:
     def of(cls, values: FloatArray, log: bool = True, all_reduce: AllReduce = identity) -> Scaling:
         """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
 
-        `all_reduce` sums over ranks if each has some of the rows; one may have none.
+        `all_reduce` sums over ranks if the rows are spread over them; a rank may have none.
 
         Raises
         ------
         ValueError
-            If a value is not finite, or not positive where its logarithm is taken, or a column is
+            If a value is not finite, a value is not positive and `log` is True, or a column is
             constant.
         """
         if not np.isfinite(values).all():

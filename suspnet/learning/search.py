@@ -1,9 +1,9 @@
-"""Hyperparameters by cross-validation over a grid: the least RMSE wins (Table V).
+"""Hyperparameters of least RMSE by cross-validation over a grid (Table V).
 
-The grid is a box that can be widened until the optimum is not on its edge. An optimum is on the
-edge in a hyperparameter if its value is the least or largest tried, and the edge is not flat: it is
-flat if the next value inwards, all else equal, raises the RMSE by at most `FLAT`, or by less than
-the standard error over folds of that rise.
+The grid is a box that can be widened until the optimum is not on its edge. The optimum is on the
+edge in a hyperparameter if its value is the smallest or largest tried and the edge is not flat. An
+edge is flat if the next value inwards, all else equal, raises the RMSE by at most `FLAT`, or by
+less than the standard error of this rise over folds.
 """
 
 from __future__ import annotations
@@ -34,19 +34,12 @@ FLAT = 0.005
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found.
+    """Result of a search.
 
-    Attributes
-    ----------
-    settings : list of dict
-        Hyperparameters tried, in order.
-    rmse : list of float
-        Cross-validated RMSE of each, averaged over outputs and folds; inf where a fit failed.
-    failures : list of str
-        Settings that could not be fitted, with the reason.
-    edges : dict
-        From each hyperparameter in which the optimum is on the edge of the box to a sentence that
-        says so, and why the box is no wider.
+    `settings` are the hyperparameters tried, in order; `rmse` is the cross-validated RMSE of each,
+    averaged over outputs and folds, inf where a fit failed. `failures` lists settings that could
+    not be fitted, with the reason. `edges` maps each hyperparameter in which the optimum is on the
+    edge of the box to a sentence that says so and why the box is not wider.
     """
 
     settings: list[dict[str, Any]]
@@ -62,16 +55,10 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class GridSearch:
-    """Cross-validation over every combination of a grid, and over a wider box if asked for.
+    """Cross-validation over every combination of a grid, and over a wider box if `widen` > 0.
 
     A widening adds one value beyond each edge that the optimum is on, by the ratio of the last two
-    values, and tries what is within one step of the optimum.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there are fewer than 2 folds, a cap has no reason, or `run` is asked for a method without
-        a grid.
+    values, and tries the settings within one step of the optimum.
     """
 
     grids: Annotated[
@@ -117,25 +104,16 @@ class GridSearch:
         output_scaling: Scaling,
         on_setting: Callable[[dict[str, Any], float], None] | None = None,
     ) -> SearchResult:
-        """Return the RMSE of every setting, measured on unscaled outputs.
+        """Return the RMSE of every setting of the grid called `name`, on unscaled outputs.
 
-        Parameters
-        ----------
-        name : str
-            Key of `grids`.
-        estimator : scikit-learn regressor
-        X, Y : arrays of shape (n_samples, n_inputs) and (n_samples, n_outputs)
-            Scaled inputs and outputs.
-        output_scaling : Scaling
-            Undone before the error is measured.
-        on_setting : callable, optional
-            Called with the hyperparameters and their RMSE.
+        `X`, `Y`: scaled inputs (n_samples, n_inputs) and outputs (n_samples, n_outputs);
+        `on_setting` is called with each setting and its RMSE.
         """
         folds = [
             rows for _, rows in KFold(self.n_folds, shuffle=True, random_state=self.seed).split(X)
         ]
-        # The grid first, then, as long as the optimum is on an edge, the neighbours of the optimum
-        # in a box that is one value wider there.
+        # The grid first; then, while the optimum is on an edge, the neighbours of the optimum in a
+        # box that is one value wider there.
         trials = _Trials(estimator, X, Y, folds, output_scaling, on_setting)
         result = trials.result
         trials.measure(list(ParameterGrid(dict(self._grid(name)))))
@@ -154,16 +132,19 @@ class GridSearch:
             trials.measure([setting for setting in near if setting not in result.settings])
         wider, capped = self._beyond(name, levels, trials)
         why = (
-            f"the box was widened {self.widen} times" if self.widen else "the box is that asked for"
+            f"the box was widened {self.widen} times" if self.widen else "the box is as configured"
         )
         result.edges.update(capped)
-        result.edges.update({key: _words(key, result.best[key], why) for key in wider})
+        result.edges.update({key: _edge_message(key, result.best[key], why) for key in wider})
         return result
 
     def _beyond(
         self, name: str, levels: Levels, trials: _Trials
     ) -> tuple[dict[str, float], dict[str, str]]:
-        """Return the next value beyond each edge the optimum is on, and what a cap forbids."""
+        """Return the next value beyond each edge that the optimum is on, and the reasons of caps.
+
+        A hyperparameter whose next value a cap excludes is only in the second.
+        """
         wider, capped = {}, {}
         best = trials.result.best
         for key, values in levels.items():
@@ -178,7 +159,7 @@ class GridSearch:
             if cap.get("low", 0.0) <= beyond <= cap.get("high", math.inf):
                 wider[key] = beyond
             else:
-                capped[key] = _words(key, value, cap["reason"])
+                capped[key] = _edge_message(key, value, cap["reason"])
         return wider, capped
 
     def _grid(self, name: str) -> Mapping[str, Sequence[Any]]:
@@ -200,12 +181,14 @@ class _Trials:
 
     def measure(self, settings: Sequence[dict[str, Any]]) -> None:
         """Add settings and their RMSE to the result; call the listener with each."""
+        # Settings are measured group by group, not in order; inf marks those that cannot be fitted.
         result, first = self.result, len(self.result.settings)
         result.settings.extend(settings)
         result.rmse.extend([math.inf] * len(settings))
         self.errors.extend([np.full(len(self.folds), math.inf)] * len(settings))
         actual = [self.output_scaling.undo(self.Y[rows]) for rows in self.folds]
         for group in _groups(self.estimator, settings):
+            # The settings of a group share one predictor, and so its Gram matrices.
             predict: Predictor | None = None
             for k in group:
                 setting = settings[k]
@@ -225,7 +208,7 @@ class _Trials:
                     self.on_setting(setting, result.rmse[first + k])
 
     def is_flat(self, other: dict[str, Any]) -> bool:
-        """Return whether `other` is hardly worse than the best: see the rule of this module."""
+        """Return whether the edge is flat from the best setting to `other`, the next inwards."""
         places = [self.result.settings.index(one) for one in (self.result.best, other)]
         best, rise = self.errors[places[0]], self.errors[places[1]] - self.errors[places[0]]
         if not np.isfinite(rise).all():
@@ -234,7 +217,7 @@ class _Trials:
         return float(rise.mean()) <= max(FLAT * float(best.mean()), scatter)
 
 
-def _words(key: str, value: float, why: str) -> str:
+def _edge_message(key: str, value: float, why: str) -> str:
     return f"the best {key}, {value:g}, is on the edge: {why}"
 
 
@@ -278,7 +261,7 @@ def _predictor(
     Y: FloatArray,
     folds: Sequence[IntArray],
 ) -> Predictor:
-    """Return what predicts each fold by a model of all the others, for settings like `first`."""
+    """Return a function that predicts each fold from all others, for settings like `first`."""
     candidate = clone(estimator).set_params(**first)
     if isinstance(candidate, MSVR) and candidate.shares_gram:
         return candidate.cross_predictor(X, Y, folds)

@@ -14,23 +14,17 @@ from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform,
 from suspnet.learning.ranks import AllReduce, identity
 
 TINY = torch.finfo(torch.float64).tiny
+"""Smallest divisor, for columns that are solved exactly."""
 
 
 @dataclass(frozen=True)
 class ConjugateGradients:
     """Settings of the preconditioned conjugate gradients.
 
-    Attributes
-    ----------
-    first_block, largest_block : int
-        Strongest waves whose block of the matrix the preconditioner inverts, at first and at most;
-        the others are divided by the diagonal.
-    iterations_per_block : int
-        Iterations of one solution after which the block doubles.
-    forcing : float
-        Stop when the error of the Newton decrement is about this fraction of it.
-    max_iter : int
-        Iterations of one solution.
+    The preconditioner inverts the block of the `first_block` strongest waves, and divides the other
+    rows by the diagonal. Every `iterations_per_block` iterations of one solution the block doubles,
+    up to `largest_block`. A solution ends when the error of the Newton decrement is about
+    `forcing` times the decrement.
     """
 
     first_block: int = 1000
@@ -41,16 +35,7 @@ class ConjugateGradients:
 
 
 class EquispacedDesign(EquispacedTransform):
-    """The design matrix Phi of equispaced modes, see `suspnet.learning.design.Design`.
-
-    Parameters
-    ----------
-    modes : EquispacedFeatures
-    X : tensor of shape (n_samples, n_inputs)
-    all_reduce : callable, optional
-        Sums a tensor over ranks.
-    solver : ConjugateGradients, optional
-    """
+    """The design matrix Phi of equispaced modes; a `suspnet.learning.design.Design`."""
 
     def __init__(
         self,
@@ -79,14 +64,7 @@ class EquispacedDesign(EquispacedTransform):
 class ToeplitzEquations:
     """Normal equations with a Toeplitz Gram matrix, by preconditioned conjugate gradients.
 
-    Parameters
-    ----------
-    design : EquispacedTransform
-    C : float
-    fit_intercept : bool
-    reweighted : bool
-        Compute the matrix for the weights of each call; else all weights are 2 C.
-    solver : ConjugateGradients
+    If `reweighted`, the matrix is computed for the weights of each call; else all weights are 2 C.
     """
 
     def __init__(
@@ -100,6 +78,8 @@ class ToeplitzEquations:
         self._design, self._fit_intercept, self._reweighted = design, fit_intercept, reweighted
         self._solver = solver
         self._shape = tuple(next_fast_len(4 * count + 1, real=True) for count in design.counts)
+        # Spectra of real fields are stored as rfftn does: the last axis has half the frequencies,
+        # and in its plane 0 both k and -k are needed.
         half = (*self._shape[:-1], self._shape[-1] // 2 + 1)
         self._half = half
         size = torch.tensor(self._shape)
@@ -109,6 +89,7 @@ class ToeplitzEquations:
         self._mirrored = flat_index(-design.waves[plane] % size, half)
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
+        # The first preconditioner is that of weights 2 C, also for reweighted equations.
         self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
@@ -124,7 +105,7 @@ class ToeplitzEquations:
         )
 
     def _use(self, toeplitz: Tensor) -> None:
-        """Take the Fourier sums of the weights as those of the matrix."""
+        """Set the matrix to that of the weights with these Fourier sums."""
         design = self._design
         self._toeplitz = toeplitz.flatten()
         self._centre = float(self._toeplitz[self._middle].real)
@@ -137,7 +118,7 @@ class ToeplitzEquations:
         spectrum[torch.meshgrid(*indices, indexing="ij")] = toeplitz[..., 2 * design.counts[-1] :]
         self._density = torch.fft.irfftn(spectrum, s=self._shape, norm="forward")
         sums = design.real(self._toeplitz[self._middle + self._steps][None])[:, 0]
-        # without b, or without any weight, there is nothing to eliminate
+        # Without b, or without any weight, there is nothing to eliminate.
         self._weight = self._centre if self._fit_intercept else 0.0
         self._sums = sums if self._weight > 0 else torch.zeros_like(sums)
 
@@ -157,12 +138,13 @@ class ToeplitzEquations:
         return found
 
     def _solve(self, right: Tensor, accuracy: float) -> Tensor:
-        """Return the solution by conjugate gradients, one for each column at the same time."""
+        """Return the solution by conjugate gradients, all columns at the same time."""
         solution, residual = torch.zeros_like(right), right.clone()
         search = torch.zeros_like(right)
         before = torch.ones_like(right[0])
         per_block = self._solver.iterations_per_block
         for iteration in range(self._solver.max_iter):
+            # Slow convergence: invert a larger block, and restart the search directions with it.
             if iteration % per_block == per_block - 1 and self._n_block < self._largest:
                 self._invert_leading(min(2 * self._n_block, self._largest))
                 search.zero_()
@@ -170,6 +152,8 @@ class ToeplitzEquations:
             energy = (residual * preconditioned).sum(dim=0)
             decrement = float((solution * right).sum())
             if float(energy.sum()) <= self._solver.forcing * decrement:
+                # A direction that may be the last also needs a small residual r: the bound on the
+                # gap subtracts |r|^2 / 2.
                 last = 0.5 * decrement <= accuracy
                 if not last or float(residual.square().sum()) <= accuracy:
                     break
@@ -193,13 +177,13 @@ class ToeplitzEquations:
         factor, info = torch.linalg.cholesky_ex(self._leading_block())
         if int(info):
             raise ValueError(
-                f"the system of IRWLS is singular to working precision with weights of "
-                f"{self._centre:.1e} in all; lower C, or scale the outputs"
+                "the system of IRWLS is singular to working precision with weights of total "
+                f"{self._centre:.1e}; lower C, or scale the outputs"
             )
         self._inverse = torch.cholesky_inverse(factor)
 
     def _leading_block(self) -> Tensor:
-        """Return the strongest waves' block: products of cosines and sines are sums of t_k."""
+        """Return the block of the strongest waves from sums and differences of t_k."""
         n = self._n_block
         step = self._steps[:n]
         less = self._toeplitz[self._middle + step[:, None] - step]

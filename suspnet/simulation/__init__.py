@@ -1,4 +1,4 @@
-"""Simulated fleets, whose truth is known."""
+"""Simulated fleets with known true parameters."""
 
 from suspnet.simulation.fleet import Fleet, Scenario, Trains
 from suspnet.simulation.signals import Sensor, simulate_trip

@@ -1,4 +1,4 @@
-"""What is simulated: a fleet's trips, the wear that they follow, and the trains they belong to."""
+"""Settings of simulated fleets: their trips, the wear that these follow, and their trains."""
 
 from __future__ import annotations
 
@@ -28,15 +28,7 @@ HEADWAY = timedelta(minutes=20)
 class Fleet:
     """Trips of one suspension over its mileage.
 
-    Parameters
-    ----------
-    sensors : mapping
-        A `Sensor`'s arguments for each of axle_box, bogie and body.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
+    `sensors` holds arguments of `Sensor` for axle_box, bogie and body.
     """
 
     n_trips: int = setting(
@@ -71,7 +63,7 @@ class Fleet:
         self.loggers()
 
     def loggers(self) -> dict[str, Sensor]:
-        """Return each channel's sensor; those of Table II with 34 dB where none is given."""
+        """Return each channel's sensor, by default with the rates of Table II and 34 dB SNR."""
         given = dict(self.sensors or {})
         if set(given) - set(CHANNELS):
             raise ValueError(f"`sensors` must be named as in {CHANNELS}, got {sorted(given)}")
@@ -95,13 +87,7 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Ratios to healthy as functions of the mileage.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a name is unknown or a number is out of range.
-    """
+    """Ratios to healthy as functions of the mileage."""
 
     name: Annotated[str, Setting("Name of the scenario in folders and manifests", rule="text")]
     changes: Annotated[
@@ -146,13 +132,9 @@ class Scenario:
                 raise ValueError(f"`{where}`: need from_km <= to_km, got {dict(change)}")
 
     def ratios(self, mileage_km: FloatArray, seed: int) -> FloatArray:
-        """Return the parameters of each trip relative to healthy, shape (n_trips, 5), [-].
+        """Return the parameters of each trip relative to healthy, (n_trips, 5), [-].
 
-        Parameters
-        ----------
-        mileage_km : array of shape (n_trips,), [km]
-        seed : int
-            Of spread and payload.
+        `mileage_km`: (n_trips,); `seed` is that of spread and payload.
         """
         rng = np.random.default_rng(seed)
         ratios = np.ones((len(mileage_km), len(PARAMETERS)))
@@ -168,21 +150,15 @@ class Scenario:
 
 Bogie = Literal["leading", "trailing"]
 BOGIES: tuple[Bogie, ...] = ("leading", "trailing")
-"""Those of a car, in the direction of travel."""
+"""Bogies of a car, in the direction of travel."""
 
 
 @dataclass(frozen=True)
 class Aboard:
-    """Where on a train a suspension is, and what its trips share with the others there.
+    """Place of a suspension on a train, with the start and the seed that the train's trips share.
 
-    Parameters
-    ----------
-    train, car : str
-    bogie : {"leading", "trailing"}
-    first_start : datetime
-        Of the train's first trip.
-    seed : int
-        Of what the suspensions of a train share: on each trip its track and its speed.
+    `first_start` is the start of the train's first trip; `seed` determines track and speed of each
+    of its trips.
     """
 
     train: str
@@ -197,26 +173,15 @@ class Aboard:
         return f"train_{self.train}_car_{self.car}_{self.bogie}"
 
     def place(self, suspension: str) -> Place:
-        """Return which suspension it is, under the name that the manifests give it."""
+        """Return the place of the suspension, with its name in the manifests."""
         return Place(suspension.strip(), bogie=self.bogie, train=self.train, car=self.car)
 
 
 @dataclass(frozen=True)
 class Trains:
-    """Trains of some cars, each with a suspension at its leading and at its trailing bogie.
+    """Trains of `n_cars` cars, each with a suspension at its leading and at its trailing bogie.
 
-    Parameters
-    ----------
-    n_trains : int
-    n_cars : int
-        Of each train.
-    n_wearing : int, optional
-        Number of suspensions that follow the scenario, while the others stay healthy. None: all.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a number is out of range.
+    `n_wearing` suspensions follow the scenario (None: all); the others stay healthy.
     """
 
     n_trains: int = 1
@@ -230,13 +195,13 @@ class Trains:
 
     @property
     def n_all(self) -> int:
-        """Number of suspensions."""
+        """Number of suspensions of all trains."""
         return self.n_trains * self.n_cars * len(BOGIES)
 
     def suspensions(self, seed: int) -> list[Suspension]:
-        """Return every suspension, with a seed of its own that only its place and `seed` change.
+        """Return every suspension; its own seed depends only on its place and on `seed`.
 
-        Those that wear are drawn by `seed` among all.
+        The suspensions that wear are drawn at random.
         """
         drawn: list[tuple[Aboard, int, int]] = []
         for train in range(1, self.n_trains + 1):
@@ -253,15 +218,9 @@ class Trains:
 
 @dataclass(frozen=True)
 class Suspension:
-    """One suspension of some trains.
+    """One suspension of a train; it follows the scenario if it `wears`.
 
-    Attributes
-    ----------
-    aboard : Aboard
-    seed : int
-        Of its true numbers, payload and noise.
-    wears : bool
-        Whether it follows the scenario.
+    `seed` determines its true numbers, payload and noise.
     """
 
     aboard: Aboard
@@ -275,9 +234,9 @@ class Suspension:
 
 
 def _seeds(seed: int, *place: int) -> tuple[int, int]:
-    """Return two numbers that a seed and a place alone decide.
+    """Return two numbers that depend only on the seed and the place.
 
-    The place is a train's number, with or without a car's and a bogie's, all counted from 1.
+    `place` is the number of a train, optionally with those of a car and a bogie, all from 1.
     """
     first, second = np.random.SeedSequence([seed, *b"trains", *place]).generate_state(2)
     return int(first), int(second)

@@ -1,4 +1,4 @@
-"""Folders of simulated trips: one simulation each, which continues after an interruption."""
+"""Folders of simulated trips, one per simulation, which can continue after an interruption."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from suspnet.recordings.manifest_keys import TripError
 
 log = logging.getLogger(__name__)
 TRUTH = "truth.json"
-"""Name of the file that is written last: the numbers of what was simulated."""
+"""Name of the file with the true numbers of a simulation, which is written last."""
 
 
 class FolderTakenError(ValueError):
@@ -24,8 +24,8 @@ class FolderTakenError(ValueError):
 
 @contextmanager
 def own_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder into which no other simulation is writing: this one, or one next to it."""
-    for number in count(1):  # ends: there are fewer simulations than numbers
+    """Yield a folder that no other simulation is writing to: `folder`, or folder_2, and so on."""
+    for number in count(1):
         tried = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
         existed = tried.is_dir()
         with locked(tried, wait=False) as is_ours:
@@ -44,23 +44,11 @@ def own_folder(folder: Path) -> Iterator[Path]:
 def unfinished(
     folder: Path, made_from: str, n_all: int, n_missing: int, what: str = "trips"
 ) -> Iterator[None]:
-    """Mark a folder as that of an unfinished simulation, until it is left without an error.
+    """Mark a folder as that of an unfinished simulation, until the context ends without an error.
 
-    Parameters
-    ----------
-    folder : Path
-    made_from : str
-        Hash of all that its trips depend on.
-    n_all, n_missing : int
-        Number of its trips or suspensions, and of those that are not there yet.
-    what : {"trips", "suspensions"}
-
-    Raises
-    ------
-    FolderTakenError
-        If it holds trips of another simulation.
-    FileExistsError
-        If it holds a file that no simulation wrote there.
+    `made_from` is a hash of everything that its trips depend on; `n_all` and `n_missing` count its
+    trips or suspensions (`what`), and those not written yet. Raises FolderTakenError if the folder
+    holds trips of another simulation, FileExistsError if it holds a file that no simulation wrote.
     """
     mark = folder / UNFINISHED
     if not mark.exists():
@@ -71,10 +59,10 @@ def unfinished(
     elif read_json(mark).get("made_from") != made_from:
         raise FolderTakenError(
             f"{folder} already holds trips; give another folder, or the settings of that "
-            "unfinished simulation to go on with it"
+            "unfinished simulation to continue it"
         )
     elif ledger.begin(folder) and n_missing < n_all:
-        log.info("%d of %d %s are there, going on", n_all - n_missing, n_all, what)
+        log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, what)
     try:
         yield
     except BaseException:
@@ -92,12 +80,12 @@ def _holds_trips(folder: Path) -> bool:
 
 
 def is_finished(folder: Path) -> bool:
-    """Return whether a folder holds all trips of the simulation of a suspension."""
+    """Return whether a folder holds all trips of a suspension's simulation."""
     return (folder / TRUTH).is_file() and not (folder / UNFINISHED).exists()
 
 
 def is_whole(manifest: Path) -> bool:
-    """Return whether a trip is written: its manifest, which is written last, and its files."""
+    """Return whether a trip is complete: its manifest, which is written last, and its files."""
     try:
         read_manifest(manifest)
     except TripError:

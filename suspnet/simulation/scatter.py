@@ -1,4 +1,4 @@
-"""True numbers of a simulated vehicle: scattered about its drawing, as those of real ones are."""
+"""True numbers of a simulated vehicle, drawn around those of its drawing as in real vehicles."""
 
 from __future__ import annotations
 
@@ -14,32 +14,19 @@ from suspnet.ground.checks import check_number
 from suspnet.ground.types import FloatArray
 
 MAX_DRAWS = 100
-"""Number of draws after which no vehicle is taken to be physical."""
+"""Largest number of draws in the search for a physical vehicle."""
 STREAM = b"scatter"
-"""Makes these draws independent of those of trips and payload with the same seed."""
+"""Part of the seed that makes these draws independent of those of trips and payload."""
 HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
 
 
 def scattered(generator: Any, scatter: float, seed: int) -> Any:
-    """Return a generator whose nominal vehicle has true numbers of its own.
+    """Return a generator whose nominal vehicle has randomly drawn true numbers.
 
     They are drawn from ``LogNormal.prior`` of its parts, deviations from the median multiplied by
-    `scatter`, until the vehicle is physical: ratios that ``Vehicle`` accepts, no negative ones, and
-    motion that decays.
-
-    Parameters
-    ----------
-    generator : VerticalVehicle or QuarterCar
-        A quarter car's four springs and dampers are scattered, its masses are not.
-    scatter : float, [-]
-        0 leaves the generator as it is, 1 is as large as the priors.
-    seed : int
-
-    Raises
-    ------
-    TypeError, ValueError
-        If `scatter` is not a number in 0 to 5, if the generator is another, or if none of
-        ``MAX_DRAWS`` vehicles is physical.
+    `scatter` (0 to 5; 0 changes nothing), until the vehicle is physical: ``Vehicle`` accepts its
+    ratios, none is negative, and its motion decays. Of a quarter car the springs and dampers are
+    drawn, the masses are not. Raises ValueError if none of ``MAX_DRAWS`` vehicles is physical.
     """
     check_number("scatter", scatter, low=0, high=5)
     if scatter == 0:
@@ -62,8 +49,8 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
 def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
     """Return value, unit and ratio to nominal of each number of a generator's vehicle.
 
-    Numbers of parts that the vehicle does not have, the speed and the other bogie's wear are left
-    out. A quarter car's ratios are 1: it is its own drawing.
+    Numbers of parts that the vehicle does not have, the speed and the other bogie's wear are
+    omitted. The ratios of a quarter car are 1, as its vehicle holds the true numbers itself.
     """
     if isinstance(generator, QuarterCar):
         nominal, ratios = generator.vehicle.healthy_values()[:4], np.ones(4)
@@ -85,7 +72,7 @@ def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
 def _with_numbers(
     generator: QuarterCar | VerticalVehicle, names: tuple[str, ...], logs: FloatArray
 ) -> QuarterCar | VerticalVehicle | None:
-    """Return the generator with numbers multiplied; None if no vehicle has such ones."""
+    """Return the generator with its numbers multiplied; None if ``Vehicle`` rejects them."""
     certain = LogNormal(names, tuple(logs), ((0.0,) * len(names),) * len(names))
     ratios = dict(zip(names, certain.median.tolist(), strict=True))
     try:
@@ -96,7 +83,7 @@ def _with_numbers(
         return None
     if isinstance(generator, QuarterCar):
         return replace(generator, vehicle=vehicle)
-    # five columns of ratios stand for the median of a distribution
+    # Responses to five columns of ratios use the median of the distribution, here the true numbers.
     return replace(generator, distribution=certain)
 
 

@@ -1,4 +1,4 @@
-"""The signals of one simulated trip: its journey, the motion it causes, and what sensors record."""
+"""The signals of one simulated trip: its journey, the vehicle's motion, and the recordings."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ BLOCK = 1 << 18
 LEAD_IN_S = 20.0
 """Time simulated before a trip that starts at speed [s], in which the transient decays."""
 MARGIN_M = 50.0
-"""Length of track before the first and behind the last wheelset [m]."""
+"""Length of track ahead of the first and behind the last wheelset [m]."""
 STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of gravity [m/s^2]."""
 
 
 def simulate_trip(
@@ -31,22 +32,12 @@ def simulate_trip(
 ) -> FloatArray:
     """Return accelerations of axle box, frame and body along a trip, shape (3, n_samples), [m/s^2].
 
-    With sensors on both sides three more rows follow, those of the other side.
+    With sensors on both sides three more rows follow, those of the other side. The acceleration of
+    a wheelset is v^2 r'' + a r' of the track r at its position. The vehicle's response is exact for
+    wheel accelerations that are linear between samples.
 
-    The axle box feels v^2 r'' + a r' of the track r at its place; the other wheelsets feel the
-    same track where they are. The vehicle's response is exact for an acceleration of the wheels
-    that is linear between samples.
-
-    Parameters
-    ----------
-    system : LinearSystem
-    profile : TrackProfile
-        As long as the journey with its lead-in, and the train, ask for (`profile_length_m`).
-    journey : Journey
-    rate_hz : float, [Hz]
-    cross : TrackProfile, optional
-        With roll: an independent profile of `cross_level_spectrum`, which times the system's
-        `roll_per_m` is the angle of the track.
+    `profile` must be at least `profile_length_m` long. With roll, `cross` is an independent profile
+    of `cross_level_spectrum`; the angle of the track is the system's `roll_per_m` times it.
     """
     motion = SampledMotion(system, rate_hz)
     n_lead = round(_lead_in_s(journey) * rate_hz)
@@ -59,8 +50,8 @@ def simulate_trip(
     for first in range(-n_lead, n_samples, BLOCK):
         times = np.arange(first, min(first + BLOCK, n_samples)) / rate_hz
         position, speed, acceleration = journey.at(times)
-        # Every wheelset feels the same track, where it is: its vertical acceleration (and, of the
-        # cross level, that of the angle) drives the system.
+        # Every wheelset follows the same track at its own position; its vertical acceleration, and
+        # with roll its angular acceleration, drive the system.
         wheels = []
         for track, scale in tracks:
             squared, scaled = scale * speed**2, scale * acceleration
@@ -98,18 +89,9 @@ def _start_m(system: LinearSystem, journey: Journey) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Journey:
-    """Speed as straight lines between instants; position and acceleration follow exactly.
+    """Speed, linear between instants, with its exact position and acceleration.
 
-    Attributes
-    ----------
-    times_s : array of shape (n_instants,), [s]
-        Ascending, from 0.
-    speeds_m_per_s : array of shape (n_instants,), [m/s]
-
-    Raises
-    ------
-    ValueError
-        If the instants do not ascend from 0 or a speed is negative.
+    `times_s`: ascending from 0 (n_instants,), `speeds_m_per_s`: (n_instants,), >= 0.
     """
 
     times_s: FloatArray
@@ -137,7 +119,7 @@ class Journey:
     def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position [m], speed [m/s] and acceleration [m/s^2] at given times.
 
-        Before the first and after the last instant the speed stays what it is there.
+        The speed is constant before the first and after the last instant.
         """
         knots, speeds = self.times_s, self.speeds_m_per_s
         slopes = np.concatenate([[0.0], np.diff(speeds) / np.diff(knots), [0.0]])
@@ -153,32 +135,19 @@ class Journey:
 
 
 def steady_journey(speed_m_per_s: float, duration_s: float) -> Journey:
-    """Return a journey at one speed."""
+    """Return a journey at constant speed."""
     return Journey(np.array([0.0, duration_s]), np.full(2, speed_m_per_s))
 
 
 def service_journey(
     cruise_m_per_s: float, duration_s: float, n_stops: int, seed: int, ripple: float = 0.01
 ) -> Journey:
-    """Return a journey that starts from a station, cruises, calls at stops and ends at one.
+    """Return a journey from one station to another with `n_stops` stops between them.
 
-    The train gathers speed at 0.4 m/s^2, brakes at 0.6 m/s^2, waits 2 minutes; while cruising the
-    speed wanders by `ripple` (rms, a new value every minute). Every fifth stretch or so is run at
-    60 to 90 % of the cruising speed.
-
-    Parameters
-    ----------
-    cruise_m_per_s : float, [m/s]
-    duration_s : float, [s]
-    n_stops : int
-        Between the first and the last station.
-    seed : int
-    ripple : float, [-]
-
-    Raises
-    ------
-    ValueError
-        If the stretches between stops are too short to reach the cruising speed.
+    The train accelerates at 0.4 m/s^2, brakes at 0.6 m/s^2 and waits 2 minutes at each stop. At
+    cruising speed the speed varies by the fraction `ripple` (rms, a new value every minute). About
+    one section in five has 60 to 90 % of the cruising speed. Raises ValueError if the sections are
+    too short to reach the cruising speed.
     """
     rng = np.random.default_rng(seed)
     stretch_s = (duration_s - 120.0 * n_stops) / (n_stops + 1)
@@ -196,7 +165,7 @@ def service_journey(
         times += [*cruise, start + stretch_s]
         wander = 1 + ripple * rng.standard_normal(len(cruise))
         speeds += [*np.minimum(top * wander, cruise_m_per_s), 0.0]
-        # brake from the last cruising speed only where braking has to start
+        # Hold the last cruising speed until braking has to start.
         times.insert(-1, start + stretch_s - speeds[-2] / 0.6)
         speeds.insert(-1, speeds[-2])
         if stop < n_stops:
@@ -208,13 +177,7 @@ def service_journey(
 
 @dataclass(frozen=True)
 class Sensor:
-    """One accelerometer and its data logger.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of range.
-    """
+    """One accelerometer and its data logger."""
 
     rate_hz: Annotated[
         float, Setting("Sampling rate of the axle box's sensor", "Hz", above=0, most=1e6)
@@ -246,7 +209,7 @@ class Sensor:
     dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, most=1e6)
     clock_offset_s: float = setting(
         0.0,
-        "Delay of the sensor's clock, which the manifest does not tell",
+        "Delay of the sensor's clock, which the manifest does not state",
         "s",
         low=-1e6,
         most=1e6,
@@ -263,17 +226,7 @@ class Sensor:
         return None if self.range_g is None else self.range_g * STANDARD_GRAVITY
 
     def record(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return what is recorded of an acceleration sampled at `rate_hz`, [m/s^2].
-
-        Parameters
-        ----------
-        signal : array of shape (n_samples,), [m/s^2]
-        rng : numpy.random.Generator
-
-        Returns
-        -------
-        array of shape (n_samples,), [m/s^2]
-        """
+        """Return the recording of an acceleration [m/s^2] sampled at `rate_hz`, (n_samples,)."""
         noise = 0.0
         if self.snr_db is not None:
             noise = float(np.sqrt(np.mean(signal**2))) * 10 ** (-self.snr_db / 20)

@@ -38,15 +38,20 @@ from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
 
 ROW_GROUP = 1 << 20
+"""Rows per row group of the Parquet files."""
 ANTI_ALIAS = ("kaiser", 12.0)
+"""Window of the resampling filter."""
 DAYS_BETWEEN = timedelta(days=10)
-"""Time from one trip to the next."""
+"""Time from one trip to the next, if there are few."""
 LONGEST = timedelta(days=3650)
-"""Time from the first trip to the last at most, so that no trip of many lies in the future."""
+"""Longest time from the first trip to the last, so that none of many trips is in the future."""
 
 
 def time_between(n_trips: int) -> timedelta:
-    """Return the time from one trip to the next: ten days, or less for many, in ten minutes."""
+    """Return the time from one trip to the next: ten days, or less for many trips.
+
+    It is a whole multiple of ten minutes.
+    """
     step = timedelta(minutes=10)
     return min(DAYS_BETWEEN, LONGEST // n_trips // step * step)
 
@@ -66,21 +71,11 @@ class SimulatedVehicle(Protocol):
 
 @dataclass(frozen=True)
 class Simulation:
-    """What is simulated: trips of suspensions that follow a scenario.
+    """Settings of a simulation: trips of suspensions that follow a scenario.
 
-    Parameters
-    ----------
-    fleet : Fleet
-        Of each suspension.
-    scenario : Scenario
-    generator : SimulatedVehicle
-        ``QuarterCar`` or ``VerticalVehicle``.
-    seed : int
-        Trip i draws track, noise and journey from (seed, i) alone, the suspension its true numbers
-        from the seed alone.
-    scatter : float, [-]
-        How far the true numbers lie from the generator's nominal ones: 0 not at all, 1 as far as
-        their priors say; see `scattered`.
+    `fleet` applies to each suspension. Trip i draws track, noise and journey from (seed, i) only,
+    and the suspension its true numbers from the seed only. `scatter` scales the deviation of these
+    from the generator's nominal numbers: 0 is none, 1 that of the priors; see `scattered`.
     """
 
     fleet: Fleet
@@ -107,36 +102,16 @@ def write_fleet(
     n_jobs: int = 1,
     progress: bool = False,
 ) -> list[Path]:
-    """Simulate trips and write each as a manifest with a folder of Parquet files.
+    """Simulate trips, write each as a manifest and Parquet files, and return the manifests.
 
-    The numbers of the healthy vehicle that was simulated are stored in ``truth.json``. Until all
-    trips are there ``unfinished.json`` says which simulation they are of: the same one continues
-    with those that are missing.
+    The true numbers of the healthy vehicle are stored in ``truth.json``. Until all trips are
+    written, ``unfinished.json`` identifies the simulation, so that the same one can continue with
+    the missing trips. If another simulation is writing to the folder, folder_2 (and so on) is used.
+    `aboard` is None for a suspension without a train; `n_jobs` is the number of parallel trips.
 
-    Parameters
-    ----------
-    folder : Path
-        Another one next to it, folder_2 or so, if a simulation is writing to it.
-    simulation : Simulation
-    aboard : Aboard, optional
-        Where on which train the suspension is, and what its trips share with those of the others
-        there. None: it is alone.
-    n_jobs : int
-        Trips at the same time.
-    progress : bool
-
-    Returns
-    -------
-    list of Path
-        The manifests.
-
-    Raises
-    ------
-    ValueError
-        If no physical vehicle can be drawn, or the fleet asks for both sides of a vehicle that has
-        no roll, or if the folder holds other trips.
-    LostWorkerError
-        If the processes that wrote a trip were killed.
+    Raises ValueError if no physical vehicle can be drawn, if both sides are required of a vehicle
+    without roll, or if the folder holds other trips; LostWorkerError if a writing process was
+    killed.
     """
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
@@ -175,34 +150,15 @@ def write_trains(
     n_jobs: int = 1,
     progress: bool = False,
 ) -> list[Path]:
-    """Simulate the trips of every suspension of some trains.
+    """Simulate the trips of every suspension of some trains, and return the suspensions' folders.
 
-    Each suspension has a subfolder, train_1_car_2_leading, as `write_fleet` writes it: a vehicle,
-    payload and noise of its own that only the seed and its place decide, so that another train
-    changes none of them. Those of a train share start, mileage, track and speed of each trip.
-    ``truth.json`` in the folder itself says which of them wear: these follow the scenario, the
-    others share its payload and spread, and nothing of them wears. A ``VerticalVehicle`` is taken
-    at the bogie of each suspension. An interrupted simulation continues as that of a fleet.
-
-    Parameters
-    ----------
-    folder : Path
-        Another one next to it, folder_2 or so, if a simulation is writing to it.
-    trains : Trains
-    simulation : Simulation
-    n_jobs : int
-        Suspensions at the same time.
-    progress : bool
-
-    Returns
-    -------
-    list of Path
-        The suspensions' folders.
-
-    Raises
-    ------
-    ValueError, LostWorkerError
-        As `write_fleet`.
+    Each suspension has a subfolder, e.g. train_1_car_2_leading, written by `write_fleet`. Its own
+    vehicle, payload and noise depend only on the seed and its place, so that adding a train changes
+    none of them. The suspensions of a train share start, mileage, track and speed of each trip.
+    ``truth.json`` in the folder itself lists those that wear: they follow the scenario; the others
+    have its payload and spread, but do not wear. A ``VerticalVehicle`` is measured at the bogie of
+    each suspension. `n_jobs` is the number of parallel suspensions. Interruptions and errors are
+    handled as in `write_fleet`.
     """
     suspensions = trains.suspensions(simulation.seed)
     made_from = simulation.made_from(trains)
@@ -261,15 +217,15 @@ def _write_trip(
 ) -> Path:
     """Simulate one trip, write its manifest and files, and return the manifest's path.
 
-    The trip is a folder, its number, its mileage [km] and the parameters relative to healthy.
+    `trip`: folder, index, mileage [km] and the parameters relative to healthy.
     """
     folder, index, mileage_km, ratios = trip
-    # What suspensions of a train share comes from the train's seed, the noise is each one's own.
+    # Suspensions of a train share track and speed, drawn from the train's seed; noise is their own.
     track, noise, speeds, cross = np.random.SeedSequence([seed, index]).spawn(4)
     if aboard is not None:
         track, _, speeds, cross = np.random.SeedSequence([aboard.seed, index]).spawn(4)
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
-    # All is simulated at the highest rate; each sensor then has its own.
+    # Simulate at the highest rate of the sensors; each signal is then resampled to its own rate.
     rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
     system = generator.motion_system(torch.as_tensor(ratios))
     if fleet.sides == "left":
@@ -304,7 +260,7 @@ def _profiles(
     rate_hz: float,
     seeds: tuple[np.random.SeedSequence, np.random.SeedSequence],
 ) -> list[TrackProfile]:
-    """Return the profiles of the mean of both rails and, with roll, of the cross level."""
+    """Return the profile of the mean of both rails and, with roll, that of the cross level."""
     mean = track_spectrum(fleet.track, fleet.short_waves)
     spectra = [mean, cross_level_spectrum(mean)] if system.roll_per_m else [mean]
     length_m = profile_length_m(system, journey)
@@ -324,7 +280,7 @@ def _write_channels(
     rate_hz: float,
     noise: np.random.SeedSequence,
 ) -> dict[str, Channel | Pair]:
-    """Write what the sensors record of signals (3 or 6, n_samples), and return where it is."""
+    """Write the sensors' recordings of signals (3 or 6, n_samples), and return their channels."""
     rng = np.random.default_rng(noise)
     sensors = fleet.loggers()
     channels: dict[str, Channel | Pair] = {}

@@ -467,7 +467,7 @@ def test_one_constant_input_does_no_harm():
 
 
 def test_four_inputs_are_refused():
-    with pytest.raises(ValueError, match=r"up to 3 inputs, these are 4: .*feature_map='rff'"):
+    with pytest.raises(ValueError, match=r"at most 3 inputs, got 4: .*feature_map='rff'"):
         MSVR(feature_map="equispaced").fit(np.eye(4), np.eye(4)[:, :2])
 
 

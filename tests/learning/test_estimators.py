@@ -20,6 +20,6 @@ def test_equispaced_keeps_the_contract_with_few_inputs(estimator, check):
     try:
         check(estimator)
     except (ValueError, AssertionError) as error:
-        if "serves up to 3 inputs" not in f"{error} {error.__cause__} {error.__context__}":
+        if "supports at most 3 inputs" not in f"{error} {error.__cause__} {error.__context__}":
             raise
         pytest.skip("the check gives more than three inputs")

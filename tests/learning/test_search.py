@@ -306,7 +306,7 @@ def test_edge_that_is_left_is_told(widen):
     assert found.settings[:6] == list(ParameterGrid(VALLEY))
     assert (len(found.settings) == 6) is (widen == 0)
     assert set(found.edges) == {"a", "b"}
-    why = f"the box was widened {widen} times" if widen else "the box is that asked for"
+    why = f"the box was widened {widen} times" if widen else "the box is as configured"
     assert found.edges["a"] == f"the best a, {10.0 ** (2 + widen):g}, is on the edge: {why}"
 
 

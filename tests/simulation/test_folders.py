@@ -60,7 +60,7 @@ def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
     with caplog.at_level(logging.INFO):
         paths = simulate(stopped)
     assert written == [2, 3]
-    assert "2 of 4 trips are there, going on" in caplog.text
+    assert "2 of 4 trips are written, continuing" in caplog.text
     assert [path.name for path in paths] == [f"trip_{i:03d}.yaml" for i in range(1, 5)]
     simulate(tmp_path / "whole")
     assert contents(stopped) == contents(tmp_path / "whole")

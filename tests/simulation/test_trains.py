@@ -217,7 +217,7 @@ def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
     with caplog.at_level(logging.INFO):
         simulate(stopped)
     assert written == [("trailing", 1)]
-    assert "1 of 2 suspensions are there, going on" in caplog.text
+    assert "1 of 2 suspensions are written, continuing" in caplog.text
     assert contents(stopped) == contents(fleet)
 
 
