@@ -22,10 +22,10 @@ HOST_VARIABLE, LOCAL = "SUSPNET_MQTT_HOST", "localhost"
 HOST = re.compile(r"[\w.:%-]+")
 """A host name, or an address of version 4 or 6."""
 OUR_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
-"""Names of environment variables that may hold a password: a configuration names one, and must not
-send the content of others to a broker."""
+"""Environment variables that may hold a password: a configuration names one, and must not be able
+to send the content of any other variable to a broker."""
 MOST_PREFIX = 200
-"""Largest number of characters of the first part of topics."""
+"""Largest number of characters of the topic prefix."""
 KEEPALIVE_S = 30
 """A connection without traffic for one and a half times this [s] is lost."""
 BACKOFF_S = (1, 30)
@@ -36,13 +36,7 @@ MOST_PER_REQUEST = 100
 
 @dataclass(frozen=True)
 class Broker:
-    """Where an MQTT 5 broker is and how to connect to it.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
-    """
+    """Address of an MQTT 5 broker and how to connect to it."""
 
     host: str | None = setting(
         None,
@@ -120,12 +114,10 @@ class Broker:
         return f"{self.host}:{self.port}"
 
     def client(self, client_id: str, manual_ack: bool = False) -> Client:
-        """Return a client, not yet connected, that connects again with backoff.
+        """Return a client, not yet connected, that reconnects with backoff.
 
-        Raises
-        ------
-        OSError, ValueError
-            If paho-mqtt is not installed, the password is not set, or a certificate not readable.
+        It raises OSError or ValueError if paho-mqtt is not installed, the password is not set, or a
+        certificate cannot be read.
         """
         mqtt = paho()
         client: Client = mqtt.Client(
@@ -158,7 +150,7 @@ class Broker:
 
 
 def paho() -> Any:
-    """Return the module of clients of paho-mqtt; ValueError says how to install it."""
+    """Return paho-mqtt's client module; ValueError with the install command if it is missing."""
     try:
         return importlib.import_module("paho.mqtt.client")
     except ImportError as error:
@@ -166,7 +158,7 @@ def paho() -> Any:
 
 
 def properties_of_connect(**values: int) -> Any:
-    """Return the properties of a request to connect, by their names in MQTT 5."""
+    """Return the properties of a CONNECT packet, by their MQTT 5 names."""
     paho()
     names = importlib.import_module("paho.mqtt.packettypes").PacketTypes
     found = importlib.import_module("paho.mqtt.properties").Properties(names.CONNECT)
