@@ -1,4 +1,4 @@
-"""The fleet as it is now, kept up to date from a history."""
+"""The current state of a fleet, updated from a history."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
-"""Time after which a refresh that is not done shows what it has, [s]."""
+"""A refresh that takes longer shows a partial result at this interval, [s]."""
 READ_AT_ONCE = 100
 """Number of suspensions that are read in one transaction."""
 LOOK_S = 1.0
-"""Longest time that a look at the store waits for other programs, [s]."""
+"""Timeout for a lock of the store by other programs, [s]."""
 AT_ONCE = 50
-"""Number of suspensions whose alarms are found before the time is looked at."""
+"""Number of suspensions updated between two checks of the elapsed time."""
 
 
 class Limited(Protocol):
-    """A vehicle, as far as its name and limits go."""
+    """A vehicle with a name and limits."""
 
     @property
     def name(self) -> str:
@@ -49,26 +49,12 @@ class Limited(Protocol):
 
 @dataclass(frozen=True)
 class BoardSettings:
-    """What the states of a fleet and its plan depend on, besides its history.
+    """Settings of the states and the plan of a fleet.
 
-    Parameters
-    ----------
-    vehicles : mapping of vehicles
-        Those whose limits are known; others have ``DEFAULT_LIMITS``.
-    limits : mapping, optional
-        In place of the vehicles': from a parameter to `notice` and `act`.
-    changes : ChangeSettings
-    sisters : SisterSettings
-    plan : PlanSettings
-    today : str, optional
-        ISO 8601; the day of the computer's clock by default.
-    seed : int
-        Of the predicted lives.
-
-    Raises
-    ------
-    ValueError
-        If `today` is not a day, or the limits do not go together.
+    A vehicle that is not in `vehicles` has ``DEFAULT_LIMITS``; `limits` override them all, from a
+    parameter to `notice` and `act`. `today` is an ISO 8601 day (None: that of the computer's
+    clock), `seed` that of the predicted lives. ValueError is raised if `today` is not a day, or the
+    limits are inconsistent.
     """
 
     vehicles: Mapping[str, Limited] = field(default_factory=dict)
@@ -88,39 +74,29 @@ class BoardSettings:
             self.limits_of(one.name)
 
     def day(self) -> date:
-        """Return the day from which on is planned."""
+        """Return the first day of the plan."""
         return date.fromisoformat(str(self.today)) if self.today else date.today()
 
     def limits_of(self, vehicle: str) -> Mapping[str, Limits]:
-        """Return the limits of a vehicle by its name.
-
-        Raises
-        ------
-        ValueError
-            If `limits` cannot be read.
-        """
+        """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
         known = {one.name: one.known_limits for one in self.vehicles.values()}
         return read_limits(self.limits or {}, known.get(vehicle, DEFAULT_LIMITS))
 
 
 class Board:
-    """The fleet as it is now, kept up to date from a history.
+    """The current state of a fleet, updated from a history.
 
-    Only suspensions whose revision in the store changed are read and worked out again, and compared
-    with their sisters. The rates of wear of a fleet, and with them the lives of all its
-    suspensions, are learnt again as ``Fleet`` says. A refresh that takes long shows what it has
-    every ``SHOWN_S``: first the suspensions with the alarms that the store keeps.
+    Only suspensions whose revision in the store changed are read and recomputed, and compared with
+    their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
+    learnt again as ``Fleet`` documents. A long refresh shows partial results every ``SHOWN_S``:
+    first the suspensions with the alarms in the store.
 
-    The alarms of sisters are written to the store, as nobody else finds them while trips are
-    monitored; those of limits and changes are stored by who evaluates the trips. They are written
-    only when they are not as this board found them the last time, so that boards of different
-    settings do not wake each other again and again.
+    Sister alarms are written to the store, as no other program finds them while trips are
+    monitored; alarms of limits and changes are stored by the evaluation of the trips. They are
+    written only if they differ from those this board found last, so that boards of different
+    settings do not trigger each other for ever.
 
-    Parameters
-    ----------
-    store : str
-        File or URL of the history. A file may be made later.
-    settings : BoardSettings
+    `store` is the file or URL of the history; a file may be created later.
     """
 
     def __init__(self, store: str, settings: BoardSettings) -> None:
@@ -145,19 +121,14 @@ class Board:
 
     @property
     def view(self) -> FleetView:
-        """The last view; it costs nothing, also while the next one is made."""
+        """The last view, available at once even while the next one is computed."""
         return self._view
 
     def refresh(self) -> bool:
-        """Work out what changed in the store since the last time.
+        """Recompute what changed in the store since the last call; return whether the view is new.
 
-        Where the store cannot be used the last view stays, with its `trouble`. Threads may call
-        this at once; they wait for each other.
-
-        Returns
-        -------
-        bool
-            Whether there is a new view.
+        If the store cannot be used the last view stays, with its `trouble`. Concurrent calls of
+        threads wait for each other.
         """
         with self._lock:
             before = self._view
@@ -256,7 +227,7 @@ class Board:
         self._shown_at = time.monotonic()
 
     def _keep(self, history: History) -> None:
-        """Tell the store the alarms of sisters that are not as they were found the last time."""
+        """Store sister alarms that differ from those found last."""
         found = {key: self._fleet.of_sisters(key) for key in self._unkept}
         other = {key: alarms for key, alarms in found.items() if self._kept.get(key) != alarms}
         try:
@@ -272,7 +243,7 @@ class Board:
 
 
 def file_number(store: str) -> tuple[int, int] | None:
-    """Return what changes if a file is replaced by another; None for a server."""
+    """Return device and inode, which change if a file is replaced; None for a server."""
     if "://" in store:
         return None
     try:

@@ -1,4 +1,4 @@
-"""One page that says how a suspension is, for people who maintain it."""
+"""The report page of one suspension, for its maintainers."""
 
 from __future__ import annotations
 
@@ -74,24 +74,12 @@ MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What the files of one suspension show.
+    """Content of the files of one suspension.
 
-    Attributes
-    ----------
-    results : list of TripResult
-        Ascending mileage.
-    outputs : tuple of str
-        Parameters, the columns of the table of trips.
-    state : State
-        Of these trips.
-    details : mapping of str
-        Model, settings, version, date.
-    level : float
-        Probability of the intervals.
-    commissionings : sequence of Commissioning
-        Several healthy states; the state is of the trips since the last.
-    seen : sequence of Acknowledgement
-        Of the alarms.
+    `results` are in the order of the mileage; `outputs` are the columns of the trip table.
+    `details` are model, settings, version and date; `level` is the probability of the intervals.
+    `commissionings` are given if there are several; the state covers the trips since the last one.
+    `seen` are acknowledgements of the alarms.
     """
 
     results: list[TripResult]
@@ -104,26 +92,10 @@ class Report:
 
 
 def write_report(path: Path, title: str, report: Report, figures: Mapping[str, Figure]) -> Path:
-    """Write one HTML file that needs no other file and no network.
+    """Write one self-contained HTML file atomically; return its path.
 
-    Parameters
-    ----------
-    path : Path
-    title : str
-    report : Report
-    figures : mapping of Figure
-        "trend", "responses", "signals" and "quality" come first, in this order and with an
-        explanation; others follow under their own name.
-
-    Returns
-    -------
-    Path
-        The file, written atomically.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    The figures "trend", "responses", "signals" and "quality" come first, in this order and with an
+    explanation; others follow under their own names.
     """
     state, assessments = report.state, report.state.assessments
     trips = by_mileage(report.results)
@@ -167,12 +139,9 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
 
 
 def sides_finding(trips: Sequence[TripResult]) -> str:
-    """Return a sentence on the sides for the report, from the last trips; empty without finding.
+    """Return a sentence on the two sides, from the last trips; empty without a finding.
 
-    Parameters
-    ----------
-    trips : sequence of TripResult
-        In the order of the mileage.
+    `trips` are in the order of the mileage.
     """
     last = [r for r in trips if r.status == OK][-N_LAST:]
     told = [r for r in last if r.sides]
@@ -236,7 +205,7 @@ def _ordered(figures: Mapping[str, Figure]) -> list[str]:
 
 
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
-    """Return a figure's heading, explanation with what is `shown`, and image, as a data URI."""
+    """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
     heading, explanation = name.replace("_", " ").capitalize(), ""
     if name in CAPTIONS:
         heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)

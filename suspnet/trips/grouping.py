@@ -17,23 +17,15 @@ TAKEN = (
     *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
     *("fleet.json", "error.txt", LEDGER),
 )
-"""Names of files in the output that no suspension's folder may have."""
+"""File names in the output that no suspension's folder may have."""
 
 
 @dataclass(frozen=True)
 class Group:
     """The trips of one suspension.
 
-    Attributes
-    ----------
-    folder : Path
-        Where the manifests lie.
-    place : Place
-    manifests : tuple of ManifestFile
-    name : str
-        Unlike that of any other group, and fit for a folder.
-    error : str
-        Why there are no manifests; empty if there are some.
+    `folder` holds the manifests; `name` is unique among groups and a valid folder name; `error`
+    states why there are no manifests, empty if there are some.
     """
 
     folder: Path
@@ -46,13 +38,8 @@ class Group:
 def find_groups(folder: Path) -> list[Group]:
     """Return a folder's trips by suspension, or those of its subfolders if it holds no manifest.
 
-    A manifest that does not say which suspension it is of belongs to the only one of its folder,
-    or to none.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or no manifest in it or its subfolders.
+    A manifest that does not name its suspension belongs to the only one of its folder, or to none.
+    FileNotFoundError is raised if there is no such folder, or no manifest in it or its subfolders.
     """
     if not folder.is_dir() or _holds_manifests(folder):
         groups = _split(folder, find_manifests(folder))

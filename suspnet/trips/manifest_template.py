@@ -15,11 +15,11 @@ from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SI
 from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
 
 BLANK = "FILL_IN"
-"""Stands where a value is missing; suspnet-check names each that is left."""
+"""Placeholder of a missing value; suspnet-check names each remaining one."""
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
-"""Size of gravity in each unit, by which the mean of a sensor that measures it shows its unit."""
+"""Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
 # Manifest of one trip: a template written by suspnet-init. What is marked {BLANK} is not known,
 # what is marked "guess" is taken from names: check both. Then run: suspnet-check """
@@ -29,14 +29,8 @@ HEAD = f"""\
 class Template:
     """A manifest to be completed.
 
-    Attributes
-    ----------
-    text : str
-        YAML with comments.
-    blanks : tuple of str
-        Keys that are to be filled in.
-    guesses : tuple of str
-        Keys that were guessed by names.
+    `text` is YAML with comments; `blanks` are keys to be filled in, and `guesses` keys guessed from
+    names.
     """
 
     text: str
@@ -45,15 +39,10 @@ class Template:
 
 
 def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ()) -> Template:
-    """Return a manifest of what some data files hold.
+    """Return a manifest of the signals of some data files.
 
-    Parameters
-    ----------
-    signals : sequence of Signal
-    path : Path
-        Where the manifest will be; data files are named relative to its folder.
-    read_as : sequence of str
-        How files are read where that had to be found out, for the first lines.
+    `path` is that of the manifest; data files are named relative to its folder. `read_as` states
+    how files are read where that had to be detected, for the first lines.
     """
     writer = _Writer(path.parent)
     by_meaning: dict[str, list[Signal]] = {}
@@ -89,7 +78,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
 
 
 def _start(signals: Sequence[Signal]) -> str:
-    """Return the line of the start: by the files, or as a comment where they do not say it."""
+    """Return the line of the start: from the files, or a comment if they do not state it."""
     zeros = [one.zero for one in signals]
     moment, doubt = first_moment(zeros)
     if moment is None:
@@ -107,7 +96,7 @@ class _Writer:
         self.guesses: list[str] = []
 
     def side(self, by_meaning: Mapping[str, Sequence[Signal]]) -> list[str]:
-        """Return the line of the side, which single sensors without one of their own need."""
+        """Return the line of the side, which single sensors without a side of their own need."""
         found = [by_meaning.get(name, []) for name in CHANNELS]
         if not any(len(signals) == 1 and not signals[0].side for signals in found):
             return ["# side: left      # or right: of the suspension"]
@@ -116,7 +105,7 @@ class _Writer:
         return [f"side:             # {BLANK}: {where}"]
 
     def speed(self, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
-        """Return the lines of the speed, of which `found` are by their names."""
+        """Return the lines of the speed; `found` are its candidates by name."""
         if len(found) == 1:
             entry, blanks, words = self._entry(found[0], SPEED)
             self.blanks += [f"speed.{key}" for key in blanks]
@@ -131,7 +120,7 @@ class _Writer:
         ]
 
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
-        """Return the lines of a channel, of which `found` are by their names."""
+        """Return the lines of a channel; `found` are its candidates by name."""
         vertical = [one for one in found if not is_of_another_direction(one.name)] or found
         sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
@@ -204,7 +193,7 @@ class _Writer:
 
 
 def _yaml(value: object) -> str:
-    """Return a value in YAML's flow style; text always in quotes, but for blanks."""
+    """Return a value in YAML's flow style; text is quoted, except for blanks."""
     if value is BLANK:
         return BLANK
     return json.dumps(value, ensure_ascii=not str(value).isprintable())
@@ -215,7 +204,7 @@ def _on_one_line(words: str) -> str:
 
 
 def _gravity(one: Signal, kind: str) -> str:
-    """Return which unit a sensor has that measures gravity too; empty if it does not."""
+    """Return the unit of a sensor that also measures gravity; empty if it does not."""
     for unit, size in GRAVITY.items():
         if kind == ACCELERATION and abs(abs(one.mean) / size - 1) < 0.1 > one.deviation / size / 10:
             return f", a mean of {one.mean:.2f} is gravity if it is {unit}"

@@ -37,13 +37,8 @@ def evaluate_trip(
 ) -> TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
-    Parameters
-    ----------
-    trip : Path or ManifestFile
-        Its manifest.
-    models : sequence of TrainedModel
-        One for each speed bin and commissioning, all with the same outputs.
-    settings : TripSettings
+    `trip` is its manifest; `models` has one for each speed bin and commissioning, all with the same
+    outputs.
     """
     start = time.perf_counter()
     file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
@@ -66,13 +61,7 @@ def evaluate_recording(
 ) -> TripResult:
     """Return the estimate from a trip's recording, or why there is none; it never fails.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    read : callable
-        Gives the recording; what it raises is the reason.
-    models, settings
-        As of `evaluate_trip`.
+    `read` returns the recording; an exception that it raises is the reason.
     """
     start = time.perf_counter()
     result = TripResult(trip=manifest.name, manifest=str(manifest.path), status=ERROR)
@@ -95,7 +84,7 @@ def _failed(result: TripResult, error: Exception) -> TripResult:
 
 
 def lost_trip(path: Path, reason: str) -> TripResult:
-    """Return the row of a trip that could not even be tried to the end."""
+    """Return the result of a trip whose evaluation was interrupted."""
     return _printable(TripResult(path.stem, str(path), status=ERROR, reason=reason))
 
 

@@ -1,4 +1,4 @@
-"""The application: pages, the files that they load, and pages for errors."""
+"""The application: pages, the files that they load, and error pages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from suspnet.web.refresher import Refresher, clock
 from suspnet.web.server import protect
 
 PACKAGES = ("suspnet.web",)
-"""Packages whose templates the pages use, besides those of reports."""
+"""Packages whose templates the pages use, in addition to those of reports."""
 MESSAGES = {
     400: "The form or the address could not be understood.",
     404: "There is no such page.",
@@ -38,9 +38,9 @@ FILES = {
     "icon.svg": ("image/svg+xml", ("suspnet.web:icon.svg",)),
     "plotly.js": ("text/javascript", ("plotly:package_data/plotly.min.js",)),
 }
-"""Type and parts of each file."""
+"""MIME type and sources of each file."""
 FOR_EVER = "public, max-age=31536000, immutable"
-"""For files whose address changes with what they hold."""
+"""Caching of files whose address changes with their content."""
 
 
 assets = Blueprint("assets", __name__, url_prefix="/files")
@@ -49,14 +49,8 @@ assets = Blueprint("assets", __name__, url_prefix="/files")
 def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: float = 3.0) -> Flask:
     """Return the application.
 
-    Parameters
-    ----------
-    refresher : Refresher
-        Holds the state of the fleet; started by the caller.
-    hosts : sequence of str
-        Names of the host that are answered, besides those of this computer itself.
-    ask_every_s : float, [s]
-        Time between two requests of an open page for news.
+    The caller starts the `refresher`, which holds the state of the fleet. `hosts` are accepted host
+    names in addition to this computer's own; an open page polls every `ask_every_s` [s].
     """
     app = Flask("suspnet.web", static_folder=None)
     app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
@@ -107,7 +101,7 @@ def _message(title: str, words: str) -> str:
 
 @assets.get("/<digest>/<name>")
 def file(digest: str, name: str) -> Response:
-    """Return a file, packed if the browser takes that."""
+    """Return a file, compressed if the browser accepts that."""
     if name not in FILES or digest != file_digest(name):
         abort(404)
     packed = request.accept_encodings.quality("gzip") > 0
