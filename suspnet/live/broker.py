@@ -40,8 +40,8 @@ class Broker:
 
     host: str | None = setting(
         None,
-        "Name or address of the broker's machine; null is what the environment variable "
-        "SUSPNET_MQTT_HOST says, else this machine. Only the command line and that variable can "
+        "Name or address of the broker's machine; null is the environment variable "
+        "SUSPNET_MQTT_HOST, else this machine. Only the command line and that variable can "
         "name another",
         rule="name",
     )
@@ -55,7 +55,7 @@ class Broker:
     password_env: str = setting(
         "SUSPNET_MQTT_PASSWORD",
         "Name of that environment variable",
-        rule="name that begins with SUSPNET_",
+        rule="name that starts with SUSPNET_",
     )
     tls: bool = setting(
         False, "Whether the connection is encrypted, and the broker's certificate checked"
@@ -66,7 +66,7 @@ class Broker:
         rule="path",
     )
     cert_file: str | None = setting(
-        None, "File of a certificate that says who we are, which is sent to the broker", rule="path"
+        None, "File of the client certificate, which is sent to the broker", rule="path"
     )
     key_file: str | None = setting(
         None, "File of the key of that certificate, which stays here", rule="path"
@@ -80,7 +80,7 @@ class Broker:
             raise ValueError(f"`host` must be a name or an address, got {self.host!r}")
         if not isinstance(self.password_env, str) or not OUR_VARIABLE.fullmatch(self.password_env):
             raise ValueError(
-                "`password_env` must be the name of an environment variable that begins with "
+                "`password_env` must be the name of an environment variable that starts with "
                 f"SUSPNET_, got {self.password_env!r}"
             )
         if (
@@ -91,7 +91,7 @@ class Broker:
             or self.prefix[0] in "$/"
         ):
             raise ValueError(
-                "`prefix` must be the short beginning of a topic, without + and # and not after $ "
+                "`prefix` must be the short start of a topic, without + and #, not starting with $ "
                 f"or /; got {self.prefix!r}"
             )
         files = (self.ca_file, self.cert_file, self.key_file)
@@ -137,7 +137,7 @@ class Broker:
             client.username_pw_set(self.user, password)
         if self.tls:
             for file in filter(None, (self.ca_file, self.cert_file, self.key_file)):
-                if not Path(file).is_file():  # a FIFO would be waited for
+                if not Path(file).is_file():  # opening a FIFO would block
                     raise FileNotFoundError(2, "there is no such file", file)
             client.tls_set(self.ca_file, self.cert_file, self.key_file)
         log.info(

@@ -58,10 +58,8 @@ class DropFolder:
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "folder": Setting("Folder into which files are renamed once they are whole", rule="path"),
-        "then": Setting(
-            "What happens to a file that was read and is kept: moved to taken/, or deleted"
-        ),
-        "poll_s": Setting("Time between two looks into the folder", "s", low=0.01, high=60),
+        "then": Setting("What happens to a file that was read: moved to taken/, or deleted"),
+        "poll_s": Setting("Time between two scans of the folder", "s", low=0.01, high=60),
         "once": Setting("Whether to end when all files were read"),
     }
     """Meaning and range of each argument."""
@@ -168,7 +166,7 @@ class DropFolder:
         self._known.update(new)
         for name in sorted(new):
             if not found[name]:
-                self._leave(self.folder / name, "it is no plain file")
+                self._leave(self.folder / name, "it is not a regular file")
         plain = (self.folder / name for name in new if found[name])
         self._waiting.extend(sorted(plain, key=_first_time))
 
@@ -178,14 +176,14 @@ class DropFolder:
             with _opened(path) as file:
                 identity = _identity(os.fstat(file.fileno()))
                 data = file.read(PIECE_BYTES)
-                if not data.startswith(CONTINUATION):  # it is not read further
-                    data, problem = b"", "it does not begin with a frame"
+                if not data.startswith(CONTINUATION):  # the rest of the file is not read
+                    data, problem = b"", "it does not start with a frame"
                 n_lost = 0
                 while data and n_lost <= MOST_LOST:
                     frames = splitter.push(data)
                     problem = problem or next(filter(None, map(self._problem, frames)), "")
                     n_lost = 0 if frames else n_lost + len(data)
-                    # a file that grows while it is read is read up to the size it had
+                    # of a growing file only the initial size is read
                     data = file.read(PIECE_BYTES) if file.tell() < identity[2] else b""
                     if data:
                         yield frames
@@ -201,7 +199,7 @@ class DropFolder:
         if problem or splitter.counts:
             self._leave(path, problem or f"it holds not only frames ({', '.join(splitter.counts)})")
         else:
-            # from here on all of its frames are given
+            # all of its frames have been returned
             self._read.append(_File(path, identity, self._n_given + len(last)))
         yield last
 
@@ -233,13 +231,13 @@ class DropFolder:
         taken = self.folder / TAKEN
         is_there = self.then == "move" and os.path.lexists(taken)
         if is_there and not stat.S_ISDIR(os.lstat(taken).st_mode):
-            raise NotADirectoryError(20, "must be a folder, and no link to one", str(taken))
+            raise NotADirectoryError(20, "must be a folder, not a link to one", str(taken))
 
     def _leave(self, path: Path, reason: str) -> None:
         """Count and report a file that stays in place."""
         self._counts["left"] += 1
         if self._counts["left"] <= MOST_REPORTED:
-            log.warning("%r is left where it is: %s", str(path), reason)
+            log.warning("%r stays in place: %s", str(path), reason)
 
     def _give_up(self, path: Path, error: OSError) -> None:
         """Count a file that cannot be read or moved; it is not tried again while it exists."""
@@ -256,7 +254,7 @@ def _opened(path: Path) -> BinaryIO:
     file = os.fdopen(os.open(path, os.O_RDONLY | flags), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
-        raise OSError(22, "no plain file", str(path))
+        raise OSError(22, "not a regular file", str(path))
     return file
 
 

@@ -50,9 +50,9 @@ class JournalError(ValueError):
 class Batch:
     """Frames and states since the previous batch, by suspension, to be written together."""
 
-    new: list[tuple[int, str]] = field(default_factory=list)  # suspensions that were not known
-    states: dict[str, bytes] = field(default_factory=dict)  # each replaces the frames written
-    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)  # after its state
+    new: list[tuple[int, str]] = field(default_factory=list)  # new suspensions: number, name
+    states: dict[str, bytes] = field(default_factory=dict)  # each replaces the stored frames
+    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)  # newer than its state
 
     def __bool__(self) -> bool:
         return bool(self.states or self.frames)
@@ -96,7 +96,9 @@ class Journal:
         """Lock the file for this process, and create the tables if there are none."""
         run = self._connection.execute
         run(f"PRAGMA page_size = {PAGE_BYTES}")
-        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what is deleted
+        run(
+            "PRAGMA secure_delete = OFF"
+        )  # some systems' SQLite overwrites deleted pages with zeros
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")
@@ -114,10 +116,10 @@ class Journal:
             raise JournalError(f"{self.path}: it holds a view or trigger: this is no journal")
         elif "format" not in tables or run("SELECT name FROM format").fetchone() != (FORMAT,):
             raise JournalError(
-                f"{self.path}: this is no journal of a monitor, or of another version"
+                f"{self.path}: this is no journal of a monitor, or one of another version"
             )
         run("COMMIT")
-        run("PRAGMA journal_mode = WAL")  # only now that the file is known to be ours
+        run("PRAGMA journal_mode = WAL")  # only after the file is known to be a journal
         for number, name in run("SELECT number, name FROM suspensions").fetchall():
             query = "SELECT MAX(id), SUM(LENGTH(frame)) FROM frames WHERE id BETWEEN ? AND ?"
             last, size = run(query, _ids(number)).fetchone()

@@ -124,7 +124,7 @@ class Monitor:
                 n_frames += 1
                 try:
                     one.take(decode(data), is_known=True)
-                except FrameError as error:  # a part of it was of a section that is over
+                except FrameError as error:  # part of it belongs to a closed section
                     log.debug("%s: %s", name, error)
                 self._add(
                     one, one.due()
@@ -176,8 +176,8 @@ class Monitor:
             one.load(state)
         except StateError as error:
             raise JournalError(
-                f"{self._journal.path}: {one.name}: {error}; give the settings of before, or "
-                "another journal= (estimates so far are in the store)"
+                f"{self._journal.path}: {one.name}: {error}; restore the previous settings, or "
+                "give another journal= (estimates so far are in the store)"
             ) from None
 
     def _take(self, data: bytes) -> None:
@@ -188,9 +188,7 @@ class Monitor:
             name, sensor = frame.suspension, frame.sensor
             one = self._suspensions.get(name)
             if one is None:
-                raise FrameError(
-                    "suspension", f"{name!r} is none of the suspensions monitored here"
-                )
+                raise FrameError("suspension", f"{name!r} is not a suspension monitored here")
             one.take(frame)
             # a frame that cannot be used is not stored: nothing bounds how many of them come
             self._journal.add(name, data)

@@ -45,7 +45,7 @@ class Mqtt:
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "client_id": Setting(
-            "Name by which the broker knows the monitor and keeps what it missed", rule="text"
+            "Name by which the broker knows the monitor and stores frames for it", rule="text"
         ),
         "part": Setting(
             'Which of several monitors that share a broker this is: "2/4" takes the suspensions of '
@@ -58,7 +58,7 @@ class Mqtt:
             high=65535,
         ),
         "session_h": Setting(
-            "Time for which the broker keeps frames for a monitor that is away",
+            "Time for which the broker stores frames for a disconnected monitor",
             "h",
             above=0,
             high=10000,
@@ -140,7 +140,7 @@ class Mqtt:
         with self._changed:  # no new connection starts meanwhile
             for connection, number in self._given[:n_kept]:
                 # what came over an earlier connection comes again, under the same number or not
-                # and a number of 0 is that of a sender who asked for no acknowledgement
+                # and number 0 is a message without acknowledgement (QoS 0)
                 if number and self._is_connected and connection == self._connection:
                     self._client.ack(number, 1)
         del self._given[:n_kept]
@@ -250,7 +250,7 @@ class Mqtt:
         self._counts[reason] += 1
         if not self._is_away:
             where = self.broker.where
-            log.warning("the broker at %s: %s; it is tried again until it answers", where, message)
+            log.warning("the broker at %s: %s; retrying until it answers", where, message)
         self._is_away = True
 
 

@@ -87,7 +87,7 @@ class Results:
                     [result], result.place, models, limits, self._settings.changes, self._store
                 )
             except HistoryError as error:
-                log.warning("%s; tried again every %g s, nothing is lost", error, WAIT_S)
+                log.warning("%s; retrying every %g s, no result is lost", error, WAIT_S)
                 time.sleep(WAIT_S)
 
     def _log(self, name: str) -> RunLog:

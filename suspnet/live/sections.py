@@ -48,11 +48,11 @@ class _Open:
     """A section that is not closed."""
 
     section: Running
-    before: int | None = None  # key of the section before it in the same trip
-    # number of latest frames of each sensor, in a row, that start after the section is over
+    before: int | None = None  # key of the previous section of the same trip
+    # for each sensor, number of its latest frames in a row that start after the section ended
     after: Counter[str] = field(default_factory=Counter)
-    cut_ns: int | None = None  # where it ends before its full length, as the train stood
-    n_tried: int = 0  # number of checks for that
+    cut_ns: int | None = None  # where it ends early, at a standstill
+    n_tried: int = 0  # number of checks for a standstill
 
 
 class Sections:
@@ -136,7 +136,7 @@ class Sections:
         n_late = _n_before(frame, self._next_ns)
         rest = _from(frame, n_late, self._next_ns)
         if rest is None:
-            raise FrameError("late", f"a frame of {frame.sensor!r} is of a section that is over")
+            raise FrameError("late", f"a frame of {frame.sensor!r} belongs to a closed section")
         reasons = ["late"] * bool(n_late)
         n_taken = 0
         while rest is not None:  # ends: each round takes a sample, or starts at a border
@@ -175,7 +175,7 @@ class Sections:
         """Remove the sections that have ended, and return them, the earliest first."""
         window = self.order.window
         passed = {k for k, one in self._open.items() if max(one.after.values(), default=0) > window}
-        # one whose rest may still grow waits for it
+        # a section waits for a rest that may still grow
         done = [k for k in passed if self._after(k) in passed or not self._is_short(self._after(k))]
         last_ns = max((self._open[k].section.begin_ns for k in done), default=-1)
         return self._close([k for k in self._keys if self._open[k].section.begin_ns <= last_ns])
@@ -250,7 +250,7 @@ class Sections:
         """Take the part of a frame that lies in one section."""
         found = self._open.get(key)
         section = self._begun(key) if found is None else found.section
-        section.add(part)  # a frame that is refused opens no section
+        section.add(part)  # before the section is opened: a rejected frame opens none
         if found is None:
             before = [k for k, one in self._open.items() if self._border_ns(one) == key]
             self._open[key] = found = _Open(section, before[0] if before else None)

@@ -61,7 +61,7 @@ class StandardOutput:
         """Raise ValueError if standard output is a terminal: frames are binary."""
         if sys.stdout.isatty():
             raise ValueError(
-                "frames are no text: pipe them into suspnet-monitor source=stdin or a file, "
+                "frames are binary: pipe them into suspnet-monitor source=stdin or a file, "
                 "or give sink=folder or sink=mqtt"
             )
 
@@ -81,7 +81,7 @@ class Folder:
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
-        "folder": Setting("Folder of the files, made if it is not there", rule="path"),
+        "folder": Setting("Folder of the files, created if it is missing", rule="path"),
         "file_s": Setting("Time that a file covers, of all sensors", "s", above=0, high=86400),
     }
     """Meaning and range of each argument."""
@@ -210,7 +210,7 @@ class MqttSink:
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
             self._counts["disconnect"] += 1
-            log.warning("the broker at %s is away; waiting for it", self.broker.where)
+            log.warning("the broker at %s is not reachable; waiting for it", self.broker.where)
 
     def _on_publish(
         self, client: Client, userdata: Any, number: int, reason: Any, properties: Any

@@ -41,33 +41,33 @@ class LiveSettings:
 
     section_s: int = setting(
         1200,
-        "Largest length of a section, which is a trip of its own in the history; a longer trip "
-        "becomes several, of which the last one takes in what is shorter than a quarter of it",
+        "Largest length of a section, which is one trip in the history; a longer trip "
+        "becomes several, and a last one shorter than a quarter of it joins the one before",
         "s",
         low=60,
         high=86400,
     )
     every_s: float | None = setting(
         600.0,
-        "After so much signal of a section an estimate from it so far is published; null is at "
-        "its end only",
+        "Length of signal between two interim estimates of a section; null publishes the "
+        "final one only",
         "s",
         low=60,
         high=86400,
     )
     pause_s: float = setting(
-        300.0, "Without a frame for so long a trip has ended", "s", low=60, high=3600
+        300.0, "Time without a frame after which a trip has ended", "s", low=60, high=3600
     )
     late_s: float = setting(
         60.0,
-        "A section stays open for frames that come so much later than others",
+        "Time for which a section stays open for frames that come later than others",
         "s",
         low=0,
         high=3600,
     )
     idle_s: float = setting(
         3600.0,
-        "After so long without a frame a section is told as if it were over",
+        "Time without a frame after which an open section is reported as if it had ended",
         "s",
         low=1,
         high=1e7,
@@ -162,9 +162,9 @@ class LiveSuspension:
             pause_s=settings.pause_s,
         )
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
-        # of the open section that was reported: its key, and how many times `every_s`
+        # key of the open section with interim estimates: number of `every_s` reported
         self._reported: dict[int, int] = {}
-        # of open sections that were reported as if over: mileage [km] and number of frames
+        # key of each section reported as if ended: its mileage [km] and number of frames
         self._silent: dict[int, tuple[float, int]] = {}
 
     def take(self, frame: Frame, is_known: bool = False) -> None:
@@ -212,7 +212,7 @@ class LiveSuspension:
         section, mileage_km = due.section, due.mileage_km
         start = EPOCH + timedelta(seconds=section.begin_ns // SECOND_NS)
         if section.zero_ns in self._silent:
-            # the store knows the trip by this mileage, and replaces it only under the same
+            # the store identifies the trip by this mileage, and replaces it only under the same
             mileage_km, _ = self._silent[section.zero_ns]
         manifest = replace(
             self.manifest,
@@ -232,13 +232,13 @@ class LiveSuspension:
         if section in self._sections.open:
             if due.is_final:
                 self._silent[section.zero_ns] = manifest.mileage_km, _n_frames(section)
-            section = copy.deepcopy(section)  # the first thread adds frames to the original
+            section = copy.deepcopy(section)  # the main thread adds frames to the original
         return Job(due, section, manifest, dict(frames), self.models, self._trips)
 
     def finish(self, job: Job, estimate: Estimate) -> None:
         """Advance the mileage by an ended section."""
         section = job.due.section
-        was_over = job.section is section  # when the job was made: it is no copy
+        was_over = job.section is section  # when the job was made: an open section was copied
         if job.due.is_final and was_over:
             end_km = estimate.result.mileage_km + estimate.distance_km
             self._slow.pass_section(_end_ns(section), end_km)
@@ -265,7 +265,7 @@ class LiveSuspension:
         return [self.name, self._sections.identity]
 
     def _over(self, sections: Sequence[Running]) -> list[Due]:
-        # without any acceleration there is nothing to report: it is the last speed of a trip
+        # a section without acceleration is only the last speed of a trip: nothing to report
         return [self._due(section, is_final=True) for section in sections if not section.is_empty]
 
     def _due(self, section: Running, is_final: bool) -> Due:

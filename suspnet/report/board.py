@@ -136,7 +136,7 @@ class Board:
                 with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
                     self._refresh(history)
             except HistoryError as error:
-                self._is_doubted = True  # it may be another store when it can be read again
+                self._is_doubted = True  # it may be another store once it can be read again
                 if str(error) != self._view.trouble:
                     log.warning("%s", error)
                     version = self._view.version + 1
@@ -146,7 +146,7 @@ class Board:
     def _refresh(self, history: History) -> None:
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
-        bad = {one.key for one in self._view.bad_rows}  # they may have been mended
+        bad = {one.key for one in self._view.bad_rows}  # they may have been corrected
         is_other = self._is_doubted or file != self._file
         changed = [
             key
@@ -173,7 +173,7 @@ class Board:
             self._keep(history)
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
+        changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
         series = [  # in parts: an SQLite file cannot be written while it is read
             one
             for begin in range(0, len(changed), READ_AT_ONCE)

@@ -91,7 +91,7 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
     axis.grid(True, axis="x", alpha=0.3)
     for row in range(1, len(shown), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
-    axis.tick_params(axis="y", length=0, pad=9)  # a mark of today reaches out of the axis
+    axis.tick_params(axis="y", length=0, pad=9)  # a mark of today extends beyond the axis
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
     title = (
         f"Plan of {plan.today}: {count(len(plan.visits), 'visit')}, {count(n_jobs, 'job')} "

@@ -90,7 +90,7 @@ def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dic
         np.array([[values[name] for name in outputs] for values in part])
         for part in ([r.estimates for r in known], [r.truth for r in known])
     )
-    with np.errstate(over="ignore"):  # a manifest may say any truth
+    with np.errstate(over="ignore"):  # a manifest may contain any truth
         rms = 100 * np.sqrt(np.mean((found / truth - 1) ** 2, axis=0))
     return dict(zip(outputs, rms.tolist(), strict=True))
 

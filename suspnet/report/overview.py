@@ -148,7 +148,7 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
     series, shortest = state.series, state.shortest
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
-    is_found = state.severity > Severity.NONE  # words of the others would cost time for nothing
+    is_found = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
     low, high, median = life or (np.nan, np.nan, np.nan)
     return {
@@ -199,5 +199,5 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
         Severity.UNKNOWN: "not judged",
         Severity.NONE: "without alarm",
     }
-    told = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
-    return f"{count(len(rows), 'suspension')}: {told}."
+    found = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
+    return f"{count(len(rows), 'suspension')}: {found}."

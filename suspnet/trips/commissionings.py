@@ -46,8 +46,8 @@ def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
         return [list(models)]
     if any(map(math.isnan, starts)):
         raise ModelFileError(
-            "one run is commissioned and another is not, so that they do not mean the same by "
-            "healthy; give runs that were trained with healthy=DIR"
+            "one run is commissioned and another is not, so their healthy values "
+            "differ; give runs that were trained with healthy=DIR"
         )
     return [
         [model for model, km in zip(models, starts, strict=True) if km == start]

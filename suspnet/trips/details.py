@@ -17,8 +17,8 @@ from suspnet.report.trip_table import files_read_as
 from suspnet.trips.commissionings import eras, first_trips, speed_words
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
-ALONE = "by this suspension alone, as no other of its vehicle shows how fast its kind wears"
-NO_STORE = "; with those of a history (store=) the plan of a fleet may give other ones"
+ALONE = "by this suspension alone, as no other of its vehicle shows how fast such parts wear"
+NO_STORE = "; with those of a history (store=) the plan of a fleet may give others"
 
 
 def report_details(
@@ -72,7 +72,7 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     have = "has" if n_found == 1 else "have"
     return (
         f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first "
-        f"{n_reference} are to say it (lower monitor.n_reference, or take "
+        f"{n_reference} are needed (lower monitor.n_reference, or take "
         "monitor.reference=vehicle)"
     )
 

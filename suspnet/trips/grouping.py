@@ -83,7 +83,7 @@ def _tell_of_unread(folder: Path) -> None:
     unread = sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p))
     if unread:
         log.warning(
-            "%s holds manifests of its own, so that its subfolders are not read: %s",
+            "%s holds manifests of its own, so its subfolders are not read: %s",
             folder,
             ", ".join(unread),
         )

@@ -21,8 +21,8 @@ LISTED = 60
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
 """Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
-# Manifest of one trip: a template written by suspnet-init. What is marked {BLANK} is not known,
-# what is marked "guess" is taken from names: check both. Then run: suspnet-check """
+# Manifest of one trip: a template written by suspnet-init. Values marked {BLANK} are missing,
+# those marked "guess" are taken from names: check both. Then run: suspnet-check """
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         *(f"# {_on_one_line(words)}" for words in read_as),
         f"format: {FORMAT}",
         f"vehicle:          # {BLANK}: as the model's, e.g. am96",
-        f"suspension:       # {BLANK}: in your words; trips of one suspension say the same",
+        f"suspension:       # {BLANK}: any name; the same in all trips of one suspension",
         "# bogie: leading  # or trailing, in the direction of travel",
         *writer.side(by_meaning),
         "# train: '12'     # where several trains or cars are watched",
@@ -72,7 +72,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
     if rest:
         more = f" and {len(rest) - LISTED} more" if len(rest) > LISTED else ""
         names = ", ".join(_yaml(one.name) for one in rest[:LISTED])
-        lines += ["", f"# columns whose names say nothing: {names}{more}"]
+        lines += ["", f"# columns of unknown meaning: {names}{more}"]
     blanks = tuple(dict.fromkeys(writer.blanks))
     return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
 
@@ -82,9 +82,9 @@ def _start(signals: Sequence[Signal]) -> str:
     zeros = [one.zero for one in signals]
     moment, doubt = first_moment(zeros)
     if moment is None:
-        return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip began'}"
-    if len({zero.ns is None for zero in zeros}) > 1:  # start is then also when the others begin
-        return f"# start: {moment.isoformat()}  # by a part of the files; when do the others begin?"
+        return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip started'}"
+    if len({zero.ns is None for zero in zeros}) > 1:  # `start` then applies to the others too
+        return f"# start: {moment.isoformat()}  # by some of the files; when do the others start?"
     zone = "" if moment.tzinfo is not None else ", in the logger's zone"
     return f"start: {moment.isoformat()}  # by the files{zone}"
 

@@ -28,7 +28,7 @@ MESSAGES = {
     400: "The form or the address could not be understood.",
     404: "There is no such page.",
     405: "This page cannot be asked for in this way.",
-    413: "What was sent is too long.",
+    413: "The form is too long.",
 }
 
 FILES = {
@@ -85,11 +85,11 @@ def _store_error(error: HistoryError) -> Any:
 
 
 def _http_error(error: HTTPException) -> Any:
-    if isinstance(error, SecurityError):  # a foreign name gets no page
+    if isinstance(error, SecurityError):  # no page for an unknown host name
         return "This name of the host is not answered to; see `hosts` of suspnet-serve.\n", 400
     code = error.code or 500
     own = error.description if code == 404 and request.path.startswith("/suspension/") else None
-    words = own or MESSAGES.get(code) or "Something went wrong; the program's terminal says what."
+    words = own or MESSAGES.get(code) or "Something went wrong; see the program's terminal."
     return _message(error.name, words), code
 
 
@@ -116,7 +116,7 @@ def file(digest: str, name: str) -> Response:
 @functools.cache
 def file_digest(name: str) -> str:
     """Return the part of a file's address that changes with its content."""
-    if name == "plotly.js":  # five megabytes, which need not be read for each start
+    if name == "plotly.js":  # plotly has five megabytes: not read at each start
         return version("plotly")
     return hashlib.sha256(_content(name)).hexdigest()[:12]
 

@@ -122,7 +122,7 @@ def acknowledge(name: str) -> ResponseReturnValue:
         return _suspension_page(name, form), 400
     chosen = [one for one in state.alarms if form.means(one)]
     if not chosen:
-        flash("Nothing was acknowledged: this alarm is over, or is worse than it was shown.")
+        flash("Nothing was acknowledged: this alarm is cleared, or worse than it was shown.")
         return redirect(_address(name))
     vehicle, place = state.key
     newest = float(np.nanmax(state.series.mileage_km))
@@ -162,7 +162,9 @@ def state() -> ResponseReturnValue:
 
 @functools.lru_cache(maxsize=2)
 def _calendar(plan: Plan) -> bytes:
-    from suspnet.report.calendar_figure import plan_calendar  # matplotlib, for this picture alone
+    from suspnet.report.calendar_figure import (
+        plan_calendar,
+    )  # imports matplotlib, only for this picture
     from suspnet.report.images import as_svg
 
     with _drawing:
@@ -178,7 +180,7 @@ def _suspension_page(name: str, form: Seen) -> str:
         with _opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
-            stored = store.responses(*state.key)  # last: curves may be damaged alone
+            stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
         trouble = str(error)
     known = [one for one in view.bad_rows if one.key == state.key]
@@ -186,7 +188,7 @@ def _suspension_page(name: str, form: Seen) -> str:
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
         "suspension_page.html",
-        "" if form.errors else _suspension_version(view, name),  # nothing replaces a filled form
+        "" if form.errors else _suspension_version(view, name),  # a filled form is never replaced
         of=name,
         name=name,
         form=form,
@@ -264,8 +266,8 @@ def _digest(*parts: Any) -> str:
 class Seen(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
-    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
-    words = StringField("What is done about it", [Length(max=500)])
+    by = StringField("Your name", [DataRequired("Enter your name."), Length(max=80)])
+    words = StringField("Action taken", [Length(max=500)])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
     def means(self, alarm: Alarm) -> bool:

@@ -45,7 +45,7 @@ class Refresher:
         """Why the pages may be out of date; empty if they are not."""
         if not self._thread.is_alive():
             why = f" ({self._error})" if self._error else ""
-            return f"The history is not read any more{why}: start suspnet-serve again."
+            return f"The history is no longer read{why}: start suspnet-serve again."
         view = self.board.view
         if self._error:
             return f"The state of the fleet could not be computed: {self._error}."
@@ -61,8 +61,8 @@ class Refresher:
         """When the store was last read, as text."""
         if self._started_at:
             since = f", since {clock(self._started_at)}"
-            return f"reading what is new{since}"
-        return f"last looked at {clock(self._looked)}" if self._looked else "not read yet"
+            return f"reading changes{since}"
+        return f"last read at {clock(self._looked)}" if self._looked else "not read yet"
 
     def _run(self) -> None:
         """Refresh until stopped; after an error, try again."""

@@ -19,11 +19,11 @@ MAX_FORM_BYTES = 16_384
 MOST_CONNECTIONS = 150
 """Number of open connections above which the oldest one without a complete request is closed."""
 SETTINGS = {
-    "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: the oldest are closed before
+    "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: older connections are closed first
     "channel_timeout": 30,
     "cleanup_interval": 5,
     "max_request_header_size": 16_384,
-    "max_request_body_size": 4 * MAX_FORM_BYTES,  # the pages refuse less in their own words
+    "max_request_body_size": 4 * MAX_FORM_BYTES,  # the pages reject smaller ones with a message
     "asyncore_use_poll": hasattr(select, "poll"),
 }
 
@@ -37,12 +37,12 @@ class Channel(HTTPChannel):  # type: ignore[misc]
         if len(open_ones) > MOST_CONNECTIONS:
             waiting = (one for one in open_ones if one is not self and not one.requests)
             oldest = min(waiting, key=lambda one: one.creation_time, default=self)
-            oldest.will_close = True  # by the loop itself, when it comes to it
+            oldest.will_close = True  # the server loop closes it
 
 
 def http_server(app: Flask, listening: socket.socket, threads: int) -> Any:
     """Return the server of an application at a listening socket, with worker threads."""
-    logging.getLogger("waitress").setLevel(logging.ERROR)  # a client that waits or goes is no fault
+    logging.getLogger("waitress").setLevel(logging.ERROR)  # idle or lost clients are not errors
     server = create_server(app, sockets=[listening], threads=threads, ident="suspnet", **SETTINGS)
     server.channel_class = Channel
     return server
