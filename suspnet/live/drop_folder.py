@@ -199,7 +199,7 @@ class DropFolder:
         if problem or splitter.counts:
             self._leave(path, problem or f"it holds not only frames ({', '.join(splitter.counts)})")
         else:
-            # all of its frames have been returned
+            # all frames of the file are returned once `last` is
             self._read.append(_File(path, identity, self._n_given + len(last)))
         yield last
 

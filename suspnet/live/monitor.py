@@ -126,9 +126,8 @@ class Monitor:
                     one.take(decode(data), is_known=True)
                 except FrameError as error:  # part of it belongs to a closed section
                     log.debug("%s: %s", name, error)
-                self._add(
-                    one, one.due()
-                )  # as when they came: the number of open sections is limited
+                # after each frame, as in `_take`: the number of open sections is limited
+                self._add(one, one.due())
         return n_frames
 
     def run(self) -> None:
@@ -137,7 +136,7 @@ class Monitor:
         JournalError is raised if the journal cannot be written, as on a full disk.
         """
         try:
-            while True:  # as long as the source says
+            while True:  # ends: with the source
                 frames = self._source.receive(self._wait_s())
                 for data in frames or ():
                     self._take(data)
@@ -147,17 +146,19 @@ class Monitor:
                     self._write()
                 if frames is None:
                     break
+                # an estimate is started only while no frame waits
                 if self._making is not None and self._making.future.done():
                     self._finish_and_save()
                 if not frames and self._due and self._making is None:
                     self._start(next(iter(self._due)))
+            # the source has ended: all open sections are final
             for one in self._suspensions.values():
                 self._add(one, one.end())
             self._finish_and_save()
             for name in list(self._due):
                 self._start(name)
                 self._finish_and_save()
-            self._confirm()
+            self._confirm()  # the previous batch, so that `_write` does not skip the last one
             self._write()
             self._confirm()
         finally:
@@ -190,7 +191,7 @@ class Monitor:
             if one is None:
                 raise FrameError("suspension", f"{name!r} is not a suspension monitored here")
             one.take(frame)
-            # a frame that cannot be used is not stored: nothing bounds how many of them come
+            # rejected frames are not stored: their number is unbounded
             self._journal.add(name, data)
             self._last_s[name] = self._clock()
             self.counts["taken"] += 1
@@ -293,5 +294,5 @@ class Monitor:
 
 
 def _lower_priority() -> None:
-    if sys.platform == "linux":  # elsewhere threads have no priority of their own
+    if sys.platform == "linux":  # other systems have no priority per thread
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)

@@ -82,12 +82,12 @@ class Mqtt:
         self._counts: Counter[str] = Counter()
         self._client: Client | None = None
         self._topics: list[str] = []
-        # of the thread of the client and of ours: what came, by the number of the connection
+        # shared with the client thread: messages by number of the connection, under `_changed`
         self._changed = threading.Condition()
         self._arrived: deque[tuple[int, int, bytes]] = deque()
         self._connection = 0
         self._is_connected = self._is_away = self._is_closing = False
-        # of ours alone
+        # of the calling thread only
         self._given: list[tuple[int, int]] = []
         self._results: dict[str, bytes] = {}
         self._unacknowledged: set[int] = set()
@@ -137,10 +137,10 @@ class Mqtt:
         """Acknowledge frames that `receive` returned. See `Source`."""
         assert self._client is not None
         n_kept = len(self._given) if n_frames is None else n_frames
-        with self._changed:  # no new connection starts meanwhile
+        with self._changed:  # the connection must not change meanwhile
             for connection, number in self._given[:n_kept]:
-                # what came over an earlier connection comes again, under the same number or not
-                # and number 0 is a message without acknowledgement (QoS 0)
+                # messages of an earlier connection are resent, under the same number or another;
+                # number 0 is a message without acknowledgement (QoS 0)
                 if number and self._is_connected and connection == self._connection:
                     self._client.ack(number, 1)
         del self._given[:n_kept]

@@ -269,7 +269,7 @@ def _sensor_frames(
         first_ns = zero_ns + round(first_s * SECOND_NS)
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
         whole = chain([first_block], blocks)
-        del first_block  # it is as large as all other memory of a sensor
+        del first_block  # frees as much memory as all else of a sensor takes
         for at, values in _recut(whole, size):
             for start, stop in zip(*runs(~find_gaps(values)), strict=True):
                 time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)

@@ -80,7 +80,7 @@ class Results:
 
     def _stored(self, result: TripResult, models: Sequence[TrainedModel]) -> list[Alarm]:
         """Store a trip and return the suspension's alarms; wait while the store is unavailable."""
-        while True:  # ends when the store is back, or with the process
+        while True:  # ends: when the store is available, or with the process
             try:
                 limits = self._settings.limits_of(models)
                 return keep_trips(

@@ -133,6 +133,7 @@ class Sections:
         if len(frame.samples) > self.section_s * frame.rate_hz:
             raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
         self._check_clock(frame, is_known)
+        # drop the samples of closed sections, and divide the others at the ends of open ones
         n_late = _n_before(frame, self._next_ns)
         rest = _from(frame, n_late, self._next_ns)
         if rest is None:
@@ -150,7 +151,7 @@ class Sections:
             if n_inside := _n_before(rest, border_ns):
                 try:
                     self._add(key, replace(rest, samples=rest.samples[:n_inside]))
-                except FrameError as error:
+                except FrameError as error:  # rejects the frame if none of it is taken yet
                     if not n_taken:
                         raise
                     reasons.append(error.reason)

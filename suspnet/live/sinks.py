@@ -161,7 +161,7 @@ class MqttSink:
 
     def open(self) -> None:
         """Connect to the broker; OSError or ValueError if the connection is refused."""
-        client = self.broker.client("")  # the broker names us, unlike any other
+        client = self.broker.client("")  # the broker assigns a unique client id
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
         client.on_disconnect = self._on_disconnect
         client.max_inflight_messages_set(self.in_flight)

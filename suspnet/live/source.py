@@ -129,7 +129,7 @@ class Splitter:
         """Take the whole frames out of the buffer."""
         found: list[bytes] = []
         at = 0
-        while len(self._buffer) - at >= PREFIX_BYTES:  # each round goes on by a byte or more
+        while len(self._buffer) - at >= PREFIX_BYTES:  # ends: each round advances by a byte or more
             begin = BEGIN.search(self._buffer, at)
             start = len(self._buffer) - PREFIX_BYTES + 1 if begin is None else begin.start()
             if start > at:

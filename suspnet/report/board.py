@@ -157,6 +157,7 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
+            # lives of the whole fleet, as its rates of wear may have changed
             while not self._fleet.predict(SHOWN_S):
                 self._show(history, is_complete=False)
             self._plan = self._planner.plan(self._fleet.states(), day)
@@ -182,8 +183,9 @@ class Board:
         for vehicle in {one.vehicle for one in series} - self._limits.keys():
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
-            except ValueError as error:  # of a vehicle that the settings do not name
+            except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
+        # new suspensions are shown at once, with the alarms in the store
         new = [one for one in series if one.key not in self._revisions]
         if new or self._view.bad_rows:
             alarms = history.all_alarms()
@@ -200,6 +202,7 @@ class Board:
         self._found(self._fleet.update([], gone))
         self._unkept -= gone
         self._kept = {key: alarms for key, alarms in self._kept.items() if key not in gone}
+        # recompute the others in parts, and show partial results of a long refresh
         for begin in range(0, len(series), AT_ONCE):
             self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
             if time.monotonic() - self._shown_at > SHOWN_S:
@@ -232,7 +235,7 @@ class Board:
         other = {key: alarms for key, alarms in found.items() if self._kept.get(key) != alarms}
         try:
             history.keep_all_alarms(other, [Cause.SISTER])
-        except HistoryError as error:  # it may be locked or read-only: try at the next look
+        except HistoryError as error:  # it may be locked or read-only: try at the next refresh
             if str(error) != self._not_kept:
                 log.warning("alarms of sisters are not stored: %s", error)
             self._not_kept = str(error)

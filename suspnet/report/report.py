@@ -112,6 +112,7 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         "report.html",
         title=title,
         headline=_headline(trips),
+        # without an alarm but with remarks the page is neutral
         tone="plain" if tone == "good" and (doubts or found or sides) else tone,
         finding=finding,
         doubts=doubts,

@@ -82,7 +82,7 @@ def check_trip(
         return _inspected(result, recording, settings, picture)
     except TripError as error:
         problems = error.problems
-    except Exception as error:  # a fault in one trip must not hide what is wrong with the others
+    except Exception as error:  # one faulty trip must not hide the faults of others
         log.debug("trip %s failed", path, exc_info=True)
         problems = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
     return _with_problems(result, problems)
@@ -172,7 +172,7 @@ def _inspected(
     any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
     trips = settings.trips
     result, checked = _with_parts(result, recording, segments, estimate, trips, any_speed)
-    looked_at = checked[0]
+    looked_at = checked[0]  # the longest steady part, or all segments
     if settings.models:
         result = _read(result, recording, settings)
     spectra = segments.average(looked_at) if bool(looked_at.any()) else None
@@ -182,6 +182,7 @@ def _inspected(
             settings.pictures / picture, figure, f"{result.manifest.stem}: {result.words}"
         )
         result = replace(result, picture=picture)
+    # channels can be tested for a swap only against a known vehicle
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
     return _with_plausibility(result, recording, segments, checked, vehicle)

@@ -100,7 +100,9 @@ class FleetSettings:
     def __post_init__(self) -> None:
         check_settings(self)
         any_limits = dict.fromkeys(PARAMETERS, TIGHTEST)
-        read_limits(self.limits or {}, any_limits)  # whatever the vehicle's are
+        read_limits(
+            self.limits or {}, any_limits
+        )  # checks these limits, whatever the vehicle's are
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
 
@@ -144,7 +146,7 @@ def evaluate_fleet(
     FileNotFoundError is raised if the folder holds no manifest, ModelFileError if a model cannot
     read trips, ValueError if no suspension could be read or the limits are inconsistent.
     """
-    settings.limits_of(models)
+    settings.limits_of(models)  # raises before any trip is read
     groups = find_groups(folder)
     is_alone = len(groups) == 1 and groups[0].folder == folder
     if not is_alone:
@@ -160,7 +162,7 @@ def evaluate_fleet(
                 raise ValueError(group.error)
             where = output if is_alone else output / group.name
             read.append(_read_group(group, models, where, settings, progress, store))
-    # all suspensions are read before the first report: their rates of wear count for its lives
+    # all suspensions are read before the first report: its lives use their rates of wear
     fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
     if store is not None:
         fleet.add(one for one in store.series() if one.vehicle in fleet.limits)
@@ -291,7 +293,7 @@ def _evaluated(
             try:
                 made_from[file] = finished.made_from(file)
                 result = finished.read(made_from[file])
-            except Exception:  # `evaluate_trip` says what is wrong, which needs no worker
+            except Exception:  # `evaluate_trip` then reports the fault, without a worker
                 result = evaluate_trip(file, models, settings.trips)
             if result is not None:
                 made_from.pop(file, None)

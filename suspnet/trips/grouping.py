@@ -61,7 +61,7 @@ def find_groups(folder: Path) -> list[Group]:
         groups += found
         names += [part.name if len(found) == 1 else f"{part.name}_{g.place}" for g in found]
     if not any(group.manifests for group in groups):
-        find_manifests(folder)  # says what is missing
+        find_manifests(folder)  # raises the reason
     return _named(groups, names)
 
 

@@ -188,7 +188,7 @@ class _Writer:
     def _relative(self, file: Path) -> str:
         try:
             return Path(os.path.relpath(file, self.folder)).as_posix()
-        except ValueError:  # another drive
+        except ValueError:  # on another drive there is no relative path
             return str(file.resolve())
 
 

@@ -137,7 +137,7 @@ def _estimated(
     pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
         bins, reasons = _bins(recording, pairs, settings)
-    except TripError as error:  # reported here: the quality is known by now
+    except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
@@ -166,6 +166,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
 
     Bins may overlap: a segment that two models read counts once in the quality.
     """
+    # quality: averages over the bins, weighted by their numbers of averages
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
     estimate, sides = with_sides(combined(bins), bins, recording)
@@ -189,6 +190,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
+    # curves and healthy values are those of the bin with the most averages
     best = largest(bins)
     healthy = best.method.healthy
     return replace(

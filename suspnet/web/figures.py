@@ -71,6 +71,7 @@ def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
         heading = f"{_symbol(panel.name)}, {NAMES[panel.name]}"
         layout["annotations"].append(_axis_title(heading, axis))
         layout["shapes"] += _levels(panel, axis)
+    # maintenance and commissionings are vertical lines through all panels
     for km, words in (*trend.events, *((km, trend.again) for km in trend.again_km)):
         layout["shapes"].append(_line(x0=km, x1=km, y0=0, y1=1, yref="paper", dash="dot"))
         note = {"x": km, "xref": "x", "y": 1, "yref": "paper", "text": html(words)}
@@ -135,7 +136,7 @@ def html(text: str) -> str:
 
 
 def _traces(panel: Panel) -> list[dict[str, Any]]:
-    """Return the traces of one parameter; an element without data is a trace without points."""
+    """Return the traces of one parameter, without empty ones."""
     points, (low, high) = panel.points, panel.axis
     clear = points.chosen(~points.flagged)
     bars = {
