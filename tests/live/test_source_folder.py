@@ -136,7 +136,7 @@ def test_files_are_not_moved_through_a_link(tmp_path):
     folder.mkdir()
     (folder / "a").write_bytes(FRAMES[0])
     (folder / "taken").symlink_to(tmp_path / "outside")
-    with pytest.raises(OSError, match="must be a folder, and no link"):
+    with pytest.raises(OSError, match="must be a folder, not a link"):
         opened(folder)
     (folder / "taken").unlink()
     source = opened(folder)
