@@ -136,14 +136,14 @@ class Mqtt:
     def confirm(self, n_frames: int | None = None) -> None:
         """Acknowledge frames that `receive` returned. See `Source`."""
         assert self._client is not None
-        n_kept = len(self._given) if n_frames is None else n_frames
+        n_confirmed = len(self._given) if n_frames is None else n_frames
         with self._changed:  # the connection must not change meanwhile
-            for connection, number in self._given[:n_kept]:
+            for connection, number in self._given[:n_confirmed]:
                 # messages of an earlier connection are resent, under the same number or another;
                 # number 0 is a message without acknowledgement (QoS 0)
                 if number and self._is_connected and connection == self._connection:
                     self._client.ack(number, 1)
-        del self._given[:n_kept]
+        del self._given[:n_confirmed]
         self._send()
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:

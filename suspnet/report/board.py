@@ -108,14 +108,14 @@ class Board:
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._early: dict[Key, State] = {}
-        self._unkept: set[Key] = set()
-        self._kept: dict[Key, list[Alarm]] = {}
+        self._unstored: set[Key] = set()
+        self._stored: dict[Key, list[Alarm]] = {}
         self._plan: Plan | None = None
         self._day = settings.day()
         self._is_due = True
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
-        self._not_kept = ""
+        self._store_fault = ""
         self._shown_at = 0.0
         self._lock = threading.Lock()
 
@@ -170,8 +170,8 @@ class Board:
             or {*history.bad_rows} != {*self._view.bad_rows}
         ):
             self._show(history, is_complete=True)
-        if self._unkept:
-            self._keep(history)
+        if self._unstored:
+            self._store_alarms(history)
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
@@ -200,8 +200,8 @@ class Board:
         gone |= set(changed) - {one.key for one in series}
         self._is_due |= bool(gone)
         self._found(self._fleet.update([], gone))
-        self._unkept -= gone
-        self._kept = {key: alarms for key, alarms in self._kept.items() if key not in gone}
+        self._unstored -= gone
+        self._stored = {key: alarms for key, alarms in self._stored.items() if key not in gone}
         # recompute the others in parts, and show partial results of a long refresh
         for begin in range(0, len(series), AT_ONCE):
             self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
@@ -211,7 +211,7 @@ class Board:
 
     def _found(self, keys: set[Key]) -> None:
         self._is_due |= bool(keys)
-        self._unkept |= keys
+        self._unstored |= keys
 
     def _show(self, history: History, *, is_complete: bool) -> None:
         states = self._fleet.states()
@@ -229,20 +229,20 @@ class Board:
         )
         self._shown_at = time.monotonic()
 
-    def _keep(self, history: History) -> None:
+    def _store_alarms(self, history: History) -> None:
         """Store sister alarms that differ from those found last."""
-        found = {key: self._fleet.of_sisters(key) for key in self._unkept}
-        other = {key: alarms for key, alarms in found.items() if self._kept.get(key) != alarms}
+        found = {key: self._fleet.of_sisters(key) for key in self._unstored}
+        other = {key: alarms for key, alarms in found.items() if self._stored.get(key) != alarms}
         try:
             history.keep_all_alarms(other, [Cause.SISTER])
         except HistoryError as error:  # it may be locked or read-only: try at the next refresh
-            if str(error) != self._not_kept:
+            if str(error) != self._store_fault:
                 log.warning("alarms of sisters are not stored: %s", error)
-            self._not_kept = str(error)
+            self._store_fault = str(error)
             return
-        self._kept |= other
-        self._unkept.clear()
-        self._not_kept = ""
+        self._stored |= other
+        self._unstored.clear()
+        self._store_fault = ""
 
 
 def file_number(store: str) -> tuple[int, int] | None:

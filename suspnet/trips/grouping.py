@@ -43,7 +43,7 @@ def find_groups(folder: Path) -> list[Group]:
     """
     if not folder.is_dir() or _holds_manifests(folder):
         groups = _split(folder, find_manifests(folder))
-        _tell_of_unread(folder)
+        _warn_of_unread(folder)
         return _named(groups, [str(group.place) for group in groups])
     groups, names = [], []
     for part in sorted(path for path in folder.iterdir() if path.is_dir()):
@@ -79,7 +79,7 @@ def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
     return [Group(folder, place, tuple(by_place[place])) for place in sorted(by_place)]
 
 
-def _tell_of_unread(folder: Path) -> None:
+def _warn_of_unread(folder: Path) -> None:
     unread = sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p))
     if unread:
         log.warning(
